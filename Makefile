@@ -1,0 +1,104 @@
+# taxinet_ros from a bare machine to a run: Python 3.11 to 3.13, a C and C++ compiler and make are
+# all it takes. No ROS installation is needed or used; ROS 2 Jazzy comes as wheels into .venv.
+#
+#   make          install into .venv             make test       lint, types, import rules, tests
+#   make demo     install and run the demo       make lint       the quick part of make test
+#   make format   mend what ruff can mend        make clean      remove caches and build folders
+#                                                make distclean  the same, and .venv
+#   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
+#   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
+#
+# On Linux the default index serves torch with CUDA, some GB. Without a GPU let PIP_EXTRA_INDEX_URL
+# name the index of PyTorch's CPU wheels before the first make: the pinned version is the same, and
+# pip then prefers the small build.
+
+PYTHON ?= python3 python3.13 python3.12 python3.11
+VENV ?= .venv
+OUT ?= bags/demo
+PYTEST ?=
+
+BIN := $(VENV)/bin
+DONE := $(VENV)/done
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL := $(PIP) install -q -c constraints.txt
+CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
+INTERFACES := $(wildcard msg_defs/* msg_defs/*/*)
+
+# One ROS at a time: what a sourced installation, or another environment's Python, has left in the
+# shell would mix its libraries with those in .venv.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH
+unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Message setters check types and ranges; without it a wrong value is cut to size in silence.
+export ROS_PYTHON_CHECK_FIELDS := 1
+export PIP_ROOT_USER_ACTION := ignore
+
+.PHONY: install demo test lint format clean distclean
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+
+install: $(DONE)/messages
+	@echo 'taxinet_ros is installed in $(VENV); next: make demo, or $(BIN)/taxinet --help'
+
+demo: $(DONE)/messages
+	@echo '$(BIN)/taxinet demo --out $(OUT)'
+	@$(BIN)/taxinet demo --out $(OUT)
+
+test: lint
+	$(BIN)/python -m pytest $(PYTEST)
+
+lint: $(DONE)/messages $(DONE)/tools
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+format: $(DONE)/tools
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf build install log taxinet_ros.egg-info $(CACHES)
+
+distclean: clean
+	rm -rf $(VENV)
+
+# An interpreter is fit when it can make an environment and has the headers to compile against.
+FIT := import ensurepip, os, sys, sysconfig, venv; \
+  header = os.path.join(sysconfig.get_path("include"), "Python.h"); \
+  sys.exit(not ((3, 11) <= sys.version_info[:2] <= (3, 13) and os.path.exists(header)))
+
+$(DONE)/venv:
+	@for compiler in cc c++; do command -v $$compiler >/dev/null || { \
+	  echo 'make: no compiler "'$$compiler'" on the PATH; on Debian and Ubuntu: apt install g++' >&2; \
+	  exit 2; }; done
+	@for python in $(PYTHON) none; do $$python -c '$(FIT)' 2>/dev/null && break; done; \
+	if [ $$python = none ]; then \
+	  echo 'make: no Python 3.11 to 3.13 with venv and C headers among: $(PYTHON); on Debian and' \
+	    'Ubuntu: apt install python3-venv python3-dev; one elsewhere: make PYTHON=/path/to/it' >&2; \
+	  exit 2; \
+	fi; \
+	echo "make: making $(VENV) with $$python ($$($$python -V))"; \
+	$$python -m venv $(VENV)
+	@$(INSTALL) setuptools
+	@mkdir -p $(DONE) && touch $@
+
+# scenic asks for opencv-python, which unpacks over the headless build's files and wants a display's
+# libraries; so the headless one is laid down last.
+HEADLESS := import cv2, re, sys; \
+  sys.exit(not re.search(r"GUI: +NONE", cv2.getBuildInformation()))
+
+$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt $(SHARED)
+	@echo 'make: installing taxinet_ros and what it needs (minutes the first time)'
+	@$(INSTALL) --no-build-isolation -e '.[ros]'
+	@$(BIN)/python -c '$(HEADLESS)' 2>/dev/null || \
+	  $(INSTALL) --no-deps --force-reinstall opencv-python-headless
+	@touch $@
+
+$(DONE)/messages: $(DONE)/packages $(INTERFACES)
+	@echo 'make: building the messages (half a minute when they changed)'
+	@$(BIN)/python msg_defs/build_with_wheels.py
+	@touch $@
+
+$(DONE)/tools: setup.py constraints.txt | $(DONE)/packages
+	@echo 'make: installing the tools for tests'
+	@$(INSTALL) --no-build-isolation -e '.[ros,test,dev]'
+	@touch $@

