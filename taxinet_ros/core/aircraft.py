@@ -1,0 +1,250 @@
+"""The aircraft on its wheels: rigid-body dynamics by JSBSim, one control period at a time.
+
+JSBSim (https://jsbsim-team.github.io/jsbsim/) integrates at 120 Hz. A run gets an engine of its
+own, because one that has run before starts the next run with traces of it; a fresh one gives the
+same trajectory to the bit in any process. The ground is flat, at the elevation of ``map``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jsbsim
+
+from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.frames import GeodeticPose, MapPose, kmwh_04
+from taxinet_ros.core.jsbsim_log import CapturedLog, captured_log
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.speed_hold import SpeedGains, SpeedHold
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
+
+CONTROL_PERIOD_NS = 100_000_000
+"""Time between two control steps [ns]: the paper's 10 Hz."""
+
+PHYSICS_HZ = 120
+TAXI_SPEED_MPS = 5.0
+"""Ground speed at the start of a run [m/s]."""
+
+M_PER_FT = 0.3048
+
+_OWN_MODELS = Path(__file__).parent / 'aircraft_models'
+_ALL = -1  # JSBSim's index for every engine
+_OUTPUTS = (
+    'position/lat-geod-rad',
+    'position/long-gc-rad',
+    'position/geod-alt-ft',
+    'attitude/phi-rad',
+    'attitude/theta-rad',
+    'attitude/psi-rad',
+    'velocities/u-fps',
+    'velocities/psidot-rad_sec',
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AircraftModel:
+    """A flight-dynamics model, and how it stands while rolling straight at the taxi speed.
+
+    The attitude is that of :class:`~taxinet_ros.core.types.AircraftState`; a run that starts with
+    it neither drops nor nods.
+
+    Attributes:
+        folder: folder of model folders, None for the models that come with JSBSim.
+        max_steering_rad: largest nose-wheel angle [rad].
+        settled_z_m: centre of gravity above the ground [m].
+        settled_pitch_rad, settled_roll_rad: attitude [rad].
+        speed_gains: tuning of the speed hold.
+    """
+
+    folder: Path | None
+    max_steering_rad: float
+    settled_z_m: float
+    settled_pitch_rad: float
+    settled_roll_rad: float
+    speed_gains: SpeedGains
+
+
+MODELS = {
+    'caravan': AircraftModel(
+        folder=_OWN_MODELS,
+        max_steering_rad=math.radians(15.0),
+        settled_z_m=1.55011,
+        settled_pitch_rad=math.radians(0.1064),
+        settled_roll_rad=0.0,
+        speed_gains=SpeedGains(
+            lever_per_mps=0.8, lever_per_m=0.1, brake_per_lever=0.5, rolling_lever=0.0833
+        ),
+    ),
+    'c172p': AircraftModel(
+        folder=None,
+        max_steering_rad=math.radians(10.0),
+        settled_z_m=1.32824,
+        settled_pitch_rad=math.radians(-2.4815),
+        settled_roll_rad=math.radians(-0.1078),
+        speed_gains=SpeedGains(
+            lever_per_mps=2.5, lever_per_m=0.02, brake_per_lever=1.0, rolling_lever=0.0
+        ),
+    ),
+}
+"""Models by the word of ``Scenario.aircraft``."""
+
+
+class Aircraft:
+    """The aircraft of one run, rolling at :data:`TAXI_SPEED_MPS` from the scenario's start pose.
+
+    Attributes:
+        max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
+    """
+
+    def __init__(self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS) -> None:
+        """Load the scenario's model and set it on the runway.
+
+        Args:
+            scenario: start pose and kind of aircraft.
+            period_ns: control period [ns], a whole number of physics steps.
+
+        Raises:
+            ValueError: ``period_ns`` is not a positive whole number of physics steps.
+            InfraError: JSBSim cannot load or start the model.
+        """
+        self._steps, rest = divmod(period_ns * PHYSICS_HZ, NS_PER_S)
+        if self._steps < 1 or rest:
+            raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
+        self._period_s = period_ns / NS_PER_S
+        self._step = -1
+        self._frame = kmwh_04()
+        self._model = MODELS[scenario.aircraft]
+        self.max_steering_rad = self._model.max_steering_rad
+        self._hold = SpeedHold(self._model.speed_gains)
+        self._fdm = self._load(scenario.aircraft)
+        self._place(scenario)
+        self._start_rolling()
+        self._step = 0
+        self._state = self._measure()
+
+    @property
+    def state(self) -> AircraftState:
+        """Present pose and motion in ``map``."""
+        return self._state
+
+    def advance(self, command: TaxiCommand) -> AircraftState:
+        """Integrate one control period with the nose wheel, the lever and the brakes held.
+
+        Args:
+            command: nose-wheel angle, clipped to :attr:`max_steering_rad`, and speed to hold.
+
+        Returns:
+            The state at the end of the period.
+
+        Raises:
+            ValueError: the command is not finite, or its speed is negative.
+            InfraError: JSBSim failed, or the state is no longer finite.
+        """
+        if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
+            raise ValueError(f'not a command that an aircraft can follow: {command}')
+        self._set_controls(command)
+        self._step += 1
+        for _ in range(self._steps):
+            self._attempt(self._fdm.run, 'run')
+        self._state = self._measure()
+        return self._state
+
+    def _load(self, name: str) -> jsbsim.FGFDMExec:
+        with captured_log() as log:
+            fdm = jsbsim.FGFDMExec(None)
+            fdm.set_debug_level(0)
+            if self._model.folder is not None:
+                fdm.set_aircraft_path(str(self._model.folder))
+            self._attempt(lambda: fdm.load_model(name), f'loading {name}', log)
+        fdm.set_dt(1 / PHYSICS_HZ)
+        return fdm
+
+    def _place(self, scenario: Scenario) -> None:
+        pose = self._frame.to_geodetic(
+            MapPose(
+                x_m=scenario.distance_m,
+                y_m=scenario.cross_track_m,
+                z_m=self._model.settled_z_m,
+                yaw_rad=scenario.heading_rad,
+            )
+        )
+        fdm = self._fdm
+        # The height above the terrain comes after the terrain, and speeds after the attitude.
+        fdm['ic/terrain-elevation-ft'] = self._frame.elevation_m / M_PER_FT
+        fdm['ic/lat-geod-rad'] = pose.latitude_rad
+        fdm['ic/long-gc-rad'] = pose.longitude_rad
+        fdm['ic/h-agl-ft'] = self._model.settled_z_m / M_PER_FT
+        fdm['ic/psi-true-rad'] = pose.heading_rad
+        fdm['ic/theta-rad'] = -self._model.settled_pitch_rad
+        fdm['ic/phi-rad'] = self._model.settled_roll_rad
+        # Along the ground, not along the tilted body axis, or the aircraft would start to sink.
+        fdm['ic/vn-fps'] = TAXI_SPEED_MPS * math.cos(pose.heading_rad) / M_PER_FT
+        fdm['ic/ve-fps'] = TAXI_SPEED_MPS * math.sin(pose.heading_rad) / M_PER_FT
+        fdm['ic/vd-fps'] = 0.0
+
+    def _start_rolling(self) -> None:
+        fdm, lever = self._fdm, self._model.speed_gains.rolling_lever
+        self._attempt(fdm.run_ic, 'run_ic')
+        propulsion = fdm.get_propulsion()
+        if not propulsion.get_num_engines():  # the caravan's thrust is an external force
+            return
+        # Starting an engine also opens its throttle and leaves it at full speed. One step with the
+        # motion frozen carries our lever to the engine, which then settles to its speed there.
+        fdm['propulsion/set-running'] = _ALL
+        fdm['fcs/throttle-cmd-norm'] = lever
+        fdm['simulation/models/FGPropagate/enabled'] = 0
+        self._attempt(fdm.run, 'run')
+        propulsion.get_steady_state()
+        fdm['simulation/models/FGPropagate/enabled'] = 1
+
+    def _set_controls(self, command: TaxiCommand) -> None:
+        limit = self.max_steering_rad
+        steering_rad = min(max(command.steering_rad, -limit), limit)
+        lever, brake = self._hold.update(command.speed_mps, self._state.speed_mps, self._period_s)
+        # JSBSim's nose wheel is right positive.
+        self._fdm['fcs/steer-cmd-norm'] = -steering_rad / limit
+        self._fdm['fcs/throttle-cmd-norm'] = lever
+        self._fdm['fcs/left-brake-cmd-norm'] = brake
+        self._fdm['fcs/right-brake-cmd-norm'] = brake
+
+    def _attempt(
+        self, action: Callable[[], bool], name: str, log: CapturedLog | None = None
+    ) -> None:
+        """Do something that JSBSim refuses by an exception, or by False and a line in its log."""
+        try:
+            done = action()
+        except RuntimeError as error:
+            raise self._failure(f'JSBSim, {name}: {error}') from error
+        if not done:
+            reason = ' '.join(log.text.split())[-200:] if log else 'no reason given'
+            raise self._failure(f'JSBSim, {name}: {reason}')
+
+    def _measure(self) -> AircraftState:
+        read = {name: self._fdm[name] for name in _OUTPUTS}
+        if not all(map(math.isfinite, read.values())):
+            raise self._failure(f'JSBSim is not finite: {read}')
+        pose = self._frame.to_map(
+            GeodeticPose(
+                latitude_rad=read['position/lat-geod-rad'],
+                longitude_rad=read['position/long-gc-rad'],
+                altitude_m=read['position/geod-alt-ft'] * M_PER_FT,
+                heading_rad=read['attitude/psi-rad'],
+            )
+        )
+        # JSBSim has y right and z down: its pitch is nose up, its turns are clockwise.
+        return AircraftState(
+            x_m=pose.x_m,
+            y_m=pose.y_m,
+            z_m=pose.z_m,
+            roll_rad=read['attitude/phi-rad'],
+            pitch_rad=-read['attitude/theta-rad'],
+            yaw_rad=pose.yaw_rad,
+            speed_mps=read['velocities/u-fps'] * M_PER_FT,
+            yaw_rate_radps=-read['velocities/psidot-rad_sec'],
+        )
+
+    def _failure(self, detail: str) -> InfraError:
+        return InfraError('sim', 'simulator', self._step, detail)

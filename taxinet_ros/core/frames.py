@@ -1,0 +1,170 @@
+"""The runway frame ``map``: the one way to put something on the Earth and to find it again there.
+
+x and y are coordinates of a rigid tangent frame: its plane touches the ground at the threshold, x
+points at the far end of the centreline, y is left of it. Height and attitude are taken from the
+level ground below the point instead, because the picture and the flat runway mean those; over
+3 km the ground falls 0.7 m below the tangent plane and tilts by 0.03 degrees. True heading is
+turned into yaw at the point itself, so the convergence of the meridians (0.02 degrees from one
+end of the runway to the other) does not leak into the heading error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import pymap3d
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GeodeticPose:
+    """A point on WGS84 and a direction there.
+
+    Attributes:
+        latitude_rad, longitude_rad: geodetic latitude and longitude [rad], north and east positive.
+        altitude_m: height above the ellipsoid [m].
+        heading_rad: true heading [rad], clockwise from north.
+    """
+
+    latitude_rad: float
+    longitude_rad: float
+    altitude_m: float
+    heading_rad: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MapPose:
+    """A point and a direction in ``map`` (signs: :mod:`taxinet_ros.core.types`).
+
+    Attributes:
+        x_m, y_m: position along the centreline and to the left of it [m].
+        z_m: height above the ground [m].
+        yaw_rad: direction [rad], counter-clockwise from the centreline, in -pi..pi.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _ecef(latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vector:
+    x, y, z = pymap3d.geodetic2ecef(latitude_rad, longitude_rad, altitude_m, deg=False)
+    return float(x), float(y), float(z)
+
+
+def _north_east(latitude_rad: float, longitude_rad: float) -> tuple[Vector, Vector]:
+    """Unit vectors to the north and to the east at a point, in ECEF."""
+    sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
+    sin_lon, cos_lon = math.sin(longitude_rad), math.cos(longitude_rad)
+    return (-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat), (-sin_lon, cos_lon, 0.0)
+
+
+class RunwayFrame:
+    """A runway's ``map`` frame on the WGS84 ellipsoid.
+
+    Attributes:
+        length_m: distance from the threshold to the far end of the centreline [m].
+        elevation_m: height of the ground above the ellipsoid [m], the same everywhere.
+    """
+
+    def __init__(
+        self, threshold_deg: tuple[float, float], end_deg: tuple[float, float], elevation_m: float
+    ) -> None:
+        """Lay the frame along a centreline.
+
+        Args:
+            threshold_deg: geodetic latitude and longitude of the origin [deg].
+            end_deg: the same of the far end of the centreline, on the x axis [deg].
+            elevation_m: height of the ground above the ellipsoid [m].
+        """
+        latitude, longitude = (math.radians(angle) for angle in threshold_deg)
+        east, north, _ = pymap3d.geodetic2enu(
+            *end_deg, elevation_m, *threshold_deg, elevation_m, deg=True
+        )
+        self.length_m = math.hypot(float(east), float(north))
+        self.elevation_m = elevation_m
+        self._origin = _ecef(latitude, longitude, elevation_m)
+        toward_north, toward_east = _north_east(latitude, longitude)
+        sin, cos = float(east) / self.length_m, float(north) / self.length_m
+        self._x = _combine(cos, toward_north, sin, toward_east)
+        self._y = _combine(sin, toward_north, -cos, toward_east)
+        self._z = (
+            self._x[1] * self._y[2] - self._x[2] * self._y[1],
+            self._x[2] * self._y[0] - self._x[0] * self._y[2],
+            self._x[0] * self._y[1] - self._x[1] * self._y[0],
+        )
+
+    def to_map(self, pose: GeodeticPose) -> MapPose:
+        """Measure: where a pose on the Earth lies in ``map``."""
+        point = _ecef(pose.latitude_rad, pose.longitude_rad, pose.altitude_m)
+        x_m, y_m, _ = self._tangent(point)
+        (north_x, north_y), (east_x, east_y) = self._compass(pose.latitude_rad, pose.longitude_rad)
+        cos, sin = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+        yaw_rad = math.atan2(cos * north_y + sin * east_y, cos * north_x + sin * east_x)
+        return MapPose(x_m=x_m, y_m=y_m, z_m=pose.altitude_m - self.elevation_m, yaw_rad=yaw_rad)
+
+    def to_geodetic(self, pose: MapPose) -> GeodeticPose:
+        """Place: which pose on the Earth a pose in ``map`` is; the inverse of :meth:`to_map`."""
+        altitude_m = self.elevation_m + pose.z_m
+        up_m = pose.z_m
+        # The height is above the ground, not above the tangent plane: each round lands on the
+        # wanted altitude and corrects the sideways slip, which shrinks 2000-fold per round.
+        for _ in range(3):
+            latitude, longitude, reached_m = self._geodetic(pose.x_m, pose.y_m, up_m)
+            up_m += altitude_m - reached_m
+        (north_x, north_y), (east_x, east_y) = self._compass(latitude, longitude)
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        heading = math.atan2(north_y * cos - north_x * sin, east_x * sin - east_y * cos)
+        return GeodeticPose(
+            latitude_rad=latitude,
+            longitude_rad=longitude,
+            altitude_m=altitude_m,
+            heading_rad=heading % math.tau,
+        )
+
+    def _tangent(self, point: Vector) -> Vector:
+        offset = (
+            point[0] - self._origin[0],
+            point[1] - self._origin[1],
+            point[2] - self._origin[2],
+        )
+        return _dot(offset, self._x), _dot(offset, self._y), _dot(offset, self._z)
+
+    def _geodetic(self, x_m: float, y_m: float, up_m: float) -> Vector:
+        ecef = (
+            o + x_m * x + y_m * y + up_m * z
+            for o, x, y, z in zip(self._origin, self._x, self._y, self._z, strict=True)
+        )
+        latitude, longitude, altitude_m = pymap3d.ecef2geodetic(*ecef, deg=False)
+        return float(latitude), float(longitude), float(altitude_m)
+
+    def _compass(
+        self, latitude_rad: float, longitude_rad: float
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """North and east at a point, as seen from above in ``map``."""
+        north, east = _north_east(latitude_rad, longitude_rad)
+        return (
+            (_dot(north, self._x), _dot(north, self._y)),
+            (_dot(east, self._x), _dot(east, self._y)),
+        )
+
+
+def _combine(a: float, u: Vector, b: float, v: Vector) -> Vector:
+    return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
+
+
+@cache
+def kmwh_04() -> RunwayFrame:
+    """Grant County (KMWH) runway 04, with the end points of the paper's simulator scenes.
+
+    The ground is flat at 354 m, the height of the threshold; the real runway climbs by 0.2 %.
+    """
+    return RunwayFrame((47.196736, -119.332917), (47.212778, -119.300297), 354.0)

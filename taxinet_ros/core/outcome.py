@@ -1,0 +1,76 @@
+"""How a run may end. Exactly one of five, and only the first two carry a robustness."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from taxinet_ros.core.scenario import Scenario
+
+
+class Outcome(enum.StrEnum):
+    """The outcome taxonomy: a system that fails its specification is not a bench that broke."""
+
+    PASS = 'PASS'
+    FAIL = 'FAIL'
+    REJECTED = 'REJECTED'
+    INFRA_ERROR = 'INFRA_ERROR'
+    INTERRUPTED = 'INTERRUPTED'
+
+    @property
+    def judged(self) -> bool:
+        """Whether the run was whole and has a robustness."""
+        return self in (Outcome.PASS, Outcome.FAIL)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunRequest:
+    """One run that somebody asks for.
+
+    Attributes:
+        run_id: unique name: letters, digits, ``_``, ``-`` and ``.``.
+        index: number within the campaign, from 0.
+        program: Scenic program that the scenario was drawn from, or ''.
+        seed: seed of the campaign.
+        scenario: initial condition and environment.
+        specs: formulas to judge by, as text.
+        participants: node names that take part in the lockstep.
+    """
+
+    run_id: str
+    index: int
+    program: str
+    seed: int
+    scenario: Scenario
+    specs: tuple[str, ...]
+    participants: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunResult:
+    """How one run ended.
+
+    Attributes:
+        outcome: one of the five.
+        kind, who: of an infrastructure error, else ''.
+        detail: one line for people.
+        last_seq: last control step reached, -1 before the first.
+        rho: robustness by formula name, where judged.
+        left_runway: whether the aircraft was beyond the runway's edge, where judged.
+        max_cross_track_m: greatest |cross-track error| [m], where judged.
+        perception, fingerprint: which perception took part, and the hash of its weights.
+        wall_s: wall-clock time from request to answer [s].
+    """
+
+    outcome: Outcome
+    kind: str = ''
+    who: str = ''
+    detail: str = ''
+    last_seq: int = -1
+    rho: Mapping[str, float] = field(default_factory=dict)
+    left_runway: bool = False
+    max_cross_track_m: float = float('nan')
+    perception: str = ''
+    fingerprint: str = ''
+    wall_s: float = 0.0

@@ -1,0 +1,81 @@
+"""Value types of the closed loop, with the one statement of every unit, axis and sign.
+
+Frames (REP-103, REP-105). ``map`` is the runway frame: origin on the centreline at the threshold
+of runway 04, x along the centreline in the direction of take-off, y to the left, z up. Angles are
+counter-clockwise positive seen from above, so a nose that points left of the runway has a positive
+yaw. The runway's heading is zero yaw by construction, hence:
+
+* cross-track error (CTE) = y of the aircraft's reference point, left positive, in metres;
+* heading error (HE) = yaw - runway heading = yaw, nose left positive, in radians.
+
+These are the signs of the published X-Plane TaxiNet data. A steering angle is left positive too: a
+positive angle turns the nose to the left. Pitch and roll follow REP-103 as well (x forward, y left,
+z up): positive pitch is nose **down**, positive roll is right wing down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrackingError:
+    """Where the aircraft is relative to the centreline: the truth, or a perception's estimate.
+
+    Attributes:
+        cte_m: cross-track error [m], left positive.
+        he_rad: heading error [rad], nose left positive.
+        valid: False where an estimate could not be made; the numbers then mean nothing.
+    """
+
+    cte_m: float
+    he_rad: float
+    valid: bool = True
+
+    @property
+    def usable(self) -> bool:
+        """True where both numbers are finite and declared valid."""
+        return self.valid and math.isfinite(self.cte_m) and math.isfinite(self.he_rad)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AircraftState:
+    """Pose and motion of the aircraft's reference point (its centre of gravity) in ``map``.
+
+    Attributes:
+        x_m, y_m: position along and across the runway [m], y left positive.
+        z_m: height of the reference point above the ground [m].
+        roll_rad, pitch_rad, yaw_rad: REP-103 attitude [rad] (pitch positive nose down).
+        speed_mps: ground speed along the body x axis [m/s].
+        yaw_rate_radps: rate of yaw [rad/s], counter-clockwise positive.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    speed_mps: float
+    yaw_rate_radps: float
+
+    @property
+    def tracking_error(self) -> TrackingError:
+        """Ground-truth cross-track and heading error of this state."""
+        return TrackingError(cte_m=self.y_m, he_rad=self.yaw_rad)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TaxiCommand:
+    """What the steering controller asks of the aircraft for one control period.
+
+    Attributes:
+        steering_rad: nose-wheel angle [rad], positive turns left.
+        speed_mps: taxi speed to hold [m/s], >= 0; 0 brakes to a stop.
+    """
+
+    steering_rad: float
+    speed_mps: float
