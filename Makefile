@@ -29,13 +29,10 @@ INTERFACES := $(wildcard msg_defs/* msg_defs/*/*)
 # shell would mix its libraries with those in .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH
 unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
-# Message setters check types and ranges; without it a wrong value is cut to size in silence.
-export ROS_PYTHON_CHECK_FIELDS := 1
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test lint format clean distclean
+.PHONY: install demo test lint format clean distclean asked-python
 .NOTPARALLEL:
-.DELETE_ON_ERROR:
 
 install: $(DONE)/messages
 	@echo 'taxinet_ros is installed in $(VENV); next: make demo, or $(BIN)/taxinet --help'
@@ -44,6 +41,8 @@ demo: $(DONE)/messages
 	@echo '$(BIN)/taxinet demo --out $(OUT)'
 	@$(BIN)/taxinet demo --out $(OUT)
 
+# Message setters then check types and ranges; else a wrong value is cut to size in silence.
+test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: lint
 	$(BIN)/python -m pytest $(PYTEST)
 
@@ -65,6 +64,17 @@ distclean: clean
 FIT := import ensurepip, os, sys, sysconfig, venv; \
   header = os.path.join(sysconfig.get_path("include"), "Python.h"); \
   sys.exit(not ((3, 11) <= sys.version_info[:2] <= (3, 13) and os.path.exists(header)))
+
+ifeq ($(origin PYTHON),command line)
+$(DONE)/venv: | asked-python
+endif
+
+asked-python:
+	@if [ -x $(BIN)/python ] && [ "$$($(BIN)/python -V)" != "$$($(PYTHON) -V)" ]; then \
+	  echo 'make: $(VENV) holds' "$$($(BIN)/python -V), not $(PYTHON);" \
+	    'say make distclean first, or VENV=another' >&2; \
+	  exit 2; \
+	fi
 
 $(DONE)/venv:
 	@for compiler in cc c++; do command -v $$compiler >/dev/null || { \

@@ -1,11 +1,12 @@
 """Start the whole graph, every node a process, and run a campaign of one Scenic program.
 
-``ros2 launch taxinet_ros taxinet.launch.py perception:=truth program:=nominal runs:=10``; it ends
+``ros2 launch taxinet_ros taxinet.launch.py perception:=truth program:=s_falsif runs:=10``; it ends
 when the last run has ended.
 """
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -25,10 +26,10 @@ def arguments() -> list[DeclareLaunchArgument]:
     config = Path(get_package_share_directory(PACKAGE)) / 'config' / 'nodes.yaml'
     described = {
         'weights': ('taxinet', "the network's weights: taxinet (shipped) or a .safetensors file"),
-        'program': ('nominal', 'Scenic program to draw scenarios from: a shipped name or a file'),
+        'program': ('s_falsif', 'Scenic program to draw scenarios from: a shipped name or a file'),
         'runs': ('10', 'number of runs'),
         'seed': ('0', 'seed of the draws'),
-        'out': ('bags/launch', 'folder that takes one bag folder per run'),
+        'out': (f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}', 'new folder for table and bags'),
         'namespace': ('', 'namespace of the graph, so that several can share a domain'),
         'params': (str(config), "file with the nodes' parameters"),
     }

@@ -62,7 +62,8 @@ def mend_include_paths() -> None:
     for path in PREFIX.glob('share/*/cmake/*.cmake'):
         before = after = path.read_text(encoding='utf-8')
         for pattern, mend in mends:
-            after = re.sub(pattern, lambda _, mend=mend: mend, after)
+            # Backslashes in a path are no group references.
+            after = re.sub(pattern, mend.replace('\\', r'\\'), after)
         if after != before:
             path.write_text(after, encoding='utf-8')
 

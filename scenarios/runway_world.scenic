@@ -1,0 +1,28 @@
+"""World model of every program here: the aircraft on the runway, and the weather's vocabulary.
+
+Scenic's axes: x to the RIGHT of the centreline and y past the threshold, in metres; a heading of 0
+looks along the runway and grows counter-clockwise, that is with the nose to the left.
+taxinet_ros has cross-track error positive to the LEFT, so `cross_track` is minus x. Distance and
+heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
+
+A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
+date ('YYYY-MM-DD'), shadows (True or False), aircraft (a word), duration [s].
+"""
+
+# From clear sky to dark stratus, as in X-Plane 11.
+CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
+RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
+
+DEGREES_PER_RADIAN = 57.29577951308232
+
+
+class Plane(Object):
+    # The programs' ranges already keep the plane on the runway, and it is alone there: the
+    # geometric tests of Scenic would cost time and could only reject good scenes.
+    regionContainedIn: everywhere
+    allowCollisions: True
+    requireVisible: False
+    # What the test bench reads. 0 - x, because -x turns a zero into a minus zero.
+    cross_track: 0 - self.position.x
+    distance: self.position.y
+    heading_deg: self.heading * DEGREES_PER_RADIAN

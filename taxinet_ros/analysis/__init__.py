@@ -1,0 +1,1 @@
+"""Pictures and figures made from runs. No ROS."""

@@ -1,0 +1,1 @@
+"""Run bags: writing, reading, repairing and decoding them, without ROS."""

@@ -1,0 +1,47 @@
+"""What can be wrong with a bag. Every failure of this package is one of these, on one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class BagError(Exception):
+    """A bag cannot be written or read.
+
+    Attributes:
+        path: the file or folder concerned, or None where only bytes were at hand.
+        recovered: messages that were read soundly before the trouble.
+    """
+
+    def __init__(self, message: str, *, path: Path | None = None, recovered: int = 0) -> None:
+        super().__init__(message)
+        self.path = path
+        self.recovered = recovered
+
+
+class BagWriteError(BagError):
+    """The operating system refused to store more; the bag holds what was written before.
+
+    Attributes:
+        errno: the system's error number, e.g. ``errno.ENOSPC``.
+    """
+
+    def __init__(self, message: str, *, path: Path | None = None, errno: int = 0) -> None:
+        super().__init__(message, path=path)
+        self.errno = errno
+
+
+class BagTruncated(BagError):  # noqa: N818 - the state of the bag
+    """The file stops before its end mark: its writer was killed, or the copy is incomplete."""
+
+
+class BagCorrupt(BagError):  # noqa: N818 - the state of the bag
+    """The bytes contradict their checksums or one another."""
+
+
+class BagEmpty(BagError):  # noqa: N818 - the state of the bag
+    """There is nothing in it to read."""
+
+
+class BagForeign(BagError):  # noqa: N818 - the state of the bag
+    """It is no bag, or one of a kind that this package does not read."""

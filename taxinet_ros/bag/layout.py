@@ -1,0 +1,71 @@
+"""Where things lie: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
+
+This is the layout of rosbag2 (package rosbag2_cpp, ``SequentialWriter``), so ``ros2 bag`` accepts
+the folder. As there, ``metadata.yaml`` is written last: a folder without it was not finished.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.core.errors import UsageError
+
+METADATA_FILE = 'metadata.yaml'
+STORAGE_ID = 'mcap'
+
+_NUMBER = re.compile(r'_(\d+)$')
+
+
+def mcap_path(folder: Path) -> Path:
+    """The one storage file of the run in ``folder``, named as ``ros2 bag reindex`` needs it."""
+    return folder / f'{folder.name}_0.{STORAGE_ID}'
+
+
+def storage_files(path: Path) -> tuple[Path, ...]:
+    """The storage files of a bag, oldest first; ``path`` is a run folder or one ``.mcap`` file.
+
+    The list of files within ``metadata.yaml`` is not believed: it could point anywhere.
+
+    Raises:
+        UsageError: there is nothing at ``path``.
+        BagEmpty: the folder holds no storage file.
+        BagForeign: the folder holds a bag of another storage.
+    """
+    if path.is_file():
+        return (path,)
+    if not path.is_dir():
+        raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
+    files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
+    if files:
+        return tuple(files)
+    if any(path.glob('*.db3')):
+        raise BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
+    raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names within ``folder`` survive a loss of power."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Put ``text`` at ``path`` so that a reader sees all of it or no file, come what may."""
+    draft = path.with_name(path.name + '.tmp')
+    with draft.open('w', encoding='utf-8') as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+    draft.rename(path)
+    sync_folder(path.parent)
+
+
+def _split_number(path: Path) -> tuple[int, str]:
+    match = _NUMBER.search(path.stem)
+    return (int(match.group(1)) if match else 0, path.name)

@@ -1,0 +1,89 @@
+"""The description of a bag that rosbag2 keeps beside and within it, version 9 (Jazzy).
+
+Fields and their order are those of rosbag2_storage's ``BagMetadata``; ``ros2 bag info`` needs all.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.topics import TopicInfo, dump_yaml, qos_profiles
+
+VERSION = 9
+ROS_DISTRO = 'jazzy'
+NOT_STARTED_NS = 2**63 - 1
+"""Start that rosbag2 notes in a bag without messages."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagContent:
+    """What was recorded, as far as the description tells.
+
+    Attributes:
+        file: name of the storage file.
+        start_ns: stamp of the first message [ns of simulated time].
+        duration_ns: last stamp minus first stamp [ns].
+        topics: every topic with its number of messages.
+        custom: words of the run: scenario, seed, version and the like.
+    """
+
+    file: str
+    start_ns: int
+    duration_ns: int
+    topics: Sequence[tuple[TopicInfo, int]]
+    custom: Mapping[str, str]
+
+
+def record_text(content: BagContent) -> str:
+    """YAML for the ``serialized_metadata`` record within the storage file."""
+    return dump_yaml(_fields(content))
+
+
+def file_text(record: str) -> str:
+    """YAML of ``metadata.yaml`` with the same content as the given :func:`record_text`."""
+    return 'rosbag2_bagfile_information:\n' + textwrap.indent(record, '  ')
+
+
+def _fields(content: BagContent) -> dict[str, Any]:
+    total = sum(count for _, count in content.topics)
+    duration = {'nanoseconds': content.duration_ns}
+    start = {'nanoseconds_since_epoch': content.start_ns}
+    return {
+        'version': VERSION,
+        'storage_identifier': STORAGE_ID,
+        'duration': duration,
+        'starting_time': start,
+        'message_count': total,
+        'topics_with_message_count': [_topic(topic, count) for topic, count in content.topics],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [content.file],
+        'files': [
+            {
+                'path': content.file,
+                'starting_time': start,
+                'duration': duration,
+                'message_count': total,
+            }
+        ],
+        'custom_data': dict(content.custom),
+        'ros_distro': ROS_DISTRO,
+    }
+
+
+def _topic(topic: TopicInfo, count: int) -> dict[str, Any]:
+    return {
+        'topic_metadata': {
+            'name': topic.name,
+            'type': topic.type,
+            'serialization_format': 'cdr',
+            # The very text of the channel: readers join the two on equal profiles.
+            'offered_qos_profiles': list(qos_profiles(topic.qos)),
+            'type_description_hash': topic.type_hash,
+        },
+        'message_count': count,
+    }

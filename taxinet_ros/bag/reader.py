@@ -1,0 +1,232 @@
+"""Raw messages and the table of contents of a bag, ours or another ROS 2 recorder's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+
+from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
+from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.scan import OnDamage, scan
+from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.core.errors import UsageError
+
+Wanted = Callable[[str], bool]
+"""Whether the topic of this name is to be read."""
+
+
+class RawMessage(NamedTuple):
+    """One message as stored: topic and type name, log time [ns], serialised bytes."""
+
+    topic: str
+    type: str
+    stamp_ns: int
+    cdr: bytes
+
+
+class StoredMessage(NamedTuple):
+    """One message with all that is known of its topic; stamp is the log time [ns]."""
+
+    topic: TopicInfo
+    stamp_ns: int
+    cdr: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagInfo:
+    """Table of contents of a bag, as far as it can be read.
+
+    Attributes:
+        path: as given.
+        topics: in the order of the file.
+        counts: sound messages by topic name, zeros included.
+        start_ns, end_ns: least and greatest stamp [ns]; 0 without messages.
+        metadata: metadata records by name; of several by one name, the last.
+        attachments: their names, in the order of the file.
+        complete: the recording was finished and nothing is damaged.
+        trouble: one line on what is wrong, or empty.
+    """
+
+    path: Path
+    topics: tuple[TopicInfo, ...]
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: tuple[str, ...]
+    complete: bool
+    trouble: str
+
+    @property
+    def duration_s(self) -> float:
+        """Simulated time between the first and the last message [s]."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+
+def read_messages(path: Path, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    """Yield the messages of a bag in the order in which they were recorded.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        topics: names to keep; default all.
+
+    Raises:
+        BagTruncated, BagCorrupt: only after everything sound before the damage was yielded; the
+            error's ``recovered`` counts it.
+        BagEmpty, BagForeign: there is nothing to read, or nothing that can be.
+        UsageError: there is nothing at ``path``.
+    """
+    wanted = None if topics is None else frozenset(topics).__contains__
+    for topic, stamp_ns, cdr in stored_messages(path, wanted):
+        yield RawMessage(topic.name, topic.type, stamp_ns, cdr)
+
+
+def stored_messages(
+    path: Path, wanted: Wanted | None = None, on_damage: OnDamage | None = None
+) -> Iterator[StoredMessage]:
+    """Like :func:`read_messages`, with definitions; damage may be handed over, see ``scan``."""
+    count = 0
+    try:
+        for file in storage_files(path):
+            infos = _Topics()
+            for record in scan(file, on_damage):
+                infos.note(record)
+                if not isinstance(record, Message):
+                    continue
+                info = infos.by_channel[record.channel_id]
+                if wanted is None or wanted(info.name):
+                    infos.check_cdr(record.channel_id, file)
+                    yield StoredMessage(info, record.log_time, record.data)
+                    count += 1
+    except (BagTruncated, BagCorrupt) as error:
+        message = f'{error}; {count} sound messages before'
+        raise type(error)(message, path=error.path, recovered=count) from error
+
+
+def read_info(path: Path) -> BagInfo:
+    """Read the table of contents; damage is told in the result, not raised.
+
+    Raises:
+        BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
+    """
+    contents = _Contents()
+    trouble: list[str] = []
+    for file in storage_files(path):
+        infos = _Topics()
+        for record in scan(file, lambda error: trouble.append(str(error))):
+            infos.note(record)
+            contents.note(record, infos)
+    trouble += _folder_trouble(path, sum(contents.counts.values()))
+    return BagInfo(
+        path=path,
+        topics=tuple(contents.topics.values()),
+        counts=contents.counts,
+        start_ns=min(contents.stamps, default=0),
+        end_ns=max(contents.stamps, default=0),
+        metadata=contents.metadata,
+        attachments=tuple(contents.attachments),
+        complete=not trouble,
+        trouble='; '.join(trouble),
+    )
+
+
+def read_attachment(path: Path, name: str) -> bytes:
+    """The file that was put into the bag as ``name``; the last one, if several.
+
+    Raises:
+        UsageError: there is none by that name.
+        BagError: as :func:`read_messages`, if the bag is damaged and it was not found before that.
+    """
+    found: bytes | None = None
+    names: list[str] = []
+    trouble: list[BagError] = []
+    for file in storage_files(path):
+        for record in scan(file, trouble.append):
+            if isinstance(record, Attachment):
+                names.append(record.name)
+                found = record.data if record.name == name else found
+    if found is not None:
+        return found
+    if trouble:
+        raise trouble[0]
+    raise UsageError(f'{path}: no attachment {name!r}; it has {", ".join(names) or "none"}')
+
+
+class _Topics:
+    """The topics of one file, as they turn up."""
+
+    def __init__(self) -> None:
+        self.by_channel: dict[int, TopicInfo] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._encodings: dict[int, str] = {}
+
+    def note(self, record: object) -> None:
+        """Take in a record."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self.by_channel[record.id] = self._info(record)
+            self._encodings[record.id] = record.message_encoding
+
+    def check_cdr(self, channel: int, file: Path) -> None:
+        """Raise :class:`BagForeign` unless the channel's messages are CDR."""
+        if (encoding := self._encodings[channel]) != 'cdr':
+            name = self.by_channel[channel].name
+            raise BagForeign(f'{file}: topic {name}: messages are {encoding!r}, not cdr', path=file)
+
+    def _info(self, channel: Channel) -> TopicInfo:
+        schema = self._schemas[channel.schema_id]
+        readable = schema.encoding == 'ros2msg'
+        return TopicInfo(
+            name=channel.topic,
+            type=schema.name,
+            qos=channel.metadata.get('offered_qos_profiles', ''),
+            definition=schema.data.decode('utf-8', 'replace') if readable else '',
+            type_hash=channel.metadata.get('topic_type_hash', ''),
+        )
+
+
+@dataclass
+class _Contents:
+    """What :func:`read_info` gathers."""
+
+    topics: dict[str, TopicInfo] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[str] = field(default_factory=list)
+    stamps: set[int] = field(default_factory=set)
+
+    def note(self, record: object, infos: _Topics) -> None:
+        """Take in a record."""
+        if isinstance(record, Channel):
+            self.topics.setdefault(record.topic, infos.by_channel[record.id])
+            self.counts.setdefault(record.topic, 0)
+        elif isinstance(record, Message):
+            self.counts[infos.by_channel[record.channel_id].name] += 1
+            self.stamps.add(record.log_time)
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+        elif isinstance(record, Attachment):
+            self.attachments.append(record.name)
+
+
+def _folder_trouble(path: Path, messages: int) -> list[str]:
+    """What ``metadata.yaml`` says against the bag in the folder ``path``."""
+    if path.is_file():
+        return []
+    file = path / METADATA_FILE
+    if not file.is_file():
+        return [f'{path}: no {METADATA_FILE}, so the recording was not finished']
+    try:
+        content = yaml.safe_load(file.read_bytes())['rosbag2_bagfile_information']
+        declared = content['message_count']
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
+        return [f'{file}: not a bag description: {type(error).__name__}']
+    if declared != messages:
+        return [f'{file}: declares {declared} messages, the bag holds {messages}']
+    return []

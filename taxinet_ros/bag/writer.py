@@ -1,0 +1,228 @@
+"""Recording one run: a folder in rosbag2's layout that holds one MCAP file.
+
+No clock and no chance enter here: the same messages in the same order give the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import taxinet_ros
+from taxinet_ros.bag.errors import BagCorrupt, BagError, BagWriteError
+from taxinet_ros.bag.layout import METADATA_FILE, mcap_path, sync_folder, write_atomically
+from taxinet_ros.bag.metadata import NOT_STARTED_NS, BagContent, file_text, record_text
+from taxinet_ros.bag.storage import StorageFile
+from taxinet_ros.bag.summary import read_statistics
+from taxinet_ros.bag.topics import TopicInfo, check_topics
+from taxinet_ros.core.errors import UsageError
+
+LIBRARY = f'taxinet_ros {taxinet_ros.__version__}'
+MANIFEST = 'manifest.json'
+RUN_METADATA = 'taxinet'
+"""Name of the metadata record with the words of the run."""
+
+_MEDIA_TYPES = {
+    '.json': 'application/json',
+    '.yaml': 'application/yaml',
+    '.scenic': 'text/plain',
+    '.txt': 'text/plain',
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagSummary:
+    """A bag that is whole.
+
+    Attributes:
+        folder: the run folder.
+        mcap: the storage file within it.
+        message_counts: messages by topic name, zeros included.
+        size_bytes: size of the storage file.
+        start_ns, end_ns: least and greatest stamp [ns of simulated time]; 0 without messages.
+    """
+
+    folder: Path
+    mcap: Path
+    message_counts: Mapping[str, int]
+    size_bytes: int
+    start_ns: int
+    end_ns: int
+
+
+class BagWriter:
+    """Writes a run's messages as they come.
+
+    The storage file has its final name from the start, and everything before the last
+    :meth:`flush` can be read from it even if this process is killed; only :meth:`close` adds
+    ``metadata.yaml``, which says that the bag is whole. Used as a context manager it closes on
+    success and abandons on an exception.
+
+    Attributes:
+        folder: the run folder.
+    """
+
+    def __init__(
+        self, folder: Path, topics: Sequence[TopicInfo], *, metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes], min_free_bytes: int = 1_000_000_000,
+    ) -> None:
+        """Start a bag.
+
+        Args:
+            folder: the run folder, named as the run; it must not exist, its parents need not.
+            topics: every topic that may be written.
+            metadata: words of the run: scenario, seed, versions, perception; kept as custom data.
+            attachments: files to put in, by name; ``manifest.json`` is added unless it is given.
+            min_free_bytes: free space to ask of the disk at the start [bytes].
+
+        Raises:
+            UsageError: the folder exists, there is too little space, or a topic is malformed.
+            BagWriteError: the operating system refuses.
+        """
+        check_topics(topics)
+        _check_words('metadata', metadata)
+        _make_folder(folder, min_free_bytes)
+        self.folder = folder
+        self._topics = tuple(topics)
+        self._custom = dict(metadata)
+        self._storage = StorageFile(mcap_path(folder), topics=self._topics, library=LIBRARY)
+        self.add_metadata('rosbag2', {'serialized_metadata': record_text(self._content())})
+        if metadata:
+            self.add_metadata(RUN_METADATA, metadata)
+        for name, data in {MANIFEST: self._manifest(), **attachments}.items():
+            self.attach(name, data)
+
+    def write(self, topic: str, cdr: bytes, stamp_ns: int) -> None:
+        """Append one serialised message.
+
+        Args:
+            topic: name of one of the bag's topics.
+            cdr: the message with its four bytes of encapsulation.
+            stamp_ns: simulated time [ns], not negative; log time and publish time at once.
+        """
+        if topic not in self._storage.counts:
+            raise UsageError(f'topic {topic!r} is not in bag {self.folder}; give it at its start')
+        if not 0 <= stamp_ns < NOT_STARTED_NS:
+            raise UsageError(f'topic {topic!r}: stamp {stamp_ns} ns is not within 0 ... 2^63-2')
+        self._storage.add_message(topic, cdr, stamp_ns)
+
+    def flush(self) -> None:
+        """Make everything so far survive the death of this process (not a loss of power)."""
+        self._storage.finish_chunk()
+
+    def attach(self, name: str, data: bytes) -> None:
+        """Put a file into the bag."""
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, 'application/octet-stream')
+        self._storage.add_attachment(name, data, media_type=media_type)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Put a metadata record into the bag."""
+        _check_words(name, values)
+        self._storage.add_metadata(name, values)
+
+    def close(self) -> BagSummary:
+        """Complete the bag, check it on the disk, and only then declare it whole.
+
+        Raises:
+            BagWriteError: now or earlier something could not be written.
+            BagCorrupt: the file on the disk tells other numbers than were written.
+        """
+        description = record_text(self._content())
+        self.add_metadata('rosbag2', {'serialized_metadata': description})
+        self._storage.finish()
+        self._storage.output.sync()
+        self._storage.output.close()
+        self._verify()
+        try:
+            write_atomically(self.folder / METADATA_FILE, file_text(description))
+            sync_folder(self.folder.parent)
+        except OSError as error:
+            raise _refused(self.folder / METADATA_FILE, error) from error
+        return self._summary()
+
+    def abandon(self) -> None:
+        """Give up: keep what was written, without declaring it whole. Never raises."""
+        with suppress(BagError):
+            self._storage.finish_chunk()
+        with suppress(BagError):
+            self._storage.output.close()
+
+    def __enter__(self) -> BagWriter:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close after success, abandon after an exception; nothing if that was done already."""
+        if kind is not None:
+            self.abandon()
+        elif self._storage.output.open:
+            self.close()
+
+    def _content(self) -> BagContent:
+        counts = self._storage.counts
+        recorded = any(counts.values())
+        return BagContent(
+            file=self._storage.output.path.name,
+            start_ns=self._storage.start_ns if recorded else NOT_STARTED_NS,
+            duration_ns=self._storage.end_ns - self._storage.start_ns,
+            topics=[(topic, counts[topic.name]) for topic in self._topics],
+            custom=self._custom,
+        )
+
+    def _manifest(self) -> bytes:
+        topics = {t.name: {'type': t.type, 'type_hash': t.type_hash} for t in self._topics}
+        content = {'library': LIBRARY, 'metadata': self._custom, 'topics': topics}
+        return (json.dumps(content, indent=2) + '\n').encode()
+
+    def _verify(self) -> None:
+        path = self._storage.output.path
+        found = read_statistics(path)
+        if found != (expected := dict(self._storage.counts)):
+            raise BagCorrupt(f'{path}: holds {found}, but {expected} was written', path=path)
+
+    def _summary(self) -> BagSummary:
+        return BagSummary(
+            folder=self.folder,
+            mcap=self._storage.output.path,
+            message_counts=dict(self._storage.counts),
+            size_bytes=self._storage.output.size,
+            start_ns=self._storage.start_ns,
+            end_ns=self._storage.end_ns,
+        )
+
+
+def _check_words(name: str, values: Mapping[str, str]) -> None:
+    for key, value in values.items():
+        if not isinstance(key, str) or not isinstance(value, str):
+            raise UsageError(f'bag metadata {name!r}: {key!r} is {value!r}; give text for both')
+
+
+def _make_folder(folder: Path, min_free_bytes: int) -> None:
+    if folder.exists() or folder.is_symlink():
+        raise UsageError(f'{folder}: exists already; choose another run id or remove the folder')
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder.parent).free
+        if free < min_free_bytes:
+            raise UsageError(
+                f'{folder.parent}: {free / 1e9:.3f} GB free on the disk, '
+                f'{min_free_bytes / 1e9:.3f} GB wanted; make room or record elsewhere'
+            )
+        folder.mkdir()
+    except OSError as error:
+        raise _refused(folder, error) from error
+
+
+def _refused(path: Path, error: OSError) -> BagWriteError:
+    errno = error.errno or 0
+    return BagWriteError(
+        f'{path}: cannot write: [Errno {errno}] {error.strerror}', path=path, errno=errno
+    )

@@ -1,0 +1,140 @@
+"""The record of a campaign that survives a power cut: JSON lines, only ever appended.
+
+Before a run its intent is written, after it its result, each flushed to the disk. So a run is on
+record as finished, as begun, or not at all, and a campaign resumes by doing what has no result.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LedgerContent:
+    """What a ledger says.
+
+    Attributes:
+        campaign: what :meth:`Ledger.campaign` wrote; empty if nothing yet.
+        rows: the newest result of each index, by index.
+        unfinished: indices of runs that were begun and have no result, ascending.
+    """
+
+    campaign: Mapping[str, Any]
+    rows: tuple[RunRow, ...]
+    unfinished: tuple[int, ...]
+
+
+class Ledger:
+    """An open ledger: one writer at a time; a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` to append, making it if need be.
+
+        A last line without its end is cut off: it was being written when the power went, and
+        nobody has been told that it was kept.
+
+        Raises:
+            UsageError: the file cannot be opened, or another campaign is writing to it.
+        """
+        try:
+            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise UsageError(f'ledger {path}: {error.strerror}') from error
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(self._fd)
+            raise UsageError(f'ledger {path}: another campaign is writing to it') from error
+        os.ftruncate(self._fd, len(_whole_lines(path.read_bytes())))
+        os.fsync(self._fd)
+        fsync_folder(path.parent)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        os.close(self._fd)
+
+    def campaign(self, values: Mapping[str, Any]) -> None:
+        """Record what the campaign is: program, digest, seed, overrides, perception."""
+        self._append({'event': 'campaign', 'campaign': dict(values)})
+
+    def intent(self, index: int, run_id: str) -> None:
+        """Record that run ``index`` is about to begin."""
+        self._append({'event': 'intent', 'index': index, 'run_id': run_id})
+
+    def result(self, row: RunRow) -> None:
+        """Record how a run ended."""
+        self._append({'event': 'result', 'row': row.to_json()})
+
+    def _append(self, event: Mapping[str, Any]) -> None:
+        line = json.dumps(event, separators=(',', ':')).encode() + b'\n'
+        written = os.write(self._fd, line)
+        if written != len(line):  # a full disk; the next opening cuts the torn line off
+            raise OSError(f'ledger: only {written} of {len(line)} bytes could be written')
+        os.fsync(self._fd)
+
+
+def read_ledger(path: Path) -> LedgerContent:
+    """Read a ledger, also while it is being written; a torn last line counts as not there.
+
+    Raises:
+        UsageError: ``path:line: message`` if the file cannot be read or a whole line is damaged.
+    """
+    try:
+        lines = _whole_lines(path.read_bytes()).splitlines()
+    except OSError as error:
+        raise UsageError(f'ledger {path}: {error.strerror}') from error
+    campaign: dict[str, Any] = {}
+    rows: dict[int, RunRow] = {}
+    begun: set[int] = set()
+    for number, line in enumerate(lines, start=1):
+        try:
+            _take(json.loads(line), campaign, rows, begun)
+        except (ValueError, KeyError, TypeError, UsageError) as error:
+            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+    return LedgerContent(
+        campaign=campaign,
+        rows=tuple(rows[index] for index in sorted(rows)),
+        unfinished=tuple(sorted(begun - set(rows))),
+    )
+
+
+def _take(
+    event: Mapping[str, Any], campaign: dict[str, Any], rows: dict[int, RunRow], begun: set[int]
+) -> None:
+    if event['event'] == 'campaign':
+        campaign.update(event['campaign'])
+    elif event['event'] == 'intent':
+        begun.add(event['index'])
+    elif event['event'] == 'result':
+        row = RunRow.from_json(event['row'])
+        rows[row.index] = row
+    else:
+        raise ValueError(f'unknown event {event["event"]!r}')
+
+
+def _whole_lines(data: bytes) -> bytes:
+    return data[: data.rfind(b'\n') + 1]
+
+
+def fsync_folder(folder: Path) -> None:
+    """Make a new or renamed file's name last through a power cut."""
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

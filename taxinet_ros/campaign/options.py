@@ -1,0 +1,130 @@
+"""What a campaign is asked to do, checked before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from taxinet_ros.campaign.overrides import check_overrides
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.steering import SteeringGains
+
+DEFAULT_SPECS = ('phi_eventually',)
+DEFAULT_ROOT = Path('bags')
+_GAIN_PREFIX = 'steering.'
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignOptions:
+    """One campaign: scenes of one program, judged by some formulas, with one perception.
+
+    Attributes:
+        program: word of a shipped Scenic program or path of one.
+        runs: number of scenes.
+        seed: of the scenes.
+        perception: ``truth``, ``taxinet`` or a weights file.
+        overrides: scenario values that replace what is drawn, human keys and units.
+        gains: steering gains that differ from the defaults.
+        specs: formulas as text; the first is the headline.
+        out: folder of the campaign, which must be new or empty.
+        processes: every node a process of its own.
+    """
+
+    program: str
+    runs: int
+    seed: int
+    perception: str
+    out: Path
+    overrides: Mapping[str, str] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
+    specs: tuple[str, ...] = DEFAULT_SPECS
+    processes: bool = False
+
+
+def make_options(
+    *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
+    specs: Iterable[str], out: Path | None, processes: bool,
+) -> CampaignOptions:
+    """Check what a person typed.
+
+    Args:
+        program: word of a shipped Scenic program or path of one.
+        runs: number of scenes.
+        seed: of the scenes.
+        perception: ``truth``, ``taxinet`` or a weights file.
+        settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
+        specs: formulas as text; the default where empty.
+        out: folder; where None, a new one below ``bags/`` that says what it holds.
+        processes: every node a process of its own.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    overrides, gains = _split(settings)
+    check_overrides(overrides)
+    SteeringGains(**gains)
+    chosen = tuple(specs) or DEFAULT_SPECS
+    _check_specs(chosen)
+    check_perception(perception)
+    if out is None:
+        stem = f'{Path(program).stem}-{Path(perception).stem}-seed{seed}'
+        out = new_folder(DEFAULT_ROOT / stem)
+    check_new(out)
+    return CampaignOptions(
+        program=program, runs=runs, seed=seed, perception=perception, out=out,
+        overrides=overrides, gains=gains, specs=chosen, processes=processes,
+    )
+
+
+def new_folder(wanted: Path) -> Path:
+    """``wanted``, or where that exists, the next of ``wanted-2``, ``wanted-3``, … that does not."""
+    candidate, number = wanted, 1
+    while candidate.exists():
+        number += 1
+        candidate = wanted.with_name(f'{wanted.name}-{number}')
+    return candidate
+
+
+def check_new(out: Path) -> None:
+    """See that a campaign may be written to ``out`` without touching what is there.
+
+    Raises:
+        UsageError: it is a file, or a folder with something in it.
+    """
+    if out.is_dir() and not any(out.iterdir()):
+        return
+    if out.exists() or out.is_symlink():
+        raise UsageError(
+            f'--out {out}: exists already; nothing recorded is overwritten, name a new folder'
+        )
+
+
+def _split(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
+    overrides: dict[str, str] = {}
+    gains: dict[str, float] = {}
+    for setting in settings:
+        key, equals, value = (part.strip() for part in setting.partition('='))
+        if not (key and equals and value):
+            raise UsageError(f'--set {setting!r}: expected key=value')
+        if not key.startswith(_GAIN_PREFIX):
+            overrides[key] = value
+            continue
+        try:
+            gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
+        except ValueError:
+            raise UsageError(f'--set {setting}: {value!r} is no number') from None
+    known = SteeringGains.__dataclass_fields__
+    for name in gains:
+        if name not in known:
+            raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
+    return overrides, gains
+
+
+def _check_specs(specs: tuple[str, ...]) -> None:
+    names = [parse_spec(text).name for text in specs]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f'--spec: {name} is given twice; name one of them NAME=FORMULA')

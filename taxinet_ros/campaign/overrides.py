@@ -1,0 +1,65 @@
+"""Values that a person fixes on the command line, laid over what a program has drawn.
+
+They are applied after the draw and not handed to Scenic: there, an overridden parameter escapes
+the joint prior and gives rain from a clear sky. Here every scene passes the scenario's own checks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.scenario import RAIN_CLOUDS, Scenario, scenario_from_human
+
+WEATHER = ('clouds', 'rain')
+"""The two keys that bind each other: rain falls from rain clouds only."""
+
+
+def check_overrides(overrides: Mapping[str, str]) -> None:
+    """See that each override alone is a known key with a possible value.
+
+    Raises:
+        UsageError: unknown key, bad value, or rain and clouds that contradict each other.
+    """
+    for key, value in overrides.items():
+        # Rain is checked under a sky that allows it; the pair follows below.
+        _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
+    if all(key in overrides for key in WEATHER):
+        _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+
+
+def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], where: str) -> Scenario:
+    """The scenario of the ``drawn`` human values with ``overrides`` laid over them.
+
+    Args:
+        drawn: what the program says, in human units.
+        overrides: checked by :func:`check_overrides`.
+        where: program and scene, to head an error.
+
+    Raises:
+        UsageError: the program gives an impossible scenario, or an override makes it so.
+    """
+    scenario = _build(drawn, where)
+    if not overrides:
+        return scenario
+    values = {**scenario.to_human(), **drawn, **overrides}
+    dry = values['clouds'] not in RAIN_CLOUDS and float(values['rain']) > 0
+    if dry and 'rain' not in overrides:
+        raise UsageError(
+            f'override clouds={values["clouds"]}: {where} has {float(values["rain"]):.0f} % rain, '
+            f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
+        )
+    if dry:
+        raise UsageError(
+            f'override rain={values["rain"]}: {where} has clouds {values["clouds"]}, which cannot '
+            f'rain; set clouds={RAIN_CLOUDS[0]} (or {"/".join(RAIN_CLOUDS[1:])}) as well'
+        )
+    return _build(values, where)
+
+
+def _build(values: Mapping[str, Any], where: str) -> Scenario:
+    try:
+        return scenario_from_human(values)
+    except UsageError as error:
+        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error

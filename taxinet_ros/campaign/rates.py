@@ -1,0 +1,76 @@
+"""How many runs satisfied the specification, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from scipy.stats import beta
+
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+
+CONFIDENCE = 0.95
+
+
+class Rate(NamedTuple):
+    """A share of runs with its confidence interval, all as fractions 0..1."""
+
+    rate: float
+    low: float
+    high: float
+
+
+def rate(k: int, n: int) -> Rate:
+    """Share ``k`` of ``n`` independent runs with its 95 % Clopper-Pearson interval.
+
+    The interval is the exact one (Clopper and Pearson, Biometrika 26, 1934): it holds the true
+    rate at least 95 times in 100, for small ``n`` too. It is meant for runs drawn from the
+    program's own distribution, not for those of an active sampler.
+
+    Args:
+        k: runs that count, 0..n.
+        n: runs that were judged; with none the rate is NaN and the interval everything.
+
+    Raises:
+        ValueError: ``k`` is not within 0..n.
+    """
+    if not 0 <= k <= n:
+        raise ValueError(f'{k} of {n} is no share')
+    tail = (1 - CONFIDENCE) / 2
+    return Rate(
+        rate=k / n if n else math.nan,
+        low=float(beta.ppf(tail, k, n - k + 1)) if k > 0 else 0.0,
+        high=float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Summary:
+    """A campaign in a few figures.
+
+    Attributes:
+        counts: number of runs by outcome, all five of them.
+        judged: runs with a verdict; both rates are of these, so a broken bench hides in neither.
+        satisfied: share that passed.
+        left_runway: share in which the aircraft left the runway.
+    """
+
+    counts: Mapping[Outcome, int]
+    judged: int
+    satisfied: Rate
+    left_runway: Rate
+
+
+def summarise(rows: Sequence[RunRow]) -> Summary:
+    """Count the outcomes of a campaign and rate its judged runs."""
+    counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
+    judged = [row for row in rows if row.outcome.judged]
+    return Summary(
+        counts=counts,
+        judged=len(judged),
+        satisfied=rate(counts[Outcome.PASS], len(judged)),
+        left_runway=rate(sum(bool(row.left_runway) for row in judged), len(judged)),
+    )

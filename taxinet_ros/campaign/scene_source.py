@@ -1,0 +1,233 @@
+"""Scenes of a Scenic program, drawn in a child process that may hang or die without harm here."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, Self
+
+import taxinet_ros
+from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
+from taxinet_ros.campaign.programs import find_program, shipped_folder
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.scenario import Scenario
+
+MEMORY_BYTES = 4 << 30
+"""Address space that the child may use; Scenic itself takes about a tenth of it."""
+
+START_TIMEOUT_S = 120.0
+"""For importing Scenic: 1.5 s on a quiet machine, many times that on a loaded one."""
+
+GRACE_S = 3.0
+"""How long after its time the child may take to say which line hangs, before it is killed."""
+
+_PROBED_SCENES = 64
+"""Scenes looked at for rain under an overridden sky; S_falsif would hide it with (2/3)**64."""
+
+_NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
+
+
+class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
+    """No draw of a scene met the program's requirements; the run's outcome is ``REJECTED``.
+
+    Attributes:
+        index: number of the scene.
+        iterations: draws that were tried.
+    """
+
+    def __init__(self, program: str, index: int, iterations: int) -> None:
+        super().__init__(
+            f'{program}: scene {index}: no draw met the requirements in {iterations} tries'
+        )
+        self.index = index
+        self.iterations = iterations
+
+
+class SceneSource:
+    """The scenes of one program and seed; a context manager that owns the child process.
+
+    Scene ``i`` depends on the program's text, the seed and ``i`` only: any number of workers, in
+    any order, after any interruption, draw the same scenes. Not for use by several threads at once.
+    """
+
+    def __init__(
+        self, program: str | Path, *, seed: int, overrides: Mapping[str, str] = _NO_OVERRIDES,
+        timeout_s: float = 60.0,
+    ) -> None:
+        """Check the arguments; the child starts, and the program is compiled, on ``with``.
+
+        Args:
+            program: word of a shipped program, or path of a ``.scenic`` file.
+            seed: of the campaign, 0..2^63-1.
+            overrides: human keys and values that replace what is drawn.
+            timeout_s: most wall-clock time for compiling, and for each scene [s].
+
+        Raises:
+            UsageError: unknown program, bad seed or bad override.
+        """
+        if not 0 <= seed < 1 << 63:
+            raise UsageError(f'seed is {seed}; it has to be within 0..2^63-1')
+        check_overrides(overrides)
+        self.program = find_program(program)
+        self._seed = seed
+        self._overrides = dict(overrides)
+        self._timeout_s = timeout_s
+        self._child: subprocess.Popen[bytes] | None = None
+        self._fds: tuple[int, int] = (-1, -1)
+        self._unread = b''
+
+    def __enter__(self) -> Self:
+        """Start the child, compile, and look ahead for overrides that contradict the program.
+
+        Raises:
+            UsageError: ``file:line: message`` of what is wrong with the program.
+        """
+        self._start()
+        try:
+            self._receive(START_TIMEOUT_S)
+            self._ask({'op': 'compile', 'program': str(self.program)})
+            self._probe_weather()
+        except BaseException:
+            self._stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the child."""
+        self._stop()
+
+    def scene(self, index: int) -> Scenario:
+        """Scene ``index`` (from 0) with the overrides laid over it.
+
+        Raises:
+            Rejected: no draw met the program's requirements.
+            UsageError: the program failed, hung or died, or its values are no scenario.
+        """
+        answer = self._ask({'op': 'scene', 'index': index})
+        if 'rejected' in answer:
+            raise Rejected(self.program.name, index, answer['rejected'])
+        where = f'{self.program.name}: scene {index}'
+        return apply_overrides(answer['values'], self._overrides, where)
+
+    def _probe_weather(self) -> None:
+        # One wet scene in three would else end a campaign after its first runs.
+        if sum(key in self._overrides for key in WEATHER) != 1:
+            return
+        with contextlib.suppress(Rejected):
+            for index in range(_PROBED_SCENES):
+                self.scene(index)
+
+    def _start(self) -> None:
+        request_read, request_write = os.pipe()
+        response_read, response_write = os.pipe()
+        arguments = {
+            'request-fd': request_read, 'response-fd': response_write, 'seed': self._seed,
+            'memory-bytes': MEMORY_BYTES, 'timeout-s': self._timeout_s, 'shipped': shipped_folder(),
+        }
+        # -P: a random.py in the user's folder must not become the standard library's.
+        command = [sys.executable, '-P', '-m', 'taxinet_ros.campaign.scenic_child']
+        command += [f'--{name}={value}' for name, value in arguments.items()]
+        try:
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=2, env=_environment(),
+                pass_fds=(request_read, response_write), start_new_session=True,
+            )
+        finally:
+            os.close(request_read)
+            os.close(response_write)
+            self._fds = (response_read, request_write)
+
+    def _stop(self) -> None:
+        for fd in self._fds:
+            if fd >= 0:
+                os.close(fd)
+        self._fds = (-1, -1)
+        if self._child is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._child.pid, signal.SIGKILL)  # it is the leader of its own group
+            self._child.wait()
+        self._child = None
+
+    def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        if self._child is None:
+            raise RuntimeError('SceneSource: not running; use it in a with statement')
+        with contextlib.suppress(BrokenPipeError):  # then the answer says how it died
+            os.write(self._fds[1], json.dumps(request).encode() + b'\n')
+        try:
+            return self._receive(self._timeout_s + GRACE_S)
+        except UsageError:
+            raise
+        except BaseException:
+            self._stop()  # interrupted: its late answer must not pass for the next scene's
+            raise
+
+    def _receive(self, allowed_s: float) -> dict[str, Any]:
+        deadline = time.monotonic() + allowed_s
+        while b'\n' not in self._unread:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0 or not select.select([self._fds[0]], [], [], left_s)[0]:
+                self._stop()
+                raise UsageError(f'{_shown(self.program)}: Scenic hung for {allowed_s:g} s')
+            part = os.read(self._fds[0], 65536)
+            if not part:
+                how = self._how_it_died()
+                raise UsageError(f'{_shown(self.program)}: the Scenic process {how}')
+            self._unread += part
+        line, _, self._unread = self._unread.partition(b'\n')
+        answer: dict[str, Any] = json.loads(line)
+        if 'error' in answer:
+            raise UsageError(self._error_line(**answer['error']))
+        return answer
+
+    def _how_it_died(self) -> str:
+        assert self._child is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(GRACE_S)  # its pipe closes a moment before it is gone
+        status = self._child.poll() or 0
+        self._stop()
+        if status < 0:
+            return f'was ended by {signal.Signals(-status).name}'
+        return f'ended with status {status}; a program must not end it'
+
+    def _error_line(self, *, file: str, line: int, message: str) -> str:
+        place = _shown(Path(file) if file else self.program)
+        return f'{place}:{line}: {message}' if line else f'{place}: {message}'
+
+
+def sample_scenarios(
+    program: str | Path, seed: int, n: int, overrides: Mapping[str, str] = _NO_OVERRIDES
+) -> list[Scenario]:
+    """The first ``n`` scenes of a program, to look at before a campaign.
+
+    Raises:
+        Rejected, UsageError: as :meth:`SceneSource.scene`.
+    """
+    with SceneSource(program, seed=seed, overrides=overrides) as source:
+        return [source.scene(index) for index in range(n)]
+
+
+def _environment() -> dict[str, str]:
+    """The child's: this very package, the same hash order every time, and no idle BLAS threads."""
+    here = str(Path(taxinet_ros.__file__).resolve().parents[1])
+    path = os.pathsep.join(part for part in (here, os.environ.get('PYTHONPATH', '')) if part)
+    fixed = {'PYTHONPATH': path, 'PYTHONHASHSEED': '0'}
+    return {**os.environ, **fixed, 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
+
+
+def _shown(path: Path) -> str:
+    """The shortest path that leads there from where the user stands."""
+    with contextlib.suppress(ValueError):
+        return str(path.resolve().relative_to(Path.cwd()))
+    return str(path)

@@ -1,0 +1,264 @@
+"""The process in which Scenic compiles and draws: ``python -m taxinet_ros.campaign.scenic_child``.
+
+A Scenic program is code. It may loop for ever, call exit() or eat the memory, and Scenic keeps
+global state; so it lives in a process of its own, with limits, that the test bench can lose. The
+limits guard against accidents, not against malice.
+
+Requests come in and answers go out as JSON lines over two pipes that are not stdin and stdout, so
+a program may print what it likes (it appears on stderr). The first line out says that Scenic is
+imported. Then each request has one answer:
+
+=====================================  ============================================
+``{"op": "compile", "program": ...}``   ``{}``
+``{"op": "scene", "index": i}``         ``{"values": {...}}`` or ``{"rejected": n}``
+=====================================  ============================================
+
+or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
+the units people type.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import queue
+import random
+import resource
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, NoReturn
+
+import numpy as np
+
+MAX_ITERATIONS = 2000
+"""Draws that may break a program's requirements before a scene counts as rejected."""
+
+_OWN_PARAMETERS = ('verifai', 'externalSampler')
+"""Beginnings of the names of parameters that speak to Scenic's samplers, not of the scenario."""
+
+_EGO_VALUES = {'cross_track': 'cross_track', 'distance': 'distance', 'heading': 'heading_deg'}
+
+
+class OutOfTime(BaseException):
+    """A request took longer than allowed; no ``except Exception`` of a program may swallow it."""
+
+
+class ProgramError(Exception):
+    """The program compiles, but does not say what the test bench needs."""
+
+
+class Programs:
+    """The one compiled program of this process, and how its scenes are drawn."""
+
+    def __init__(self, seed: int, shipped: str) -> None:
+        """``shipped``: the folder where a program that lies elsewhere finds the world model."""
+        import scenic
+
+        sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
+        self._compile = scenic.scenarioFromFile
+        self._seed = seed
+        self._scenario: Any = None
+
+    def compile(self, program: str) -> dict[str, Any]:
+        """Compile ``program``; nothing is drawn yet."""
+        self._reseed(0)  # a program may draw while it is compiled
+        self._scenario = self._compile(program)
+        if self._scenario.externalSampler is not None:
+            raise ProgramError(
+                'external parameters (Verifai...) need an active sampler; use Range, Uniform or '
+                'Options instead'
+            )
+        return {}
+
+    def scene(self, index: int) -> dict[str, Any]:
+        """Draw scene ``index``: a function of the program, the seed and the index alone."""
+        from scenic.core.distributions import RejectionException
+
+        self._reseed(index)
+        try:
+            scene, _ = self._scenario.generate(maxIterations=MAX_ITERATIONS)
+        except RejectionException:
+            return {'rejected': MAX_ITERATIONS}
+        return {'values': _values(scene)}
+
+    def _reseed(self, index: int) -> None:
+        # Scenic draws from Python's generator and from NumPy's. Seeding both anew for every scene
+        # makes it independent of the scenes before it, hence of the number of workers.
+        words = np.random.SeedSequence([self._seed, index]).generate_state(8)
+        random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
+        np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
+
+
+def _values(scene: Any) -> dict[str, Any]:
+    ego = scene.egoObject
+    if ego is None or not all(hasattr(ego, name) for name in _EGO_VALUES.values()):
+        raise ProgramError(
+            'no plane to start from; write "model runway_world" and "ego = new Plane at (x, y)"'
+        )
+    values = {key: getattr(ego, name) for key, name in _EGO_VALUES.items()}
+    for name, value in scene.params.items():
+        if name in values:
+            raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
+        if not name.startswith(_OWN_PARAMETERS):
+            values[name] = value
+    return {name: _plain(name, value) for name, value in values.items()}
+
+
+def _plain(name: str, value: Any) -> float | str | bool:
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, (int, float, np.integer, np.floating)):
+        return float(value)
+    raise ProgramError(f'{name} is a {type(value).__name__}; it has to be a number or a word')
+
+
+def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
+    """Say in one line what went wrong, and in which line of which file (0 where unknown)."""
+    file, line = _place(error, Path(program))
+    return {'file': file, 'line': line, 'message': _message(error, allowed_s)}
+
+
+def _message(error: BaseException, allowed_s: float) -> str:
+    text = ' '.join(str(error).split())
+    if isinstance(error, OutOfTime):
+        return f'still running after {allowed_s:g} s; does a loop never end?'
+    if isinstance(error, SystemExit):
+        return 'the program calls exit(); it has to run to its end'
+    if isinstance(error, MemoryError):
+        return 'the program needs more memory than it may have'
+    if type(error).__module__.startswith(('scenic.', __name__)):
+        return text
+    return f'{type(error).__name__}: {text}'
+
+
+def _place(error: BaseException, program: Path) -> tuple[str, int]:
+    location = getattr(error, '_scenic_location', None)
+    if location is not None:
+        # Scenic puts what it has no line for on line 1; better no line than a wrong one.
+        return location.filename, location.lineno if location.lineno > 1 else 0
+    file, line = getattr(error, 'filename', None), getattr(error, 'lineno', None)
+    if isinstance(line, int):  # of a syntax error
+        return str(file or program), line
+    place = (str(program), 0)
+    step = error.__traceback__
+    while step is not None:
+        name = step.tb_frame.f_code.co_filename
+        if _is_users(Path(name), program):
+            place = (name, _line(step))
+        step = step.tb_next
+    return place
+
+
+def _is_users(file: Path, program: Path) -> bool:
+    return file.suffix == '.scenic' or file.parent == program.resolve().parent
+
+
+def _line(step: TracebackType) -> int:
+    """The line reached, from the last instruction that has a place in the source.
+
+    The code that Scenic makes of ``new`` and its specifiers has none (it claims line 1, no width),
+    but the values that the user wrote into them, loaded just before, have theirs.
+    """
+    positions = list(step.tb_frame.f_code.co_positions())[: step.tb_lasti // 2 + 1]
+    for line, _, column, end_column in reversed(positions):
+        if line and column != end_column:
+            return line
+    return 0
+
+
+def _alarm(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise OutOfTime
+
+
+def _allow(seconds: float) -> None:
+    """Let the next request take ``seconds``: an alarm that names the line, else a CPU limit."""
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
+    _lower(resource.RLIMIT_CPU, cpu_s)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _lower(limit: int, value: int) -> None:
+    _, hard = resource.getrlimit(limit)
+    resource.setrlimit(limit, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+
+
+def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
+    """Hand on each request line; end this process with its parent, even amid an endless loop."""
+    parent, rest = os.getppid(), b''
+    while os.getppid() == parent:
+        # The timeout is for a parent whose end of the pipe lives on in a forked sibling.
+        if not select.select([request_fd], [], [], 1.0)[0]:
+            continue
+        part = os.read(request_fd, 65536)
+        if not part:
+            break
+        *lines, rest = (rest + part).split(b'\n')
+        for line in lines:
+            requests.put(line)
+    os._exit(0)
+
+
+def _answer(response_fd: int, answer: Mapping[str, Any]) -> None:
+    data = json.dumps(answer).encode() + b'\n'
+    while data:
+        data = data[os.write(response_fd, data):]
+
+
+def _serve(
+    programs: Programs, requests: queue.SimpleQueue[bytes], args: argparse.Namespace
+) -> None:
+    operations: dict[str, Callable[..., dict[str, Any]]] = {
+        'compile': programs.compile, 'scene': programs.scene,
+    }
+    program = ''
+    while True:
+        request = json.loads(requests.get())
+        program = request.get('program', program)
+        operation = operations[request.pop('op')]
+        try:
+            _allow(args.timeout_s)
+            answer = operation(**request)
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        except BaseException as error:  # whatever user code raises, exit() included
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            answer = {'error': describe(error, program, args.timeout_s)}
+        _answer(args.response_fd, answer)
+
+
+def main() -> None:
+    """Serve requests until the parent closes its end or dies."""
+    parser = argparse.ArgumentParser()
+    for name, kind in (('request-fd', int), ('response-fd', int), ('seed', int),
+                       ('memory-bytes', int), ('timeout-s', float), ('shipped', str)):
+        parser.add_argument(f'--{name}', type=kind, required=True)
+    args = parser.parse_args()
+    for fd in (args.request_fd, args.response_fd):
+        os.set_inheritable(fd, False)
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(
+        target=_follow_parent, args=(args.request_fd, requests), daemon=True
+    ).start()
+    signal.signal(signal.SIGALRM, _alarm)
+    _lower(resource.RLIMIT_AS, args.memory_bytes)
+    try:
+        programs = Programs(args.seed, args.shipped)
+    except ImportError as error:
+        message = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
+        _answer(args.response_fd, {'error': {'file': '', 'line': 0, 'message': message}})
+        return
+    _answer(args.response_fd, {})
+    _serve(programs, requests, args)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,109 @@
+"""The table of a campaign, as CSV for people and as Parquet for programs; made from its rows.
+
+Every column has the same type in every table, even where all its values are missing, so tables of
+several campaigns can be put together.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import pandas as pd
+
+from taxinet_ros.campaign.ledger import fsync_folder
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+
+CSV_NAME = 'runs.csv'
+PARQUET_NAME = 'runs.parquet'
+
+WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
+"""The last columns: all others are equal if the campaign is run again."""
+
+_BEFORE_RHO = {
+    'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
+    'perception': 'string', 'perception_fingerprint': 'string',
+    'cross_track': 'float64', 'distance': 'float64', 'heading': 'float64', 'clouds': 'string',
+    'rain': 'float64', 'time_of_day': 'float64', 'date': 'string', 'shadows': 'boolean',
+    'aircraft': 'string', 'duration': 'float64',
+    'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
+}
+_AFTER_RHO = {
+    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'steps': 'int64', 'sim_s': 'float64',
+    'bag': 'string', 'wall_s': 'float64', 'real_time_factor': 'float64',
+}
+
+
+def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
+    """One line per run, by index.
+
+    Args:
+        rows: of one campaign.
+        specs: names of its formulas, headline first: each has a column ``rho_<name>``, and ``rho``
+            repeats the first. Where empty, those found in the rows.
+    """
+    ordered = sorted(rows, key=lambda row: row.index)
+    names = list(specs) or list(dict.fromkeys(name for row in ordered for name in row.rho))
+    kinds = _kinds(names)
+    lines = [_line(row, names) for row in ordered]
+    columns: dict[str, pd.Series[Any]] = {
+        name: pd.Series([line[name] for line in lines], dtype=kind)
+        for name, kind in kinds.items()
+    }
+    return pd.DataFrame(columns)
+
+
+def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
+    """Write ``runs.csv`` and ``runs.parquet``; each is whole at any moment, the old or the new.
+
+    Args:
+        rows: of one campaign.
+        folder: the campaign's, which exists.
+        specs: names of its formulas, as for :func:`table`.
+    """
+    frame = table(rows, specs)
+    _replace(folder / CSV_NAME, lambda file: frame.to_csv(file, index=False))
+    _replace(folder / PARQUET_NAME, lambda file: frame.to_parquet(file, index=False))
+
+
+def read_table(folder: Path) -> pd.DataFrame:
+    """The table of the campaign in ``folder``, with the types it was written with.
+
+    Raises:
+        UsageError: there is none, or it is damaged.
+    """
+    path = folder / PARQUET_NAME
+    try:
+        frame = pd.read_parquet(path)
+    except FileNotFoundError as error:
+        raise UsageError(f'{path}: no such table; is {folder} a campaign?') from error
+    except (OSError, ValueError) as error:
+        raise UsageError(f'{path}: damaged ({str(error).splitlines()[0]})') from error
+    names = [str(name) for name in frame.columns]
+    specs = [name.removeprefix('rho_') for name in names if name.startswith('rho_')]
+    return frame.astype(_kinds(specs))
+
+
+def _kinds(specs: Iterable[str]) -> dict[str, str]:
+    return {**_BEFORE_RHO, **{f'rho_{name}': 'float64' for name in specs}, **_AFTER_RHO}
+
+
+def _line(row: RunRow, specs: Sequence[str]) -> dict[str, Any]:
+    values = {name: getattr(row, name) for name in (*_BEFORE_RHO, *_AFTER_RHO)}
+    values['outcome'] = row.outcome.value
+    rho = {f'rho_{name}': row.rho.get(name) for name in specs}
+    return {**values, **rho, 'rho': row.rho.get(specs[0]) if specs else None}
+
+
+def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
+    temporary = path.with_name(f'{path.name}.tmp')
+    with temporary.open('wb') as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    fsync_folder(path.parent)

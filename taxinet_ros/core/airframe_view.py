@@ -1,0 +1,134 @@
+"""The aircraft's own parts at the left edge of the picture: cowling, gear leg and wheel.
+
+The camera is bolted to the aircraft, so they never move; the light on them is the scenario's. Drawn
+by hand as polygons in picture coordinates [px] after the view of the published pictures.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.light import GAMMA, Light, display_code
+
+HEIGHT, WIDTH = 200, 56
+_FINE = 4
+_CREAM = (250, 243, 229)
+_COWLING = (
+    (-2, -2), (26, -2), (33, 1.5), (42, 5), (48, 9.5), (51.5, 15), (53.2, 22), (53.4, 32),
+    (52, 42), (49, 53), (44.5, 66), (41, 75), (35, 88), (28, 100), (20, 112), (10, 123), (-2, 133),
+)  # fmt: skip
+_LEG = (
+    (-2, 126), (10, 121), (22, 108), (32, 93), (39.5, 81), (40, 88), (38.5, 104), (36.5, 122),
+    (33, 138), (27.5, 151), (21, 163), (16, 170), (-2, 164),
+)  # fmt: skip
+_TYRE = ((-2, 161), (7, 163.5), (15, 170), (15.5, 178), (12, 190), (8, 197), (2, 199), (-2, 199))
+_WHEEL = (
+    (-2, 180),
+    (4, 180),
+    (10, 177),
+    (14, 174),
+    (14.4, 181),
+    (12, 189),
+    (8.5, 194),
+    (4, 195),
+    (-2, 190),
+)
+
+
+@cache
+def _drawing() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Colours (HEIGHT, WIDTH, 3) in daylight, 0..255, and opacity (HEIGHT, WIDTH, 1), 0..1."""
+    size = (HEIGHT * _FINE, WIDTH * _FINE)
+    colour, opacity = np.zeros((*size, 3), np.uint8), np.zeros(size, np.uint8)
+    for outline, paint in ((_TYRE, (20, 20, 23)), (_WHEEL, (172, 168, 160)), (_LEG, (98, 86, 76))):
+        _fill(colour, outline, paint)
+        _fill(opacity, outline, (255,))
+    _details(colour)
+    _fill(colour, _COWLING, _CREAM)
+    _fill(opacity, _COWLING, (255,))
+    _rivets(colour)
+    shaded = _rounded(colour.astype(np.float64))
+    coverage = opacity.astype(np.float64) / 255
+    # Colours are averaged with their opacity so that the background of the drawing stays out.
+    weight = cv2.resize(coverage, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)[:, :, None]
+    mixed = cv2.resize(shaded * coverage[:, :, None], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return mixed / np.maximum(weight, 1e-6), np.asarray(weight, np.float64)
+
+
+def _fill(
+    canvas: NDArray[np.uint8], outline: tuple[tuple[float, float], ...], paint: tuple[int, ...]
+) -> None:
+    points = np.rint(np.array(outline) * _FINE * 16).astype(np.int32)
+    cv2.fillPoly(canvas, [points], paint, lineType=cv2.LINE_AA, shift=4)
+
+
+def _line(
+    canvas: NDArray[np.uint8],
+    points: tuple[tuple[float, float], ...],
+    paint: tuple[int, ...],
+    px: int,
+) -> None:
+    corners = np.rint(np.array(points) * _FINE * 16).astype(np.int32)
+    cv2.polylines(canvas, [corners], False, paint, px, cv2.LINE_AA, 4)
+
+
+def _details(colour: NDArray[np.uint8]) -> None:
+    """Clamps and hoses on the gear leg, hub of the wheel, dark gap above the tyre."""
+    _line(colour, ((0, 128), (11, 133), (19, 142), (25, 154)), (150, 142, 134), 3)
+    _line(colour, ((-1, 140), (6, 143), (14, 151), (20, 163)), (158, 150, 142), 3)
+    _line(colour, ((39, 82), (37.5, 100), (35, 122)), (142, 130, 118), 4)
+    _line(colour, ((28, 98), (34, 101), (37.5, 100)), (140, 130, 120), 2)
+    _fill(colour, ((-2, 160), (8, 164), (15, 171), (10, 178), (4, 181), (-2, 181)), (16, 19, 26))
+    _line(colour, ((2, 184), (6, 187), (9, 184)), (92, 90, 88), 4)
+
+
+def _rivets(colour: NDArray[np.uint8]) -> None:
+    """Panel seams of the cowling."""
+    seam = (214, 206, 190)
+    _line(colour, ((1, 9), (7, 13), (11, 24), (13, 45), (13.5, 75), (12.5, 108)), seam, 2)
+    _line(colour, ((0, 36), (6, 34.5), (12, 33)), seam, 2)
+    _line(colour, ((0, 89), (5, 86), (12, 82)), seam, 2)
+    for ends in (((38.3, 65), (38.3, 75)), ((19, 86), (18.6, 98)), ((14.5, 107), (16, 103))):
+        _line(colour, ends, (60, 56, 50), 3)
+
+
+def _rounded(colour: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Darken towards the rim and the underside, as round bodies do."""
+    y = (np.arange(colour.shape[0]) / _FINE)[:, None]
+    x = (np.arange(colour.shape[1]) / _FINE)[None, :]
+    under = np.clip((y - 62 + 0.5 * x) / 90, 0, 1)
+    rim = np.clip((x - 44) / 10, 0, 1)
+    factor = 1 - 0.10 * under * (y < 134) - 0.05 * rim
+    leg = np.clip(np.abs(x - (46 - 0.16 * y)) / 18, 0, 1)
+    factor = np.where(colour[:, :, 0] < 180, 0.72 + 0.42 * leg, factor)
+    shaded: NDArray[np.float64] = np.clip(colour * factor[:, :, None], 0, 255)
+    return shaded
+
+
+class AirframeView:
+    """The aircraft's parts in one scenario's light, ready to be laid over pictures."""
+
+    def __init__(self, light: Light) -> None:
+        """Light the drawing; the cowling's flank faces right and up."""
+        colour, opacity = _drawing()
+        facing = max(0.0, float(light.sun @ np.array([0.15, -0.75, 0.64])))
+        beam = (
+            light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
+            if light.sun[2] > 0
+            else 0.0
+        )
+        shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
+        lit = display_code((colour / 255) ** GAMMA * shine)
+        self._light = np.rint(lit * opacity).astype(np.uint8)
+        behind = np.repeat(255 * (1 - opacity), 3, axis=2)
+        self._behind = np.rint(behind).astype(np.uint8)
+
+    def lay_over(self, picture: NDArray[np.uint8]) -> None:
+        """Put the parts over ``picture`` (200, 360, 3), in place."""
+        corner = picture[:HEIGHT, :WIDTH]
+        through = cv2.multiply(corner, self._behind, scale=1 / 255)
+        cv2.add(through, self._light, dst=corner)

@@ -1,0 +1,178 @@
+"""The wing camera: where it sits, how it projects, and what it photographs.
+
+Calibrated on the published X-Plane pictures: a 1920x1080 screen with a focal length of 1,125 px and
+the principal point in its middle, cut to the 1720x960 region at (100, 100), without its top 230
+rows, resized (not keeping the aspect) to 360x200. Screen and picture edges are continuous
+coordinates, so picture pixel u, whose centre is the whole number u as ROS has it, lies at
+100 + (u + 0.5) * 1720/360 on the screen; hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and
+cy = (540 - 330) * 200/730 - 0.5 = 57.03.
+
+A frame is made by inverse mapping: every pixel's ray meets the ground, whose colour comes from a
+ripmap at the level of the pixel's footprint; then shade, light, haze, glare, sky, rain and
+the aircraft's own parts. Equal state, stamp and scenario give equal bytes in every process.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.airframe_view import AirframeView
+from taxinet_ros.core.atmosphere import Atmosphere
+from taxinet_ros.core.cloud_shade import CloudShade
+from taxinet_ros.core.ground import grain_atlas, ground_atlas
+from taxinet_ros.core.ground_view import GroundView
+from taxinet_ros.core.light import ground_table, scenario_light
+from taxinet_ros.core.rain import RainSheet
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.shadow import LOWEST_SUN_RAD, shadow_mask, shadow_on_ground
+from taxinet_ros.core.types import AircraftState
+
+IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
+
+CAMERA_OFFSET_M = (0.085, -2.17, 0.50)
+"""Camera in the body frame (x forward, y left, z up) from the reference point."""
+
+CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD = 0.0, math.radians(10.42), math.radians(-4.15)
+"""Attitude of the mount (REP-103: pitch positive nose down, yaw positive left).
+
+The settled Caravan adds 0.11 degrees nose down: 10.53 degrees in all, as calibrated."""
+
+_SCREEN_FOCAL_PX = 1125.0
+_COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
+
+_OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def intrinsics() -> NDArray[np.float64]:
+    """Camera matrix K (3, 3) of the picture; pixel centres are whole numbers; no distortion."""
+    return np.array([
+        [_SCREEN_FOCAL_PX / _COLUMN_PX, 0.0, (960 - 100) / _COLUMN_PX - 0.5],
+        [0.0, _SCREEN_FOCAL_PX / _ROW_PX, (540 - 100 - 230) / _ROW_PX - 0.5],
+        [0.0, 0.0, 1.0],
+    ])  # fmt: skip
+
+
+def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of REP-103 fixed-axis angles: turned frame to ours."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
+
+
+_BODY_TO_OPTICAL = (
+    rotation(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD) @ _OPTICAL_TO_LINK
+).T
+
+
+def pose(
+    state: AircraftState,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rotation body to ``map`` (3, 3), rotation ``map`` to optical (3, 3), camera in ``map`` (3,).
+
+    Raises:
+        ValueError: a pose coordinate is not finite, or the camera would be at or below the ground.
+    """
+    numbers = (state.x_m, state.y_m, state.z_m, state.roll_rad, state.pitch_rad, state.yaw_rad)
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f'camera: the pose is not finite: {state}')
+    body = rotation(state.roll_rad, state.pitch_rad, state.yaw_rad)
+    camera = np.array(numbers[:3]) + body @ np.array(CAMERA_OFFSET_M)
+    if camera[2] < 0.05:
+        raise ValueError(
+            f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
+        )
+    return body, _BODY_TO_OPTICAL @ body.T, camera
+
+
+def project(
+    state: AircraftState, points_map: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where points in ``map`` lie in the picture.
+
+    Takes (N, 3) points [m]; gives (N, 2) pixels (u, v) and (N,) depths along the optical axis [m].
+
+    A pixel means something only where the depth is positive.
+    """
+    _, to_optical, camera = pose(state)
+    points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
+    with np.errstate(divide='ignore', invalid='ignore'):
+        pixels = (points @ intrinsics().T)[:, :2] / points[:, 2:]
+    return pixels, points[:, 2]
+
+
+class Camera:
+    """The wing camera in one scenario's light and weather. Not to be shared between threads."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Work out everything that the scenario fixes; textures are made once per process."""
+        self._light = scenario_light(scenario)
+        self._intrinsics = intrinsics()
+        self._to_ray = np.linalg.inv(self._intrinsics)
+        self._ground = GroundView(ground_atlas(), grain_atlas(), IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._table = ground_table(self._light)
+        self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._airframe = AirframeView(self._light)
+        self._rain = (
+            RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if scenario.rain > 0 else None
+        )
+        sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
+        self._casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+
+    def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+        """Photograph the scene from ``state``.
+
+        Args:
+            state: the aircraft's true state.
+            stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
+
+        Returns:
+            (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
+
+        Raises:
+            ValueError: the pose is not finite or the camera would be below the ground.
+        """
+        body, to_optical, camera = pose(state)
+        rays = to_optical.T @ self._to_ray
+        colour = self._ground.render(rays, camera)
+        self._clouds.shade(colour, rays, camera)
+        if self._casts:
+            self._shade(colour, body, state, to_optical, camera)
+        picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
+        cv2.LUT(colour, self._table, dst=picture)
+        self._atmosphere.apply(picture, rays, float(camera[2]))
+        if self._rain is not None:
+            cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
+        self._airframe.lay_over(picture)
+        return picture
+
+    def _shade(
+        self,
+        colour: NDArray[np.uint8],
+        body: NDArray[np.float64],
+        state: AircraftState,
+        to_optical: NDArray[np.float64],
+        camera: NDArray[np.float64],
+    ) -> None:
+        """Darken the ground where the aircraft keeps the sun off it."""
+        place = np.array([state.x_m, state.y_m, state.z_m])
+        corners = shadow_on_ground(body, place, self._light.sun)
+        optical = (corners - camera) @ to_optical.T
+        found = shadow_mask(optical, self._intrinsics, (IMAGE_HEIGHT, IMAGE_WIDTH))
+        if found is None:
+            return
+        rows, columns, mask = found
+        depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
+        table = np.rint(255 - np.arange(256)[:, None] * depth).astype(np.uint8)[None]
+        part = colour[rows, columns]
+        factor = cv2.LUT(cv2.merge([mask] * 3), table)
+        cv2.multiply(part, factor, dst=part, scale=1 / 255)

@@ -1,0 +1,96 @@
+"""The closed loop in one process, without ROS: the reference that the graph must match bit for bit.
+
+One control step, ten times a simulated second: the world is observed, the perception estimates,
+the steering law answers, the judge looks at the truth, the world moves on (paper, section 3.1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.judge import Judge, Judgement
+from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.perception import Perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.steering import SteeringGains, steer
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.world import Observation, World
+
+MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
+"""A lockstep run has a sample every control period; a longer gap means that one was lost."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Step:
+    """One control step: what was seen, estimated, commanded and judged."""
+
+    observation: Observation
+    estimate: TrackingError
+    command: TaxiCommand
+    readings: tuple[Reading, ...]
+
+
+def signals(
+    *, cte_m: float, he_rad: float, x_m: float, speed_mps: float,
+    estimate: TrackingError, command: TaxiCommand,
+) -> dict[str, float]:
+    """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    An estimate that the perception could not make is NaN, so no formula about it can be satisfied.
+    """
+    return {
+        'cte': cte_m,
+        'he': he_rad,
+        'x': x_m,
+        'speed': speed_mps,
+        'steering': command.steering_rad,
+        'cte_estimate': estimate.cte_m if estimate.usable else math.nan,
+        'he_estimate': estimate.he_rad if estimate.usable else math.nan,
+    }
+
+
+def run_closed_loop(
+    scenario: Scenario,
+    perception: Perception,
+    *,
+    specs: Sequence[Spec],
+    gains: SteeringGains | None = None,
+    on_step: Callable[[Step], None] | None = None,
+) -> Judgement:
+    """Run one scenario to its end.
+
+    Args:
+        scenario: initial condition and environment.
+        perception: turns a camera frame, or the truth, into an estimate.
+        specs: formulas to judge the ground truth by.
+        gains: of the steering law; its defaults where None.
+        on_step: called with every step, in order, before the world moves on.
+
+    Returns:
+        The judgement over the whole run.
+    """
+    gains = gains or SteeringGains()
+    world = World(scenario, pictures=perception.needs_image)
+    judge = Judge(specs, world.last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS)
+    while True:
+        now = world.observe()
+        estimate = perception.estimate(now.image, now.state.tracking_error)
+        command = steer(estimate, gains)
+        truth = now.state.tracking_error
+        sample = signals(
+            cte_m=truth.cte_m,
+            he_rad=truth.he_rad,
+            x_m=now.state.x_m,
+            speed_mps=now.state.speed_mps,
+            estimate=estimate,
+            command=command,
+        )
+        readings = judge.push(now.stamp_ns, sample)
+        if on_step is not None:
+            on_step(Step(observation=now, estimate=estimate, command=command, readings=readings))
+        if now.seq == world.last_seq:
+            return judge.judgement
+        world.advance(command)

@@ -1,0 +1,104 @@
+"""Formula text to tokens. Aliases and Unicode signs become the plain words here."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, NoReturn
+
+from taxinet_ros.core.errors import UsageError
+
+Kind = Literal['number', 'name', 'word', 'sign', 'end']
+
+MAX_TOKENS = 500
+"""Longer formulas are refused: nobody can read them, and evaluation recurses over the tree."""
+
+WORDS = frozenset(
+    {
+        *('not', 'and', 'or', 'implies'),
+        *('always', 'eventually', 'until', 'historically', 'once', 'since'),
+        *('abs', 'min', 'max', 'sqrt', 'inf'),
+    }
+)
+"""Reserved words: no signal or predicate may be called so."""
+
+_ALIASES = {
+    'G': 'always', 'globally': 'always', '□': 'always', '◻': 'always',
+    'F': 'eventually', '◇': 'eventually', '◊': 'eventually', '⋄': 'eventually',
+    'U': 'until', 'H': 'historically', 'O': 'once', 'S': 'since',
+    '∧': 'and', '&': 'and', '&&': 'and', '∨': 'or', '|': 'or', '||': 'or',
+    '¬': 'not', '!': 'not', '->': 'implies', '=>': 'implies', '→': 'implies', '⇒': 'implies',
+    '∞': 'inf',
+}  # fmt: skip
+_SIGN_ALIASES = {'≤': '<=', '≥': '>=', '−': '-'}
+
+RESERVED = WORDS | {alias for alias in _ALIASES if alias.isalpha()}
+"""Words and letter aliases."""
+
+_TOKEN = re.compile(
+    r'(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)'
+    r'|(?P<name>[A-Za-z_][A-Za-z0-9_]*)'
+    r'|(?P<sign>->|=>|<=|>=|==|!=|&&|\|\||[-+*/()\[\]:,;<>=!&|□◻◇◊⋄∧∨¬→⇒≤≥∞−])'
+)
+_SPACE = re.compile(r'\s*')
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """One word of a formula.
+
+    Attributes:
+        kind: what sort of token it is.
+        text: its plain form (``always`` for ``G``).
+        column: where it starts, counted from 1.
+    """
+
+    kind: Kind
+    text: str
+    column: int
+
+    def __str__(self) -> str:
+        return 'the end of the text' if self.kind == 'end' else repr(self.text)
+
+
+def fail(where: str, column: int, message: str) -> NoReturn:
+    """Raise the one-line error of a formula text."""
+    raise UsageError(f'{where}: column {column}: {message}')
+
+
+def tokens(text: str, where: str) -> list[Token]:
+    """Split a formula text into tokens, ended by one of kind ``end``.
+
+    Args:
+        text: the formula.
+        where: what the text is, for error messages.
+
+    Raises:
+        UsageError: a character that no formula holds, or more than :data:`MAX_TOKENS` tokens.
+    """
+    found: list[Token] = []
+    at = _skip(text, 0)
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            fail(where, at + 1, f'expected a formula sign or name, got {text[at]!r}')
+        if len(found) == MAX_TOKENS:
+            fail(where, at + 1, f'expected the end: a formula has at most {MAX_TOKENS} words')
+        found.append(_token(match))
+        at = _skip(text, match.end())
+    return [*found, Token('end', '', len(text) + 1)]
+
+
+def _skip(text: str, at: int) -> int:
+    space = _SPACE.match(text, at)
+    return at if space is None else space.end()
+
+
+def _token(match: re.Match[str]) -> Token:
+    text, column = match.group(), match.start() + 1
+    if match.lastgroup == 'number':
+        return Token('number', text, column)
+    plain = _SIGN_ALIASES.get(text, _ALIASES.get(text, text))
+    if plain in WORDS:
+        return Token('word', plain, column)
+    return Token('name' if match.lastgroup == 'name' else 'sign', plain, column)

@@ -1,0 +1,166 @@
+"""TaxiNet: a small convolutional network that reads the tracking error off a camera frame.
+
+The paper's own network is unpublished. This one follows the open TaxiNet studies in its outputs,
+cross-track error over 10 m and heading error over 30 degrees, and in its reduced grey input.
+
+torch takes seconds to import and is imported by the functions that need it, so that a run on the
+ground truth, or a check of a weights file, does not wait for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import torch
+
+IMAGE_SHAPE = (200, 360, 3)
+"""Height, width and channels of a camera frame (RGB, uint8)."""
+
+INPUT_SHAPE = (64, 128)
+"""Height and width of the network's grey picture."""
+
+CTE_SCALE_M = 10.0
+"""Cross-track error [m] at an output of 1."""
+
+HE_SCALE_RAD = math.radians(30.0)
+"""Heading error [rad] at an output of 1."""
+
+_LEAST_CONTRAST = 1.0
+"""Divisor for a picture of one shade, in grey levels."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Architecture:
+    """Convolutions of stride 2 with ReLU, then one hidden layer, then the two outputs.
+
+    Attributes:
+        channels: output channels of each convolution.
+        kernels: kernel size of each convolution, odd; the padding keeps the borders in view.
+        hidden: units of the hidden layer.
+    """
+
+    channels: tuple[int, ...]
+    kernels: tuple[int, ...]
+    hidden: int
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of every weight by its name, in the order of the layers."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        before = (1, *self.channels)
+        for i, (channels, kernel) in enumerate(zip(self.channels, self.kernels, strict=True)):
+            shapes[f'conv{i}.weight'] = (channels, before[i], kernel, kernel)
+            shapes[f'conv{i}.bias'] = (channels,)
+        height, width = (side >> len(self.channels) for side in INPUT_SHAPE)
+        shapes['hidden.weight'] = (self.hidden, self.channels[-1] * height * width)
+        shapes['hidden.bias'] = (self.hidden,)
+        shapes['output.weight'] = (2, self.hidden)
+        shapes['output.bias'] = (2,)
+        return shapes
+
+    def build(self) -> torch.nn.Sequential:
+        """A network of this architecture, its weights drawn from torch's global generator."""
+        from torch import nn
+
+        layers: OrderedDict[str, nn.Module] = OrderedDict()
+        before = (1, *self.channels)
+        for i, (channels, kernel) in enumerate(zip(self.channels, self.kernels, strict=True)):
+            layers[f'conv{i}'] = nn.Conv2d(before[i], channels, kernel, 2, kernel // 2)
+            layers[f'relu{i}'] = nn.ReLU()
+        layers['flatten'] = nn.Flatten()
+        features = self.shapes()['hidden.weight'][1]
+        layers['hidden'] = nn.Linear(features, self.hidden)
+        layers['relu'] = nn.ReLU()
+        layers['output'] = nn.Linear(self.hidden, 2)
+        return nn.Sequential(layers)
+
+
+ARCHITECTURES = {
+    'cnn4-64x128': Architecture(channels=(16, 32, 64, 64), kernels=(5, 3, 3, 3), hidden=64),
+}
+"""Architectures by the word that a model card names them with."""
+
+DEFAULT_ARCHITECTURE = 'cnn4-64x128'
+
+
+def is_frame(image: object) -> bool:
+    """Whether ``image`` is a camera frame: an array (200, 360, 3) of uint8."""
+    if not isinstance(image, np.ndarray):
+        return False
+    return bool(image.shape == IMAGE_SHAPE and image.dtype == np.uint8)
+
+
+def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Reduce a camera frame, (200, 360, 3) uint8 RGB, to the grey picture (64, 128) uint8."""
+    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    small = cv2.resize(grey, INPUT_SHAPE[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
+def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Bring grey pictures, (N, 64, 128) uint8, to mean 0 and deviation 1 each.
+
+    Returns:
+        The network's input, (N, 1, 64, 128) float32.
+    """
+    levels = pictures.astype(np.float32)[:, np.newaxis]
+    levels -= levels.mean(axis=(2, 3), keepdims=True)
+    contrast = levels.std(axis=(2, 3), keepdims=True)
+    levels /= np.maximum(contrast, np.float32(_LEAST_CONTRAST))
+    return levels
+
+
+def scaled(cte_m: NDArray[np.float64], he_rad: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What the network should answer, (N, 2) float32, for true errors [m] and [rad]."""
+    return np.stack([cte_m / CTE_SCALE_M, he_rad / HE_SCALE_RAD], axis=1).astype(np.float32)
+
+
+def unscaled(outputs: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Cross-track [m] and heading errors [rad], (N, 2), that outputs (N, 2) stand for."""
+    return outputs.astype(np.float64) * (CTE_SCALE_M, HE_SCALE_RAD)
+
+
+class TaxiNet:
+    """A network ready to look.
+
+    It runs on one thread: on one machine the same frame gives the same answer to the bit, in any
+    process, however busy the machine is. The setting holds for all of torch in this process.
+    """
+
+    def __init__(
+        self, architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
+    ) -> None:
+        """Build the network and fill in ``weights``, of the names and shapes it asks for."""
+        import torch
+
+        torch.set_num_threads(1)
+        self._torch: Any = torch
+        # Made without storage, so that no random numbers are drawn from the global generator.
+        with torch.device('meta'):
+            module: Any = architecture.build()
+        tensors = {name: torch.from_numpy(array.copy()) for name, array in weights.items()}
+        module.load_state_dict(tensors, strict=True, assign=True)
+        # Channels last is the faster layout on a processor.
+        self._module = module.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+        self.infer(np.zeros((1, *INPUT_SHAPE), np.uint8))  # the first call is the slow one
+
+    def infer(self, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """Cross-track [m] and heading errors [rad], (N, 2), seen on grey pictures (N, 64, 128)."""
+        torch = self._torch
+        inputs = torch.from_numpy(normalise(pictures)).to(memory_format=torch.channels_last)
+        with torch.inference_mode():
+            outputs = self._module(inputs)
+        return unscaled(outputs.numpy())
+
+    def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        cte_m, he_rad = self.infer(shrink(image)[np.newaxis])[0]
+        return float(cte_m), float(he_rad)

@@ -1,0 +1,239 @@
+"""The runway's surface as a picture: asphalt, joints, worn paint, tyre rubber, the crossing.
+
+Values are display codes 0..255 of the surface in bright daylight (gamma-coded albedo), measured on
+pictures of the real scene: clean asphalt 134, thick rubber 55, fresh paint 203.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core import runway
+from taxinet_ros.core.noise import Floats, smooth_noise, white_noise
+
+ASPHALT, RUBBER, PAINT = 134.0, 50.0, 206.0
+_CROSSING_ASPHALT = 121.0
+_CRACK = np.array([[0.5], [1.0], [0.5]], np.float32)
+_TINT_LOW = np.array([1.05, 1.0, 0.91], np.float32)
+_TINT_HIGH = np.array([1.01, 1.0, 0.96], np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grid:
+    """Texel grid of a strip: row r spans x0 + r dx .. , column c spans y0 + c dy .. in ``map``."""
+
+    rows: int
+    columns: int
+    x0_m: float
+    dx_m: float
+    y0_m: float
+    dy_m: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.columns
+
+    def row(self, x_m: float) -> float:
+        """Continuous row coordinate of ``x_m``; texel r covers r .. r + 1."""
+        return (x_m - self.x0_m) / self.dx_m
+
+    def column(self, y_m: float) -> float:
+        """Continuous column coordinate of ``y_m``."""
+        return (y_m - self.y0_m) / self.dy_m
+
+    def centres(self, rows: slice) -> tuple[Floats, Floats]:
+        """Coordinates of the texel centres of some rows: x (n, 1) and y (1, columns) [m]."""
+        x = (
+            self.x0_m
+            + (np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] + 0.5) * self.dx_m
+        )
+        y = self.y0_m + (np.arange(self.columns, dtype=np.float32)[None, :] + 0.5) * self.dy_m
+        return x.astype(np.float32), y.astype(np.float32)
+
+
+def pavement_colours() -> NDArray[np.uint8]:
+    """Lookup table (1, 256, 3) from surface code to RGB: asphalt is warm, paint less so."""
+    code = np.arange(256, dtype=np.float32)[:, None]
+    share = np.clip((code - ASPHALT) / (PAINT - ASPHALT), 0, 1)
+    tint = _TINT_LOW + (_TINT_HIGH - _TINT_LOW) * share
+    table: NDArray[np.uint8] = np.clip(np.rint(code * tint), 0, 255).astype(np.uint8)[None]
+    return table
+
+
+def runway_surface(grid: Grid) -> NDArray[np.uint8]:
+    """Surface codes of the runway strip, shape ``grid.shape``."""
+    value = _asphalt(grid)
+    painted = _lay_paint(value, grid)
+    _lay_rubber(value, painted, grid)
+    lay_crossing(value, grid)
+    return np.clip(value, 0, 255).astype(np.uint8)
+
+
+def _asphalt(grid: Grid) -> Floats:
+    """Mottled asphalt with paving lanes, joints and sealed cracks."""
+    value = white_noise(11, grid.shape)
+    value *= np.float32(1.5)
+    value += np.float32(ASPHALT)
+    for seed, cell_m, amount in (
+        (12, (1.6, 0.5), 1.0),
+        (13, (9.0, 2.0), 1.8),
+        (14, (60.0, 5.0), 3.2),
+    ):
+        noise = smooth_noise(seed, grid.shape, (cell_m[0] / grid.dx_m, cell_m[1] / grid.dy_m))
+        value += noise * np.float32(amount)
+    rng = np.random.default_rng(15)
+    for lane in range(-4, 5):
+        column = round(grid.column(lane * 3.81))
+        if 0 <= column < grid.columns:
+            value[:, column : column + 1] -= np.float32(rng.uniform(3, 7))
+    x = 20.0
+    while x < runway.LENGTH_M:
+        row = round(grid.row(x))
+        left, right = sorted(rng.uniform(-17, 17, 2))
+        columns = slice(round(grid.column(left)), round(grid.column(right)))
+        value[row : row + 3, columns] -= np.float32(rng.uniform(3, 11)) * _CRACK
+        x += rng.uniform(6, 40)
+    return value
+
+
+def _lay_paint(value: Floats, grid: Grid) -> Floats:
+    """Blend the markings over the surface, worn in patches; return their share of each texel."""
+    painted = np.zeros(grid.shape, np.float32)
+    wear = smooth_noise(21, grid.shape, (0.9 / grid.dx_m, 0.3 / grid.dy_m))
+    wear += smooth_noise(22, grid.shape, (7.0 / grid.dx_m, 0.8 / grid.dy_m))
+    for marking in runway.markings():
+        rows, columns, cover = coverage(marking.polygon, grid)
+        patch = value[rows, columns]
+        if marking.kind != 'edge':
+            cover *= np.clip(0.76 - 0.16 * wear[rows, columns], 0.25, 0.95)
+        patch += cover * (PAINT - patch)
+        painted[rows, columns] = np.maximum(painted[rows, columns], cover)
+    return painted
+
+
+def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
+    """Share of every texel that a polygon covers: rows, columns and the share (0..1) there."""
+    points = np.array([(grid.column(y), grid.row(x)) for x, y in polygon])
+    first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
+    last = np.minimum(np.ceil(points.max(axis=0)).astype(int), (grid.columns, grid.rows))
+    columns, rows = slice(first[0], last[0]), slice(first[1], last[1])
+    fine = np.zeros(((last[1] - first[1]) * 4, (last[0] - first[0]) * 4), np.uint8)
+    # Pixel centres are whole numbers to fillPoly and it fills up to and with its edge.
+    corners = np.rint(((points - first) * 4 - 0.5) * 16).astype(np.int32)
+    cv2.fillPoly(fine, [corners], (255,), lineType=cv2.LINE_8, shift=4)
+    size = (last[0] - first[0], last[1] - first[1])
+    cover = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
+    return rows, columns, cover.astype(np.float32) * np.float32(1 / 255)
+
+
+def _lay_rubber(value: Floats, painted: Floats, grid: Grid) -> None:
+    """Tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
+    density = np.zeros(grid.shape, np.float32)
+    rng = np.random.default_rng(31)
+    for _ in range(640):
+        _streak(
+            density, grid, rng, start=40 + rng.beta(1.2, 2.6) * 800, length=rng.uniform(15, 120)
+        )
+    for _ in range(460):
+        start = runway.LENGTH_M - 60 - rng.beta(1.2, 2.6) * 800
+        _streak(density, grid, rng, start=start, length=rng.uniform(15, 120))
+    for _ in range(90):
+        start = rng.uniform(500, 2400)
+        _streak(density, grid, rng, start=start, length=rng.uniform(80, 300), strength=0.35)
+    _smear(density, grid)
+    patchy = smooth_noise(32, grid.shape, (3.0 / grid.dx_m, 0.4 / grid.dy_m))
+    patchy += smooth_noise(33, grid.shape, (14.0 / grid.dx_m, 0.5 / grid.dy_m))
+    density *= np.clip(1 + 0.2 * patchy, 0.45, 1.6)
+    # Paint is smoother than asphalt and is washed, so less rubber stays on it.
+    density *= 1 - 0.5 * painted
+    # What shows through: 1 / e^density, by its series; exp itself differs between processors.
+    through = 1 / (1 + density * (1 + density * (1 / 2 + density * (1 / 6 + density / 24))))
+    value -= np.float32(RUBBER)
+    value *= through
+    value += np.float32(RUBBER)
+
+
+def _streak(
+    density: Floats,
+    grid: Grid,
+    rng: np.random.Generator,
+    *,
+    start: float,
+    length: float,
+    strength: float = 1.0,
+) -> None:
+    """Add one tyre's mark: a soft-edged, tapering, slightly slanted line."""
+    middle = float(rng.normal(rng.choice((-2.3, 0.0, 2.3)), 1.9))
+    width, slant = float(rng.uniform(0.08, 0.27)), float(rng.normal(0, 0.004))
+    darkness = strength * float(rng.uniform(0.2, 1.0))
+    first, last = (int(min(max(grid.row(x), 0), grid.rows)) for x in (start, start + length))
+    reach = 3 * width + abs(slant) * length
+    left, right = (int(min(max(grid.column(middle + s * reach), 0), grid.columns)) for s in (-1, 1))
+    if last <= first or right <= left:
+        return
+    x, y = grid.centres(slice(first, last))
+    along = (x - start) / length
+    taper = np.clip(along * 8, 0, 1) * np.clip((1 - along) * 1.6, 0, 1)
+    offset = (y[:, left:right] - middle - slant * (x - start)) / width
+    bell = np.maximum(1 - offset * offset * (1 / 9), 0)
+    bell *= bell
+    bell *= bell
+    bell *= darkness * taper
+    density[first:last, left:right] += bell
+
+
+def _smear(density: Floats, grid: Grid) -> None:
+    """The grey carpet under the streaks of both touchdown zones, and the faint centre trail."""
+    x, y = grid.centres(slice(0, grid.rows))
+    near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.LENGTH_M - x, 40, 780)
+    density += np.float32(0.30) * near * np.exp(-0.5 * np.square(y / 3.6))
+    trail = np.clip((x - 30) / 200, 0, 1) * np.clip((runway.LENGTH_M - x) / 200, 0, 1)
+    density += np.float32(0.1) * trail * np.exp(-0.5 * np.square(y / 3.0))
+
+
+def _carpet(x: Floats, start: float, end: float) -> Floats:
+    rise = np.clip((x - start) / 40, 0, 1)
+    fall = np.clip((end - x) / (0.6 * (end - start)), 0, 1)
+    carpet: Floats = rise * fall
+    return carpet
+
+
+def lay_crossing(value: Floats, grid: Grid) -> None:
+    """The crossing runway with its own paint and rubber, over everything of ours."""
+    reach = runway.CROSSING_CLEAR_HALF_M + 8
+    slant = max(abs(grid.y0_m), abs(grid.y0_m + grid.columns * grid.dy_m)) / math.tan(
+        abs(runway.CROSSING_YAW_RAD)
+    )
+    first, last = (int(grid.row(runway.CROSSING_X_M + s * (reach * 1.05 + slant))) for s in (-1, 1))
+    rows = slice(first, last)
+    surface, share = crossing_surface(*grid.centres(rows), soft_m=max(grid.dx_m, grid.dy_m))
+    surface += 3 * white_noise(41, surface.shape)
+    patch = value[rows]
+    patch += share * (surface - patch)
+
+
+def crossing_surface(x: Floats, y: Floats, soft_m: float) -> tuple[Floats, Floats]:
+    """Surface code of the crossing runway at (x, y) in ``map``, and its share of the texel."""
+    cos, sin = math.cos(runway.CROSSING_YAW_RAD), math.sin(runway.CROSSING_YAW_RAD)
+    along = (x - runway.CROSSING_X_M) * cos + y * sin
+    across = np.abs(-(x - runway.CROSSING_X_M) * sin + y * cos)
+
+    def inside(distance: Floats, half: float) -> Floats:
+        share: Floats = np.clip((half - distance) / soft_m + 0.5, 0, 1)
+        return share
+
+    half = runway.CROSSING_WIDTH_M / 2
+    value = _CROSSING_ASPHALT + 4 * np.sin(across * 0.83) + 3 * np.sin(along * 0.21 + across * 0.07)
+    value += 9 * (1 - inside(across, half + 1))
+    for distance, width, darkness in ((3.1, 1.4, 34.0), (9.0, 3.0, 14.0), (18.0, 2.0, 8.0)):
+        value -= darkness * np.exp(-0.5 * np.square((across - distance) / width))
+    dash = inside(np.abs(np.mod(along, 61.0) - 30.5), 18.3)
+    paint = np.maximum(inside(np.abs(across - half + 1.4), 0.46), inside(across, 0.46) * dash * 0.8)
+    value += paint * (PAINT - 8 - value)
+    return value.astype(np.float32), inside(across, runway.CROSSING_CLEAR_HALF_M)

@@ -1,0 +1,124 @@
+"""The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
+
+One word chooses: ``truth``, ``taxinet`` (the shipped network), or a weights file. A word that is
+not known is an error, for a test of the network that silently ran on the truth would prove nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import ARCHITECTURES, TaxiNet, is_frame
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.weights import SHIPPED, SUFFIX, Model, load_model
+
+NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
+"""What a perception answers when it cannot tell."""
+
+
+class Perception(Protocol):
+    """Estimates the tracking error once per control step, from nothing but its arguments.
+
+    Attributes:
+        word: ``truth``, or ``taxinet`` for any network.
+        fingerprint: SHA-256 of the weights file, empty for the truth.
+        needs_image: whether it looks at camera frames.
+    """
+
+    word: str
+    fingerprint: str
+    needs_image: bool
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """One estimate; equal arguments give equal estimates, whatever came before.
+
+        Args:
+            image: camera frame, (200, 360, 3) uint8 RGB.
+            truth: the true tracking error.
+
+        Returns:
+            The estimate, :data:`NO_ESTIMATE` where none can be made. It never raises.
+        """
+        ...
+
+
+class GroundTruth:
+    """Always right: its estimate is the truth. The network's twin for finding whose fault it is."""
+
+    word = 'truth'
+    fingerprint = ''
+    needs_image = False
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The truth, where it is known."""
+        return NO_ESTIMATE if truth is None else truth
+
+
+class NetworkPerception:
+    """A neural network looks at the camera frame, and never at the truth."""
+
+    word = 'taxinet'
+    needs_image = True
+
+    def __init__(self, model: Model) -> None:
+        """Make the network of ``model`` ready; the first one in a process imports torch."""
+        self.fingerprint = model.card.weights_sha256
+        self._network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """What the network sees; invalid without a frame, or where its answer is not finite."""
+        if image is None or not is_frame(image):
+            return NO_ESTIMATE
+        cte_m, he_rad = self._network.look(image)
+        seen = TrackingError(cte_m=cte_m, he_rad=he_rad)
+        return seen if seen.usable else NO_ESTIMATE
+
+
+PERCEPTION: dict[str, Callable[[], Perception]] = {
+    'truth': GroundTruth,
+    'taxinet': lambda: NetworkPerception(load_model(SHIPPED)),
+}
+"""Perceptions by the word that chooses them."""
+
+
+def make_perception(word_or_file: str) -> Perception:
+    """The perception of a word of :data:`PERCEPTION`, or the network in a ``.safetensors`` file.
+
+    Raises:
+        UsageError: unknown word (the known ones are listed), or weights that cannot be used.
+    """
+    if word_or_file in PERCEPTION:
+        return PERCEPTION[word_or_file]()
+    return NetworkPerception(load_model(_weights_file(word_or_file)))
+
+
+def check_perception(word_or_file: str) -> None:
+    """See that :func:`make_perception` will work, without waiting for torch.
+
+    Raises:
+        UsageError: as :func:`make_perception`.
+    """
+    if word_or_file == 'taxinet':
+        load_model(SHIPPED)
+    elif word_or_file not in PERCEPTION:
+        load_model(_weights_file(word_or_file))
+
+
+def _weights_file(text: str) -> Path:
+    path = Path(text)
+    if path.suffix != SUFFIX:
+        words = ', '.join(PERCEPTION)
+        raise UsageError(f'perception: {text!r} is unknown; known: {words}, or a {SUFFIX} file')
+    return path

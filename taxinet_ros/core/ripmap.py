@@ -1,0 +1,63 @@
+"""Textures that are read without shimmer: an anisotropic mip pyramid ("ripmap") in one picture.
+
+The level (i, j) of a texture of H rows and W columns holds it shrunk by 2^i along the rows' axis
+and by 2^j along the columns' axis, at row H(2 - 2^(1-i)) and column W(2 - 2^(1-j)) of an atlas of
+2H x 2W. A runway picture is made of long things along two axes, so a filter with one width per
+axis serves it better than an isotropic pyramid, and one atlas means one ``cv2.remap`` per frame.
+Row t (in level-0 rows, from the upper edge) at level i lies at 2H + p(t - 2H) with p = 2^-i.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+_EXPONENT_MASK = np.int32(0x7F800000)
+_INVERSE_BITS = np.int32(254 << 23)
+
+
+def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
+    """Atlas of ``base`` (H, W, 3), shape (2H, 2W, 3); H and W are divisible by 2^(levels - 1)."""
+    height, width = base.shape[:2]
+    atlas = np.zeros((2 * height, 2 * width, base.shape[2]), np.uint8)
+    atlas[:height, :width] = base
+    row, rows = 0, height
+    for _ in range(row_levels - 1):
+        level = atlas[row : row + rows, :width]
+        row, rows = row + rows, rows // 2
+        cv2.addWeighted(level[0::2], 0.5, level[1::2], 0.5, 0, dst=atlas[row : row + rows, :width])
+    atlas[row + rows :, :width] = atlas[row + rows - 1, :width]
+    column, columns = 0, width
+    for _ in range(column_levels - 1):
+        level = atlas[:, column : column + columns]
+        column, columns = column + columns, columns // 2
+        target = atlas[:, column : column + columns]
+        # Halving by bilinear interpolation is the mean of two, and faster than INTER_AREA.
+        cv2.resize(level, (columns, 2 * height), dst=target, interpolation=cv2.INTER_LINEAR_EXACT)
+    # Nothing is black behind the last level, where interpolation may reach over its border.
+    atlas[:, column + columns :] = atlas[:, column + columns - 1 : column + columns]
+    return atlas
+
+
+def shrink_factor(footprint: Floats, levels: int) -> Floats:
+    """Scale p = 2^-i of the level with the largest texel up to ``footprint`` texels.
+
+    Works in place on ``footprint`` (float32, C-contiguous), by its exponent bits: exact, no log.
+    """
+    np.clip(footprint, 1.0, float(1 << (levels - 1)), out=footprint)
+    bits = footprint.view(np.int32)
+    np.bitwise_and(bits, _EXPONENT_MASK, out=bits)
+    np.subtract(_INVERSE_BITS, bits, out=bits)
+    return footprint
+
+
+def to_atlas(texel: Floats, shrink: Floats, size: int) -> Floats:
+    """Atlas pixel coordinate of ``texel`` (level-0 texels from the edge), in place."""
+    np.subtract(texel, np.float32(2 * size), out=texel)
+    np.multiply(texel, shrink, out=texel)
+    np.add(texel, np.float32(2 * size - 0.5), out=texel)
+    return texel

@@ -1,0 +1,243 @@
+"""Weights of a network on disk: ``NAME.safetensors`` and, beside it, the model card ``NAME.json``.
+
+The format (https://github.com/huggingface/safetensors) holds arrays and nothing that runs, unlike
+a pickle. The card says where the weights come from and what they are worth; its checksum ties the
+two files together. Nothing is used that was not checked, and checking needs no torch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+from numpy.typing import NDArray
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import ARCHITECTURES
+
+SUFFIX = '.safetensors'
+SHIPPED = Path(__file__).parent / 'weights' / f'taxinet{SUFFIX}'
+"""The weights that the word ``taxinet`` stands for."""
+
+MAX_BYTES = 64 << 20
+"""Largest file that is read; the shipped one is below 1 MiB."""
+
+ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
+ERROR_QUANTITIES = ('cte_m', 'he_deg')
+
+Weights = Mapping[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ModelCard:
+    """Where a network comes from, and how well it sees in the world it was trained in.
+
+    Attributes:
+        architecture: word of :data:`~taxinet_ros.core.network.ARCHITECTURES`.
+        program: Scenic program that the training scenes came from.
+        program_sha256: digest of its text.
+        seed: of the scenes, the first weights and the order of training.
+        images: pictures that were trained on.
+        validation: pictures of the same program, held back, that the errors were measured on.
+        epochs, batch, learning_rate: how it was trained.
+        errors: absolute errors on the validation pictures: for each of
+            :data:`ERROR_QUANTITIES` the :data:`ERROR_STATISTICS`, [m] and [degrees].
+        weights_sha256: digest of the weights file.
+        package_version: of this package at the time.
+        date: ISO date of the training (UTC).
+        command_line: what makes these weights again.
+    """
+
+    architecture: str
+    program: str
+    program_sha256: str
+    seed: int
+    images: int
+    validation: int
+    epochs: int
+    batch: int
+    learning_rate: float
+    errors: Mapping[str, Mapping[str, float]]
+    weights_sha256: str
+    package_version: str
+    date: str
+    command_line: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Model:
+    """Checked weights and their card."""
+
+    card: ModelCard
+    weights: Weights
+
+
+def card_path(path: Path) -> Path:
+    """The model card that belongs to a weights file."""
+    return path.with_suffix('.json')
+
+
+def to_bytes(weights: Weights) -> bytes:
+    """The weights file of ``weights``; equal weights give equal bytes."""
+    return safetensors.numpy.save(dict(weights))
+
+
+def digest(data: bytes) -> str:
+    """SHA-256 in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def save_model(path: Path, data: bytes, card: ModelCard) -> None:
+    """Write the weights file's bytes and their card, each complete or not at all.
+
+    A stop between the two leaves a pair that :func:`load_model` refuses.
+
+    Raises:
+        UsageError: the folder cannot be written to.
+    """
+    text = json.dumps(asdict(card), indent=2) + '\n'
+    try:
+        _replace(card_path(path), text.encode())
+        _replace(path, data)
+    except OSError as error:
+        raise _bad(path, f'cannot be written ({error.strerror}); choose another folder') from error
+
+
+def load_model(path: Path) -> Model:
+    """Read weights and card, and check everything about them.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    data = _read(path)
+    weights = _parse(path, data)
+    card = _load_card(card_path(path))
+    if digest(data) != card.weights_sha256:
+        raise _bad(path, f'is not the file that {card_path(path).name} describes (its SHA-256 '
+                         'differs); copy the two files together')
+    if card.architecture not in ARCHITECTURES:
+        known = ', '.join(ARCHITECTURES)
+        raise _bad(path, f'architecture {card.architecture!r} is unknown; known: {known}')
+    _check_arrays(path, weights, ARCHITECTURES[card.architecture].shapes())
+    return Model(card=card, weights=weights)
+
+
+def _bad(path: Path, what: str) -> UsageError:
+    return UsageError(f'weights: {path}: {what}')
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise _bad(path, 'no such file')
+        if path.stat().st_size > MAX_BYTES:
+            raise _bad(path, f'has more than {MAX_BYTES >> 20} MiB, too many for a TaxiNet')
+        return path.read_bytes()
+    except OSError as error:
+        raise _bad(path, f'cannot be read ({error.strerror})') from error
+
+
+def _parse(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
+    if data.startswith(b'version https://git-lfs'):
+        raise _bad(path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull')
+    if data.startswith((b'PK', b'\x80')):
+        raise _bad(path, 'is a pickle, which may run anything; only safetensors files are read')
+    try:
+        return safetensors.numpy.load(data)
+    except (safetensors.SafetensorError, KeyError, ValueError) as error:
+        # A type of number that numpy lacks is a KeyError there.
+        reason = ' '.join(str(error).split())
+        raise _bad(path, f'is no whole safetensors file ({reason}); copy it again') from None
+
+
+def _check_arrays(
+    path: Path, weights: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    if weights.keys() != shapes.keys():
+        name = min(weights.keys() ^ shapes.keys())
+        what = 'is missing' if name in shapes else 'does not belong to the architecture'
+        raise _bad(path, f'array {name} {what}; train it again')
+    for name, shape in shapes.items():
+        array = weights[name]
+        if array.dtype != np.float32 or array.shape != shape:
+            raise _bad(path, f'array {name} is {array.dtype} {array.shape}, not float32 {shape}')
+        if not np.isfinite(array).all():
+            raise _bad(path, f'array {name} has values that are not finite; train it again')
+
+
+def _load_card(path: Path) -> ModelCard:
+    try:
+        values = json.loads(path.read_text(encoding='utf-8'))
+    except FileNotFoundError:
+        raise _bad(path, 'no such file; a weights file needs its model card beside it') from None
+    except OSError as error:
+        raise _bad(path, f'cannot be read ({error.strerror})') from error
+    except (ValueError, RecursionError):
+        raise _bad(path, 'is not JSON; copy it again') from None
+    if not isinstance(values, dict):
+        raise _bad(path, 'is no model card: not a JSON object')
+    names = [field.name for field in fields(ModelCard)]
+    if values.keys() != set(names):
+        name = min(values.keys() ^ set(names))
+        raise _bad(path, f'{name!r} {"is missing" if name in names else "is unknown"} in the card')
+    for name in names:
+        _check_entry(path, name, values[name])
+    return ModelCard(**values)
+
+
+_COUNTS = ('seed', 'images', 'validation', 'epochs', 'batch')
+
+
+def _check_entry(path: Path, name: str, value: object) -> None:
+    if name == 'errors':
+        good = _are_errors(value)
+    elif name in _COUNTS:
+        good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    elif name == 'learning_rate':
+        good = _is_magnitude(value)
+    else:
+        good = isinstance(value, str) and value != ''
+    if not good:
+        raise _bad(path, f'{name} in the card is {str(value)[:40]!r}, which cannot be')
+
+
+def _is_magnitude(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return 0 <= value < math.inf
+
+
+def _are_errors(value: object) -> bool:
+    if not isinstance(value, dict) or set(value) != set(ERROR_QUANTITIES):
+        return False
+    return all(
+        isinstance(row, dict)
+        and set(row) == set(ERROR_STATISTICS)
+        and all(map(_is_magnitude, row.values()))
+        for row in value.values()
+    )
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Put a whole file in place at once, through one of another name in the same folder."""
+    descriptor, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
+    try:
+        with os.fdopen(descriptor, 'wb') as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(0o644)  # a temporary file is its owner's only
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,198 @@
+"""Messages to core values and back. Floats pass unchanged, so the graph matches the core's bits."""
+
+from __future__ import annotations
+
+import array
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+from taxinet_msgs import msg as taxinet
+
+from taxinet_ros.core import camera
+from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
+
+_SCENARIO_FIELDS = {
+    'cross_track_m': 'cross_track',
+    'distance_m': 'distance',
+    'heading_rad': 'heading',
+    'clouds': 'clouds',
+    'rain': 'rain',
+    'time_of_day_s': 'time_of_day',
+    'date': 'date',
+    'shadows': 'shadows',
+    'aircraft': 'aircraft',
+    'duration_s': 'duration',
+}
+
+
+def time_of(stamp_ns: int) -> Time:
+    """Nanoseconds since the start of the run as a ROS time."""
+    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+
+
+def stamp_of(stamp: Time) -> int:
+    """A ROS time as nanoseconds since the start of the run."""
+    return stamp.sec * NS_PER_S + stamp.nanosec
+
+
+def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
+    """A header at simulated time ``stamp_ns``."""
+    return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
+
+
+def scenario_message(request: RunRequest) -> taxinet.Scenario:
+    """The message that asks for a run."""
+    values = {name: getattr(request.scenario, key) for key, name in _SCENARIO_FIELDS.items()}
+    return taxinet.Scenario(
+        header=header(0),
+        run_id=request.run_id,
+        index=request.index,
+        program=request.program,
+        seed=request.seed,
+        specs=list(request.specs),
+        participants=list(request.participants),
+        **values,
+    )
+
+
+def scenario_of(message: taxinet.Scenario) -> Scenario:
+    """The scenario in a message, validated.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+    return Scenario(**{key: getattr(message, name) for key, name in _SCENARIO_FIELDS.items()})
+
+
+def image_message(pixels: NDArray[np.uint8], stamp_ns: int) -> Image:
+    """A camera frame (H, W, 3) uint8 RGB as a message."""
+    height, width, channels = pixels.shape
+    return Image(
+        header=header(stamp_ns, CAMERA_FRAME),
+        height=height,
+        width=width,
+        encoding='rgb8',
+        is_bigendian=0,
+        step=width * channels,
+        data=array.array('B', pixels.tobytes()),
+    )
+
+
+def pixels_of(message: Image) -> NDArray[np.uint8]:
+    """The pixels of an rgb8 message, (H, W, 3) uint8, a view on the message's memory.
+
+    Raises:
+        ValueError: the encoding is another one, or size, step and data do not agree.
+    """
+    height, width = message.height, message.width
+    if message.encoding != 'rgb8':
+        raise ValueError(f'image encoding is {message.encoding!r}, expected rgb8')
+    if message.step != width * 3 or len(message.data) != height * message.step:
+        raise ValueError(
+            f'image of {width} x {height} has step {message.step} and {len(message.data)} bytes'
+        )
+    return np.frombuffer(message.data, np.uint8).reshape(height, width, 3)
+
+
+def camera_info_message() -> CameraInfo:
+    """Intrinsics of the wing camera; the caller stamps it."""
+    matrix = camera.intrinsics()
+    projection = np.hstack([matrix, np.zeros((3, 1))])
+    return CameraInfo(
+        height=camera.IMAGE_HEIGHT,
+        width=camera.IMAGE_WIDTH,
+        distortion_model='plumb_bob',
+        d=[0.0] * 5,
+        k=matrix.ravel().tolist(),
+        r=np.eye(3).ravel().tolist(),
+        p=projection.ravel().tolist(),
+    )
+
+
+def odometry_message(state: AircraftState, stamp_ns: int) -> Odometry:
+    """The true state: pose in map, velocity in base_link."""
+    message = Odometry(header=header(stamp_ns), child_frame_id=BASE_FRAME)
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    position.x, position.y, position.z = state.x_m, state.y_m, state.z_m
+    orientation.x, orientation.y, orientation.z, orientation.w = quaternion(
+        state.roll_rad, state.pitch_rad, state.yaw_rad
+    )
+    message.twist.twist.linear.x = state.speed_mps
+    message.twist.twist.angular.z = state.yaw_rate_radps
+    return message
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Attitude as x, y, z, w from angles about x, y, z [rad], applied in the order z, y, x."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def error_message(
+    error: TrackingError, run_id: str, seq: int, stamp_ns: int
+) -> taxinet.TrackingError:
+    """Truth or estimate as a message."""
+    return taxinet.TrackingError(
+        header=header(stamp_ns),
+        run_id=run_id,
+        seq=seq,
+        cross_track_error=error.cte_m,
+        heading_error=error.he_rad,
+        valid=error.valid,
+    )
+
+
+def error_of(message: taxinet.TrackingError) -> TrackingError:
+    """The tracking error in a message."""
+    return TrackingError(
+        cte_m=message.cross_track_error, he_rad=message.heading_error, valid=message.valid
+    )
+
+
+def command_message(command: TaxiCommand, answered: taxinet.TrackingError) -> taxinet.TaxiCommand:
+    """The command that answers an estimate."""
+    return taxinet.TaxiCommand(
+        header=Header(stamp=answered.header.stamp, frame_id=BASE_FRAME),
+        run_id=answered.run_id,
+        seq=answered.seq,
+        steering_angle=command.steering_rad,
+        speed=command.speed_mps,
+    )
+
+
+def command_of(message: taxinet.TaxiCommand) -> TaxiCommand:
+    """The command in a message."""
+    return TaxiCommand(steering_rad=message.steering_angle, speed_mps=message.speed)
+
+
+def robustness_message(spec: Spec, reading: Reading, **stamp: Any) -> taxinet.Robustness:
+    """One formula's reading; ``stamp`` gives header, run_id and seq."""
+    return taxinet.Robustness(
+        spec=spec.name,
+        formula=str(spec.formula),
+        rho_lower=reading.lower,
+        rho_upper=reading.upper,
+        verdict=int(reading.verdict),
+        final=reading.final,
+        valid=reading.valid,
+        samples=reading.samples,
+        rejected=reading.rejected,
+        **stamp,
+    )

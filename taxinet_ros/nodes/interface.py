@@ -1,0 +1,175 @@
+"""The one table of the graph: every topic's name, type, quality of service, and who speaks to whom.
+
+Recorder, readiness barrier, README and tests derive from it; no other line spells a topic's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+from taxinet_msgs.action import RunScenario
+from taxinet_msgs.msg import (
+    NodeStatus,
+    Robustness,
+    RunStatus,
+    Scenario,
+    TaxiCommand,
+    TrackingError,
+    Verdict,
+)
+
+SIMULATOR = 'simulator'
+PERCEPTION = 'perception'
+STEERING_CONTROLLER = 'steering_controller'
+MTL_MONITOR = 'mtl_monitor'
+RECORDER = 'recorder'
+SCENARIO_SAMPLER = 'scenario_sampler'
+
+PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
+"""Nodes that take part in the lockstep beside the simulator, which keeps it."""
+
+CHAIN = (PERCEPTION, STEERING_CONTROLLER)
+"""Nodes that answer one another within a control step."""
+
+FOLLOWERS = (MTL_MONITOR, RECORDER)
+"""Nodes that only listen, and report progress."""
+
+MAP_FRAME = 'map'
+BASE_FRAME = 'base_link'
+CAMERA_FRAME = 'camera_optical'
+
+# Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
+LOCKSTEP = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=16,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# Depth counts messages of all publishers together, and several nodes share node_status.
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=16,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+PER_STEP = 'per step'
+PER_SPEC = 'per step and formula'
+PER_RUN = 'per run'
+PER_NODE = 'per run and participant'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """One topic of the graph.
+
+    Attributes:
+        name: relative name, so that a whole graph can be put into a namespace.
+        type: message class.
+        qos: quality of service of both ends.
+        publishers: names of the nodes that speak.
+        subscribers: names of the nodes that must hear every message; the recorder is implied
+            where ``recorded``.
+        recorded: how many messages a run's bag holds, or None where the topic is not recorded.
+        carries: one line for people.
+    """
+
+    name: str
+    type: type[Any]
+    qos: QoSProfile
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    recorded: str | None
+    carries: str
+
+    @property
+    def type_name(self) -> str:
+        """ROS name of the type, e.g. ``sensor_msgs/msg/Image``."""
+        package = self.type.__module__.split('.')[0]
+        return f'{package}/msg/{self.type.__name__}'
+
+    def listeners(self, participants: Sequence[str]) -> int:
+        """How many of the nodes of a run subscribe, the recorder included."""
+        names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
+        return len(names & {SIMULATOR, *participants})
+
+
+SCENARIO = Topic(
+    name='scenario', type=Scenario, qos=LATCHED, publishers=(SIMULATOR,),
+    subscribers=PARTICIPANTS, recorded=PER_RUN,
+    carries='the test case; every participant sets itself up for it',
+)
+NODE_STATUS = Topic(
+    name='node_status', type=NodeStatus, qos=LATCHED, publishers=PARTICIPANTS,
+    subscribers=(SIMULATOR,), recorded=PER_NODE,
+    carries='ready, done or error of one participant, with implementation and weights hash',
+)
+CLOCK = Topic(
+    name='/clock', type=Clock, qos=LOCKSTEP, publishers=(SIMULATOR,),
+    subscribers=(), recorded=PER_STEP,
+    carries='simulated time, from 0 at the start of every run',
+)
+IMAGE = Topic(
+    name='camera/image_raw', type=Image, qos=LOCKSTEP, publishers=(SIMULATOR,),
+    subscribers=(PERCEPTION,), recorded=PER_STEP,
+    carries='wing-camera frame, 200 x 360 rgb8',
+)
+CAMERA_INFO = Topic(
+    name='camera/camera_info', type=CameraInfo, qos=LOCKSTEP, publishers=(SIMULATOR,),
+    subscribers=(), recorded=PER_STEP,
+    carries='intrinsics that agree with the pixels',
+)
+ODOMETRY = Topic(
+    name='ground_truth/odom', type=Odometry, qos=LOCKSTEP, publishers=(SIMULATOR,),
+    subscribers=(MTL_MONITOR,), recorded=PER_STEP,
+    carries='true pose in map and velocity in base_link',
+)
+TRUTH = Topic(
+    name='ground_truth/tracking_error', type=TrackingError, qos=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(PERCEPTION, MTL_MONITOR), recorded=PER_STEP,
+    carries='true cross-track and heading error; only a ground-truth perception reads it',
+)
+ESTIMATE = Topic(
+    name='perception/tracking_error', type=TrackingError, qos=LOCKSTEP,
+    publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
+    recorded=PER_STEP,
+    carries="the perception's estimate for the frame that it names",
+)
+COMMAND = Topic(
+    name='taxi_command', type=TaxiCommand, qos=LOCKSTEP, publishers=(STEERING_CONTROLLER,),
+    subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
+    carries='steering angle and speed for the frame that it names',
+)
+ROBUSTNESS = Topic(
+    name='monitor/robustness', type=Robustness, qos=LOCKSTEP, publishers=(MTL_MONITOR,),
+    subscribers=(), recorded=PER_SPEC,
+    carries='robust satisfaction interval of one formula so far',
+)
+VERDICT = Topic(
+    name='monitor/verdict', type=Verdict, qos=LATCHED, publishers=(MTL_MONITOR,),
+    subscribers=(SIMULATOR,), recorded=PER_RUN,
+    carries='judgement of the whole run',
+)
+PROGRESS = Topic(
+    name='lockstep/progress', type=NodeStatus, qos=LOCKSTEP, publishers=FOLLOWERS,
+    subscribers=(SIMULATOR,), recorded=None,
+    carries='how far monitor and recorder have come',
+)
+RUN_STATUS = Topic(
+    name='run_status', type=RunStatus, qos=LATCHED, publishers=(SIMULATOR,),
+    subscribers=(RECORDER,), recorded=PER_RUN,
+    carries='preparing, running, or how the run ended',
+)
+
+TOPICS = (
+    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
+    ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS,
+)
+RUN_SCENARIO = 'run_scenario'
+RUN_SCENARIO_TYPE = RunScenario

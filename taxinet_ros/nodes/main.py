@@ -1,0 +1,57 @@
+"""How a node runs as a process of its own: clean start, clean end, one line for a mistake."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import ROSInterruptException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+
+from taxinet_ros.core.errors import UsageError
+
+_INTERRUPTS = (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException)
+
+
+def run_node(
+    build: Callable[[], Any], work: Callable[[Any, Any], int] | None = None
+) -> None:
+    """Run one node until Ctrl-C, SIGTERM or the end of its work, then exit.
+
+    Args:
+        build: makes the node; may raise :class:`UsageError`, which exits 2 with one line.
+        work: given the node and its executor, spins until the work is done and returns the exit
+            code; where None the node spins until it is stopped.
+    """
+    code = 0
+    try:
+        rclpy.init()
+        node = build()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        try:
+            if work is None:
+                executor.spin()
+            else:
+                code = work(node, executor)
+        finally:
+            node.close()
+    except _INTERRUPTS:
+        pass
+    except UsageError as error:
+        code = _complain(str(error), 2)
+    except rclpy.exceptions.InvalidHandle as error:
+        code = _complain(str(error), 4)
+    except rclpy._rclpy_pybind11.RCLInvalidROSArgsError as error:
+        code = _complain(' '.join(str(error).split()), 2)
+    finally:
+        rclpy.try_shutdown()
+    sys.exit(code)
+
+
+def _complain(line: str, code: int) -> int:
+    print(f'error: {line}', file=sys.stderr)
+    return code

@@ -1,0 +1,102 @@
+"""The MTL monitor node: ground truth in, robustness during the run and a verdict at its end out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from taxinet_msgs.msg import NodeStatus, Scenario, Verdict
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.lockstep import reports_progress
+from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.world import last_step
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import (
+    command_of,
+    error_of,
+    header,
+    robustness_message,
+    scenario_of,
+    stamp_of,
+)
+from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.parameters import refuse_unknown
+from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.steps import StepCollector
+
+_INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
+
+
+class MtlMonitor(Participant):
+    """Judges each run by the formulas that its scenario names: the truth, not the estimate."""
+
+    def __init__(self, **node: Any) -> None:
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(interface.MTL_MONITOR, **node)
+        refuse_unknown(self)
+        self._robustness = self.speak(interface.ROBUSTNESS)
+        self._verdict = self.speak(interface.VERDICT)
+        self._progress = self.speak(interface.PROGRESS)
+        self._specs = ()
+        self._last_seq = -1
+        for topic in _INPUTS:
+            self.listen(topic, lambda message, name=topic.name: self._collect(name, message))
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Build a fresh monitor for every formula of the run."""
+        self._specs = tuple(parse_spec(text) for text in scenario.specs)
+        self._last_seq = last_step(scenario_of(scenario))
+        self._judge = Judge(self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS)
+        self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
+
+    def _collect(self, topic: str, message: Any) -> None:
+        if not self._specs:
+            return
+        seq = stamp_of(message.header.stamp) // CONTROL_PERIOD_NS
+        for step, messages in self._steps.add(topic, seq, message):
+            self._judge_step(step, messages)
+
+    def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
+        odometry, truth, estimate, command = (messages[topic.name][0] for topic in _INPUTS)
+        sample = signals(
+            cte_m=truth.cross_track_error,
+            he_rad=truth.heading_error,
+            x_m=odometry.pose.pose.position.x,
+            speed_mps=odometry.twist.twist.linear.x,
+            estimate=error_of(estimate),
+            command=command_of(command),
+        )
+        stamp_ns = stamp_of(truth.header.stamp)
+        now = {'header': header(stamp_ns), 'run_id': self.run_id, 'seq': seq}
+        readings = self._judge.push(stamp_ns, sample)
+        pairs = zip(self._specs, readings, strict=True)
+        results = [robustness_message(spec, reading, **now) for spec, reading in pairs]
+        for result in results:
+            self._robustness.publish(result)
+        if seq == self._last_seq:
+            self._conclude(results, stamp_ns)
+        if reports_progress(seq, self._last_seq):
+            self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+
+    def _conclude(self, results: list[Any], stamp_ns: int) -> None:
+        judgement = self._judge.judgement
+        self._verdict.publish(Verdict(
+            header=header(stamp_ns),
+            run_id=self.run_id,
+            specs=results,
+            complete=judgement.complete,
+            satisfied=judgement.satisfied,
+            left_runway=judgement.left_runway,
+            max_cross_track_error=judgement.max_cross_track_m,
+        ))
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros mtl_monitor``."""
+    run_node(MtlMonitor)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,115 @@
+"""What every node of the lockstep has in common: take the scenario, get ready, report trouble."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from taxinet_msgs.msg import NodeStatus, Scenario
+
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.interface import Topic
+
+_READY_POLL_S = 0.005
+
+
+class Participant(Node):
+    """A node that sets itself up for each scenario and then answers messages.
+
+    A subclass overrides :meth:`prepare`. An exception in a callback becomes an ERROR status that
+    names the node, so that the run ends at once with a reason instead of a timeout.
+
+    Attributes:
+        run_id: the run that the node is set up for, or ''.
+        implementation: which of the exchangeable kinds it is; goes into every bag.
+        fingerprint: sha256 of the weights that decide its behaviour, or ''.
+    """
+
+    def __init__(self, name: str, **node: Any) -> None:
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node` (context, namespace, …)."""
+        super().__init__(name, **node)
+        self.run_id = ''
+        self.implementation = ''
+        self.fingerprint = ''
+        self._scenario: Scenario | None = None
+        self._speakers: list[tuple[Topic, Publisher]] = []
+        self._listens: list[str] = []
+        self._status = self.speak(interface.NODE_STATUS)
+        self.listen(interface.SCENARIO, self._take)
+        # Getting ready is about processes finding each other, so it runs on wall time.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._poll = self.create_timer(_READY_POLL_S, self._report_ready, clock=steady)
+        self._poll.cancel()
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Forget the previous run and set up for this one."""
+
+    def speak(self, topic: Topic) -> Publisher:
+        """Publish on a topic of the table."""
+        publisher = self.create_publisher(topic.type, topic.name, topic.qos)
+        self._speakers.append((topic, publisher))
+        return publisher
+
+    def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+        """Subscribe to a topic of the table, with every exception reported."""
+        self._listens.append(topic.name)
+        guarded = self._guarded(callback)
+        self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
+
+    def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
+        """Tell the simulator how this node stands in the current run."""
+        self._status.publish(self.status(state, seq=seq, stamp_ns=stamp_ns, detail=detail))
+
+    def status(self, state: int, *, seq: int, stamp_ns: int, detail: str = '') -> NodeStatus:
+        """A status message of this node for the current run."""
+        return NodeStatus(
+            header=header(stamp_ns, ''),
+            run_id=self.run_id,
+            node=self.get_name(),
+            state=state,
+            seq=seq,
+            detail=detail,
+            listens=self._listens if state == NodeStatus.READY else [],
+            implementation=self.implementation,
+            fingerprint=self.fingerprint,
+        )
+
+    def close(self) -> None:
+        """Finish what must not be lost; called once before the node goes away."""
+
+    def _take(self, scenario: Scenario) -> None:
+        if scenario.run_id == self.run_id or self.get_name() not in scenario.participants:
+            return
+        self.run_id = scenario.run_id
+        self._scenario = scenario
+        self.prepare(scenario)
+        self._poll.reset()
+        self._report_ready()
+
+    def _report_ready(self) -> None:
+        """Report ready as soon as each publisher has found all its subscribers of this run."""
+        if self._scenario is None or self._poll.is_canceled():
+            return
+        present = self._scenario.participants
+        for topic, publisher in self._speakers:
+            if publisher.get_subscription_count() < topic.listeners(present):
+                return
+        self._poll.cancel()
+        self.report(NodeStatus.READY)
+
+    def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        @functools.wraps(callback)
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:
+                reason = f'{type(error).__name__}: {error}'.splitlines()[0]
+                self.get_logger().error(f'run {self.run_id}: {reason}')
+                self.report(NodeStatus.ERROR, detail=reason)
+
+        return guarded

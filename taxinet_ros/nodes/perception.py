@@ -1,0 +1,48 @@
+"""The perception node: a camera frame (or the truth) in, an estimate of the tracking error out."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+from sensor_msgs.msg import Image
+from taxinet_msgs.msg import TrackingError
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.perception import Perception
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import error_message, error_of, pixels_of, stamp_of
+from taxinet_ros.nodes.parameters import refuse_unknown
+from taxinet_ros.nodes.participant import Participant
+
+
+class PerceptionNode(Participant, abc.ABC):
+    """Runs one perception of the core, and subscribes to what that one needs only."""
+
+    def __init__(self, **node: Any) -> None:
+        """Choose the perception; a network never gets the truth, nor the truth the picture."""
+        super().__init__(interface.PERCEPTION, **node)
+        self._perception = self.choose()
+        refuse_unknown(self)
+        self.implementation = self._perception.word
+        self.fingerprint = self._perception.fingerprint
+        self._estimates = self.speak(interface.ESTIMATE)
+        if self._perception.needs_image:
+            self.listen(interface.IMAGE, self._see)
+        else:
+            self.listen(interface.TRUTH, self._know)
+
+    @abc.abstractmethod
+    def choose(self) -> Perception:
+        """Which perception this node runs; may declare parameters to decide it."""
+
+    def _see(self, message: Image) -> None:
+        stamp_ns = stamp_of(message.header.stamp)
+        estimate = self._perception.estimate(pixels_of(message), None)
+        seq = stamp_ns // CONTROL_PERIOD_NS
+        self._estimates.publish(error_message(estimate, self.run_id, seq, stamp_ns))
+
+    def _know(self, message: TrackingError) -> None:
+        estimate = self._perception.estimate(None, error_of(message))
+        stamp_ns = stamp_of(message.header.stamp)
+        self._estimates.publish(error_message(estimate, message.run_id, message.seq, stamp_ns))

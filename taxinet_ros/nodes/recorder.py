@@ -1,0 +1,239 @@
+"""The recorder node: every recorded topic of a run into one rosbag2-layout MCAP bag.
+
+Messages arrive in any order; they are written step by step in the order of the topic table, so
+that equal runs give equal bytes. After each whole step the bag is flushed: a crash loses the step
+at hand and no more.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import deserialize_message, serialize_message
+from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
+
+from taxinet_ros import __version__
+from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
+from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.lockstep import reports_progress
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.world import last_step
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import scenario_of
+from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.steps import StepCollector
+
+_STEPPED = tuple(
+    t for t in interface.TOPICS if t.recorded in (interface.PER_STEP, interface.PER_SPEC)
+)
+
+
+def bag_name(topic: Topic) -> str:
+    """Name of a topic in a bag: the graph's own, whatever namespace the graph ran in."""
+    return '/' + topic.name.lstrip('/')
+
+
+@functools.cache
+def bag_topics() -> tuple[TopicInfo, ...]:
+    """The recorded topics of the graph, as a bag describes them."""
+    return tuple(
+        describe_topic(
+            name=bag_name(topic),
+            type_name=topic.type_name,
+            qos=offered_qos(
+                history=topic.qos.history.name.lower(),
+                depth=topic.qos.depth,
+                reliability=topic.qos.reliability.name.lower(),
+                durability=topic.qos.durability.name.lower(),
+            ),
+        )
+        for topic in interface.TOPICS
+        if topic.recorded
+    )
+
+
+class Recorder(Participant):
+    """Writes one bag per run, ``<out>/<run_id>``, and vouches for it at the end."""
+
+    def __init__(self, **node: Any) -> None:
+        """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(interface.RECORDER, **node)
+        self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
+        text = 'free space below which no bag is begun [MB]'
+        self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
+        refuse_unknown(self)
+        self._canonical = Canonical(bag_topics())
+        self._writer: BagWriter | None = None
+        self._progress = self.speak(interface.PROGRESS)
+        for topic in _STEPPED:
+            self.listen(topic, functools.partial(self._step_message, topic), raw=True)
+        self.listen(interface.NODE_STATUS, self._on_status, raw=True)
+        self.listen(interface.VERDICT, self._on_verdict, raw=True)
+        self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Open the bag of a run."""
+        self.close()
+        self._scenario_message = scenario
+        self._expected = {
+            topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
+            for topic in _STEPPED
+        }
+        self._steps = StepCollector(self._expected)
+        self._ready: dict[str, bytes] = {}
+        self._held: list[tuple[int, dict[str, list[bytes]]]] = []
+        self._verdict: bytes | None = None
+        self._ended: RunStatus | None = None
+        self._written = 0
+        self._last_seq = last_step(scenario_of(scenario))
+        self._writer = BagWriter(
+            self._out / scenario.run_id,
+            bag_topics(),
+            metadata=self._facts(scenario),
+            attachments={'scenario.json': _scenario_json(scenario)},
+            min_free_bytes=self._min_free,
+        )
+
+    def close(self) -> None:
+        """Leave an unfinished bag readable, and not declared whole."""
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+
+    # Messages --------------------------------------------------------------------------------
+
+    def _step_message(self, topic: Topic, cdr: bytes) -> None:
+        if self._writer is None:
+            return
+        seq = stamp_of_cdr(cdr) // CONTROL_PERIOD_NS
+        for step in self._steps.add(topic.name, seq, cdr):
+            self._held.append(step)
+        self._write_steps()
+
+    def _on_status(self, cdr: bytes) -> None:
+        status = deserialize_message(cdr, NodeStatus)
+        if self._writer is None or status.run_id != self.run_id:
+            return
+        if status.state == NodeStatus.READY and status.node not in self._ready:
+            self._ready[status.node] = cdr
+            if self._head_known():
+                self._write_head()
+                self._write_steps()
+
+    def _on_verdict(self, cdr: bytes) -> None:
+        message = deserialize_message(cdr, interface.VERDICT.type)
+        if self._writer is not None and message.run_id == self.run_id:
+            self._verdict = cdr
+            self._finish_if_whole()
+
+    def _on_run_status(self, cdr: bytes) -> None:
+        status = deserialize_message(cdr, RunStatus)
+        if self._writer is None or status.run_id != self.run_id:
+            return
+        if status.state == RunStatus.ENDED:
+            self._ended, self._ended_cdr = status, cdr
+            self._finish_if_whole()
+
+    # Writing ---------------------------------------------------------------------------------
+
+    def _head_known(self) -> bool:
+        return set(self._ready) == set(self._scenario_message.participants)
+
+    def _write_head(self) -> None:
+        self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
+        for node in sorted(self._ready):
+            self._write(interface.NODE_STATUS, self._ready[node], 0)
+
+    def _write_steps(self) -> None:
+        """Write what is whole, once the head of the bag is on disk."""
+        if not self._head_known() or not self._held:
+            return
+        for seq, messages in self._held:
+            self._write_step(seq, messages)
+            self._written += 1
+            if reports_progress(seq, self._last_seq):
+                stamp_ns = seq * CONTROL_PERIOD_NS
+                self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+        self._held.clear()
+
+    def _write_step(self, seq: int, messages: dict[str, list[bytes]]) -> None:
+        for topic in _STEPPED:
+            for cdr in messages.get(topic.name, ()):
+                self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
+        self._writer.flush()
+
+    def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        name = bag_name(topic)
+        self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
+
+    def _finish_if_whole(self) -> None:
+        """Close the bag once the run has ended and everything that belongs to it is in."""
+        if self._ended is None:
+            return
+        judged = Outcome(self._ended.outcome).judged
+        if judged and self._verdict is None:
+            return
+        if judged and self._written != self._last_seq + 1:
+            raise RuntimeError(f'{self._written} of {self._last_seq + 1} steps were recorded')
+        if not judged:
+            self._write_rest()
+        stamp_ns = self._ended.seq * CONTROL_PERIOD_NS
+        if self._verdict is not None:
+            self._write(interface.VERDICT, self._verdict, stamp_ns)
+        self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
+        writer, self._writer = self._writer, None
+        writer.add_metadata('taxinet_outcome', {
+            'outcome': self._ended.outcome, 'kind': self._ended.kind, 'who': self._ended.who,
+            'detail': self._ended.detail, 'steps': str(self._written),
+        })
+        writer.close()
+        self.report(NodeStatus.DONE, seq=self._ended.seq, stamp_ns=stamp_ns)
+
+    def _write_rest(self) -> None:
+        """Save what an aborted run left behind: steps held back, and the torn one."""
+        if not self._head_known():
+            self._write_head()
+        for seq, messages in [*self._held, *self._steps.torn()]:
+            self._write_step(seq, messages)
+        self._held.clear()
+
+    def _facts(self, scenario: Scenario) -> dict[str, str]:
+        return {
+            'taxinet_ros_version': __version__,
+            'run_id': scenario.run_id,
+            'program': scenario.program,
+            'seed': str(scenario.seed),
+            'index': str(scenario.index),
+            'specs': json.dumps(list(scenario.specs)),
+        }
+
+
+def _scenario_json(scenario: Scenario) -> bytes:
+    values = {
+        **scenario_of(scenario).to_human(),
+        'run_id': scenario.run_id,
+        'index': scenario.index,
+        'program': scenario.program,
+        'seed': scenario.seed,
+        'specs': list(scenario.specs),
+        'participants': list(scenario.participants),
+    }
+    return json.dumps(values, indent=2).encode() + b'\n'
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros recorder``."""
+    run_node(Recorder)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,67 @@
+"""Everything that belongs to the one run that the simulator is at."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.task import Future
+from taxinet_msgs.action import RunScenario
+from taxinet_msgs.msg import RunStatus, Verdict
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.lockstep import Lockstep
+from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.core.world import World
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import header, scenario_of
+
+
+class ActiveRun:
+    """The world, the lockstep's bookkeeping and the answer that a goal's client waits for."""
+
+    def __init__(self, goal: Any, executor: Any) -> None:
+        """Build the world that the goal's scenario describes.
+
+        Raises:
+            UsageError: the scenario has a value out of range.
+        """
+        message = goal.request.scenario
+        self.goal = goal
+        self.run_id: str = message.run_id
+        self.participants = tuple(message.participants)
+        self.world = World(scenario_of(message))
+        self.lockstep = Lockstep(
+            participants=self.participants,
+            chain=interface.CHAIN,
+            followers=interface.FOLLOWERS,
+            last_seq=self.world.last_seq,
+        )
+        self.listens: dict[str, set[str]] = {}
+        self.started = False
+        self.command: TaxiCommand | None = None
+        self.verdict: Verdict | None = None
+        self.ending: RunStatus | None = None
+        self.done = Future(executor=executor)
+        self.created = self.last_heard = time.monotonic()
+
+    def heard(self) -> None:
+        """Somebody answered: the watchdog starts anew."""
+        self.last_heard = time.monotonic()
+
+    def finish(self) -> None:
+        """Answer the client with the ending announced."""
+        if not self.done.done():
+            self.done.set_result(self.ending)
+
+    def status(self, state: int, **what: Any) -> RunStatus:
+        """A status message of this run at its present step."""
+        seq = max(self.lockstep.seq, 0)
+        return RunStatus(
+            header=header(seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state, seq=seq, **what
+        )
+
+    def feedback(self) -> RunScenario.Feedback:
+        """How far the run has come."""
+        seq = max(self.lockstep.seq, 0)
+        return RunScenario.Feedback(seq=seq, elapsed=seq * CONTROL_PERIOD_NS / 1e9)

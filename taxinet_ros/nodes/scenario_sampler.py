@@ -1,0 +1,199 @@
+"""The scenario sampler node: has the graph run one scene after the other, and takes the answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from taxinet_msgs.msg import NodeStatus, RunStatus
+
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import scenario_message
+from taxinet_ros.nodes.parameters import declare
+
+_WATCH_PERIOD_S = 0.1
+
+
+class ScenarioSampler(Node):
+    """Drives the graph run by run over the action ``run_scenario``."""
+
+    def __init__(self, **node: Any) -> None:
+        """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(interface.SCENARIO_SAMPLER, **node)
+        text = 'wall-clock time to find the simulator [s]'
+        server_timeout_s = declare(self, 'server_timeout', 30.0, text, (0.1, 3600.0))
+        text = 'wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]'
+        silence_timeout_s = declare(self, 'silence_timeout', 60.0, text, (0.1, 3600.0))
+        self._limits = (server_timeout_s, silence_timeout_s)
+        self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
+        status = interface.NODE_STATUS
+        self.create_subscription(status.type, status.name, self._on_status, status.qos)
+        self._obituary = self.create_publisher(status.type, status.name, status.qos)
+        self._run_status = self.create_publisher(
+            RunStatus, interface.RUN_STATUS.name, interface.RUN_STATUS.qos
+        )
+        self._perceptions: dict[str, tuple[str, str]] = {}
+        self._goal: Any = None
+        self._answer: Future | None = None
+        self._interrupted = False
+        self._request: RunRequest | None = None
+        self.seq = 0
+        self._last_heard = 0.0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+
+    def start(
+        self, executor: Any, requests: Iterable[RunRequest],
+        on_result: Callable[[RunRequest, RunResult], bool],
+    ) -> Future:
+        """Begin a campaign; the future is done when its last answer is taken.
+
+        Args:
+            executor: the one that spins this node.
+            requests: the runs, in order; drawn one at a time.
+            on_result: called with every answer; False ends the campaign.
+        """
+        self._executor = executor
+        finished = Future(executor=executor)
+        executor.create_task(self._campaign, finished, iter(requests), on_result)
+        return finished
+
+    def interrupt(self) -> None:
+        """Cancel the run at hand, take its answer, and ask for no more."""
+        self._interrupted = True
+        if self._goal is not None:
+            self._goal.cancel_goal_async()
+
+    def mourn(self, node: str, detail: str) -> None:
+        """A node's process is known to be dead: end its run at once, with the reason."""
+        if self._request is None or self._answer is None or self._answer.done():
+            return
+        run_id = self._request.run_id
+        if node == interface.SIMULATOR:
+            # Nobody else can tell the recorder that the run is over.
+            ending = RunStatus(
+                run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
+                kind='died', who=node, detail=detail, seq=self.seq,
+            )
+            self._run_status.publish(ending)
+            self._answer.set_result(_broken('died', node, detail, self.seq))
+        else:
+            self._obituary.publish(
+                NodeStatus(run_id=run_id, node=node, state=NodeStatus.ERROR, detail=detail)
+            )
+
+    def close(self) -> None:
+        """Nothing to save: every answer is already taken."""
+
+    async def _campaign(
+        self, finished: Future, requests: Iterator[RunRequest],
+        on_result: Callable[[RunRequest, RunResult], bool],
+    ) -> None:
+        try:
+            for request in requests:
+                started = time.monotonic()
+                result = await self._run(request)
+                perception, fingerprint = self._perceptions.get(request.run_id, ('', ''))
+                result = dataclasses.replace(
+                    result, wall_s=time.monotonic() - started,
+                    perception=perception, fingerprint=fingerprint,
+                )
+                if not on_result(request, result) or self._interrupted:
+                    break
+            finished.set_result(None)
+        except BaseException as error:
+            # It belongs to whoever waits for the campaign, not to the executor.
+            finished.set_exception(error)
+
+    async def _run(self, request: RunRequest) -> RunResult:
+        self._request, self.seq = request, 0
+        self._answer = Future(executor=self._executor)
+        self._asked, self._last_heard = time.monotonic(), 0.0
+        self._executor.create_task(self._ask, request)
+        result = await self._answer
+        self._goal = self._request = None
+        return result
+
+    async def _ask(self, request: RunRequest) -> None:
+        answer = self._answer
+        self._server_found = Future(executor=self._executor)
+        await self._server_found
+        if answer.done():
+            return
+        goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
+        self._last_heard = time.monotonic()
+        handle = await self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        if not handle.accepted:
+            answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
+            return
+        self._goal = handle
+        if self._interrupted:
+            handle.cancel_goal_async()
+        response = await handle.get_result_async()
+        if not answer.done():
+            answer.set_result(_result_of(response.result))
+
+    def _on_feedback(self, message: Any) -> None:
+        self._last_heard = time.monotonic()
+        self.seq = message.feedback.seq
+
+    def _on_status(self, status: NodeStatus) -> None:
+        if status.node == interface.PERCEPTION and status.state == NodeStatus.READY:
+            self._perceptions = {status.run_id: (status.implementation, status.fingerprint)}
+
+    def _watch(self) -> None:
+        answer = self._answer
+        if answer is None or answer.done():
+            return
+        server_timeout_s, silence_timeout_s = self._limits
+        now = time.monotonic()
+        if self._last_heard:
+            if now - self._last_heard > silence_timeout_s:
+                detail = f'silent for {silence_timeout_s:g} s'
+                answer.set_result(_broken('timeout', interface.SIMULATOR, detail, self.seq))
+        elif self._client.server_is_ready():
+            if not self._server_found.done():
+                self._server_found.set_result(None)
+        elif self._interrupted:
+            answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
+        elif now - self._asked > server_timeout_s:
+            detail = f'not found within {server_timeout_s:g} s'
+            answer.set_result(_broken('not_ready', interface.SIMULATOR, detail, 0))
+
+
+def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
+    return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
+
+
+def _result_of(answer: Any) -> RunResult:
+    status, verdict = answer.status, answer.verdict
+    outcome = Outcome(status.outcome)
+    judged = outcome.judged
+    return RunResult(
+        outcome=outcome,
+        kind=status.kind,
+        who=status.who,
+        detail=status.detail,
+        last_seq=status.seq,
+        rho={spec.spec: spec.rho_lower for spec in verdict.specs} if judged else {},
+        left_runway=judged and verdict.left_runway,
+        max_cross_track_m=verdict.max_cross_track_error if judged else float('nan'),
+    )
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros scenario_sampler``."""
+    from taxinet_ros.nodes.standalone_campaign import run_standalone
+
+    run_standalone()
+
+
+if __name__ == '__main__':
+    main()

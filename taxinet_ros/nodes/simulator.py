@@ -1,0 +1,275 @@
+"""The simulator node: the world, its camera, the clock, and the keeper of the lockstep.
+
+It serves the action ``run_scenario``. For each goal it publishes the scenario, waits until every
+participant is ready, then publishes frame after frame and integrates to the next only when the
+command for the present one is in. Wall-clock watchdogs turn silence into ``INFRA_ERROR``; they
+never decide a verdict.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.clock import Clock as RclClock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
+
+from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import (
+    camera_info_message,
+    command_of,
+    error_message,
+    header,
+    image_message,
+    odometry_message,
+    time_of,
+)
+from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.run_state import ActiveRun
+
+_WATCH_PERIOD_S = 0.1
+
+
+class Simulator(Node):
+    """One world at a time, stepped by the answers of the graph."""
+
+    def __init__(self, **node: Any) -> None:
+        """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(interface.SIMULATOR, **node)
+        text = 'wall-clock silence of a participant that ends a run as INFRA_ERROR [s]'
+        self._answer_timeout_s = declare(self, 'answer_timeout', 10.0, text, (0.1, 3600.0))
+        text = 'wall-clock time for every participant to get ready [s]'
+        self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
+        refuse_unknown(self)
+        self._run: ActiveRun | None = None
+        self._speakers: dict[str, Publisher] = {}
+        for topic in interface.TOPICS:
+            if interface.SIMULATOR in topic.publishers:
+                self._speakers[topic.name] = self.create_publisher(
+                    topic.type, topic.name, topic.qos
+                )
+        self._camera_info = camera_info_message()
+        for topic, callback in (
+            (interface.NODE_STATUS, self._on_status),
+            (interface.PROGRESS, self._on_progress),
+            (interface.ESTIMATE, self._on_estimate),
+            (interface.COMMAND, self._on_command),
+            (interface.VERDICT, self._on_verdict),
+        ):
+            self.create_subscription(topic.type, topic.name, callback, topic.qos)
+        self._server = ActionServer(
+            self,
+            interface.RUN_SCENARIO_TYPE,
+            interface.RUN_SCENARIO,
+            self._execute,
+            goal_callback=self._accept,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )
+        steady = RclClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+
+    def close(self) -> None:
+        """Nothing to save: the recorder owns what was seen."""
+
+    # The action ------------------------------------------------------------------------------
+
+    def _accept(self, goal: Any) -> GoalResponse:
+        busy = self._run is not None
+        if busy:
+            self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
+        return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
+
+    async def _execute(self, goal: Any) -> Any:
+        result = interface.RUN_SCENARIO_TYPE.Result()
+        scenario = goal.request.scenario
+        try:
+            run = ActiveRun(goal, self.executor)
+        except UsageError as error:
+            result.status = RunStatus(
+                run_id=scenario.run_id, state=RunStatus.ENDED, outcome=Outcome.REJECTED,
+                detail=str(error),
+            )
+            goal.abort()
+            return result
+        self._run = run
+        self._say(interface.SCENARIO, scenario)
+        self._say(interface.RUN_STATUS, run.status(RunStatus.PREPARING))
+        result.status = await run.done
+        if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
+            result.verdict = run.verdict
+        self._run = None
+        if goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.succeed()
+        return result
+
+    # What the graph says -----------------------------------------------------------------------
+
+    def _on_status(self, status: NodeStatus) -> None:
+        run = self._of(status)
+        if run is None:
+            return
+        if status.state == NodeStatus.READY:
+            run.listens[status.node] = set(status.listens)
+            run.lockstep.ready(status.node)
+            run.heard()
+            self._start_if_ready(run)
+        elif status.state == NodeStatus.ERROR:
+            self._fail(run, 'node_error', status.node, status.detail)
+        elif status.state == NodeStatus.DONE and run.ending is not None:
+            run.finish()
+
+    def _on_estimate(self, estimate: TrackingError) -> None:
+        run = self._of(estimate)
+        if run is not None and run.lockstep.answer(interface.PERCEPTION, estimate.seq):
+            run.heard()
+
+    def _on_command(self, command: TaxiCommand) -> None:
+        run = self._of(command)
+        if run is None or run.ending is not None:
+            return
+        # The estimate travels on another topic and may be overtaken by the command made from it.
+        run.lockstep.answer(interface.PERCEPTION, command.seq)
+        if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq):
+            run.command = command_of(command)
+            run.heard()
+            self._go_on(run)
+
+    def _on_progress(self, status: NodeStatus) -> None:
+        run = self._of(status)
+        if run is not None:
+            run.lockstep.progress(status.node, status.seq)
+            run.heard()
+            self._go_on(run)
+
+    def _on_verdict(self, verdict: Verdict) -> None:
+        run = self._of(verdict)
+        if run is not None:
+            run.verdict = verdict
+            run.heard()
+            self._go_on(run)
+
+    def _of(self, message: Any) -> ActiveRun | None:
+        """The active run, if the message belongs to it."""
+        run = self._run
+        return run if run is not None and message.run_id == run.run_id else None
+
+    # Stepping --------------------------------------------------------------------------------
+
+    def _start_if_ready(self, run: ActiveRun) -> None:
+        if run.started or not run.lockstep.all_ready or self._deaf(run):
+            return
+        run.started = True
+        self._say(interface.RUN_STATUS, run.status(RunStatus.RUNNING))
+        self._publish_frame(run)
+
+    def _deaf(self, run: ActiveRun) -> list[str]:
+        """Topics on which some participant has subscribed but this node has not found it yet."""
+        return [
+            name
+            for name, publisher in self._speakers.items()
+            if publisher.get_subscription_count()
+            < sum(name in listens for listens in run.listens.values())
+        ]
+
+    def _go_on(self, run: ActiveRun) -> None:
+        if run.ending is not None or not run.started:
+            return
+        if run.goal.is_cancel_requested:
+            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        elif run.lockstep.may_advance and run.command is not None:
+            command, run.command = run.command, None
+            try:
+                run.world.advance(command)
+            except InfraError as error:
+                self._fail(run, error.kind, error.who, error.detail)
+                return
+            self._publish_frame(run)
+        elif run.lockstep.complete and run.verdict is not None:
+            self._conclude(run, run.verdict)
+
+    def _publish_frame(self, run: ActiveRun) -> None:
+        now = run.world.observe()
+        run.lockstep.begin(now.seq)
+        truth = now.state.tracking_error
+        self._say(interface.CLOCK, Clock(clock=time_of(now.stamp_ns)))
+        self._say(interface.ODOMETRY, odometry_message(now.state, now.stamp_ns))
+        self._say(interface.TRUTH, error_message(truth, run.run_id, now.seq, now.stamp_ns))
+        self._camera_info.header = header(now.stamp_ns, interface.CAMERA_FRAME)
+        self._say(interface.CAMERA_INFO, self._camera_info)
+        self._say(interface.IMAGE, image_message(now.image, now.stamp_ns))
+
+    def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
+        if not verdict.complete:
+            detail = 'the monitor had no whole, finite sequence of samples to judge'
+            self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
+            return
+        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
+        self._end(run, run.status(RunStatus.ENDED, outcome=outcome))
+
+    # Endings ---------------------------------------------------------------------------------
+
+    def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
+        if run.ending is not None:
+            # The bag could not be finished, so the evidence is not whole: no verdict stands.
+            run.ending = run.status(
+                RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
+            )
+            run.finish()
+            return
+        self._end(run, run.status(
+            RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
+        ))
+
+    def _end(self, run: ActiveRun, status: RunStatus) -> None:
+        """Announce the end, then wait for the recorder to close its bag where there is one."""
+        run.ending = status
+        run.heard()
+        self._say(interface.RUN_STATUS, status)
+        if interface.RECORDER not in run.participants or status.who == interface.RECORDER:
+            run.finish()
+
+    def _watch(self) -> None:
+        run = self._run
+        if run is None:
+            return
+        silence = time.monotonic() - run.last_heard
+        run.goal.publish_feedback(run.feedback())
+        if run.ending is not None:
+            if silence > self._answer_timeout_s:
+                self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+        elif not run.started:
+            self._start_if_ready(run)
+            if run.goal.is_cancel_requested:
+                self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+            elif time.monotonic() - run.created > self._ready_timeout_s:
+                who = ', '.join(run.lockstep.missing() or self._deaf(run))
+                detail = f'not ready within {self._ready_timeout_s:g} s'
+                self._fail(run, 'not_ready', who, detail)
+        elif run.goal.is_cancel_requested:
+            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        elif silence > self._answer_timeout_s:
+            who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
+            self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+
+    def _say(self, topic: Topic, message: Any) -> None:
+        self._speakers[topic.name].publish(message)
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros simulator``."""
+    run_node(Simulator)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,43 @@
+"""Puts the messages of one control step together, in whatever order they arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+class StepCollector:
+    """Collects so many messages per topic and step, and hands out whole steps in order."""
+
+    def __init__(self, expected: Mapping[str, int]) -> None:
+        """``expected``: topic name to number of messages per step."""
+        self._expected = dict(expected)
+        self._pending: dict[int, dict[str, list[Any]]] = {}
+        self._next = 0
+        self.repeated = 0
+
+    def add(self, topic: str, seq: int, message: Any) -> Iterator[tuple[int, dict[str, list[Any]]]]:
+        """Take one message; yield every step that is now whole, oldest first.
+
+        A message beyond the expected number (a repetition, or one of a step already handed out) is
+        counted in :attr:`repeated` and ignored.
+        """
+        if seq < self._next:
+            self.repeated += 1
+            return
+        messages = self._pending.setdefault(seq, {}).setdefault(topic, [])
+        if len(messages) == self._expected[topic]:
+            self.repeated += 1
+            return
+        messages.append(message)
+        while self._whole(self._next):
+            yield self._next, self._pending.pop(self._next)
+            self._next += 1
+
+    def torn(self) -> list[tuple[int, dict[str, list[Any]]]]:
+        """Steps begun and not whole, oldest first: what an aborted run left behind."""
+        return sorted(self._pending.items())
+
+    def _whole(self, seq: int) -> bool:
+        step = self._pending.get(seq, {})
+        return all(len(step.get(topic, ())) == count for topic, count in self._expected.items())

@@ -1,0 +1,1 @@
+"""Training of the network on rendered scenes, and measuring how well it sees."""

@@ -1,0 +1,112 @@
+"""The Scenic child by itself: what it says of each way in which a program can be wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import pytest
+
+from taxinet_ros.campaign.programs import shipped_folder
+
+ROOT = Path(__file__).parents[2]
+PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
+LAZY = 'from scenic.core.distributions import distributionFunction\n@distributionFunction\n'
+
+
+class Client:
+    """Speaks the child's protocol."""
+
+    def __init__(self, requests: TextIO, answers: TextIO) -> None:
+        self._requests, self._answers = requests, answers
+        assert json.loads(answers.readline()) == {}, 'the first line says that Scenic is there'
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        print(json.dumps(request), file=self._requests, flush=True)
+        answer: dict[str, Any] = json.loads(self._answers.readline())
+        return answer
+
+
+@pytest.fixture(scope='module')
+def client() -> Iterator[Client]:
+    """One child for all: importing Scenic takes a second."""
+    request_read, request_write = os.pipe()
+    answer_read, answer_write = os.pipe()
+    arguments = {'request-fd': request_read, 'response-fd': answer_write, 'seed': 1,
+                 'memory-bytes': 4 << 30, 'timeout-s': 1, 'shipped': shipped_folder()}
+    child = subprocess.Popen(
+        [sys.executable, '-m', 'taxinet_ros.campaign.scenic_child',
+         *(f'--{name}={value}' for name, value in arguments.items())],
+        pass_fds=(request_read, answer_write), stdout=subprocess.DEVNULL, cwd=ROOT,
+    )
+    os.close(request_read)
+    os.close(answer_write)
+    with child, open(request_write, 'w') as requests, open(answer_read) as answers:
+        yield Client(requests, answers)
+        requests.close()
+        assert child.wait(30) == 0, 'the child has to end when its parent hangs up'
+
+
+@pytest.mark.parametrize(('text', 'line', 'message'), [
+    ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', 3, 'invalid syntax'),
+    ('model runway_world\n\nego = new Plane at (Rnge(0, 1), 3)\n', 3,
+     "NameError: name 'Rnge' is not defined"),
+    ('import sys\nmodel runway_world\nsys.exit(3)\n', 3, 'the program calls exit()'),
+    ('model runway_world\nego = new Plane at "here"\n', 2, 'TypeError: specifier "at X"'),
+    ('model runway_world\nx = Range(0, 1)\nif x > 0.5:\n    pass\n', 3, 'random values cannot'),
+    (PLANE + 'hog = bytearray(8 << 30)\n', 3, 'the program needs more memory'),
+    (PLANE + 'while True:\n    pass\n', 3, 'still running after 1 s'),
+    (PLANE + 'name = input()\n', 3, 'EOFError'),
+    ('model nowhere\n', 0, 'could not import world model nowhere'),
+])
+def test_given_a_program_that_does_not_compile_when_compiled_then_its_line_is_named(
+    client: Client, tmp_path: Path, text: str, line: int, message: str,
+) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(text)
+    error = client.ask(op='compile', program=str(path))['error']
+    assert (error['file'], error['line']) == (str(path), line)
+    assert error['message'].startswith(message)
+    assert '\n' not in error['message']
+
+
+@pytest.mark.parametrize(('text', 'line', 'message'), [
+    ('x = 1\n', 0, 'no plane to start from'),
+    ('ego = new Object at (1, 2)\n', 0, 'no plane to start from'),
+    (PLANE + 'param rain = (1, 2)\n', 0, 'rain is a tuple'),
+    (PLANE + 'param heading = 3\n', 0, "parameter 'heading' belongs to the plane"),
+    (LAZY + 'def f(x):\n    return 1 / 0\n' + PLANE + 'param rain = f(Range(0, 1))\n', 4,
+     'ZeroDivisionError'),
+])
+def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
+    client: Client, tmp_path: Path, text: str, line: int, message: str,
+) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(text)
+    assert client.ask(op='compile', program=str(path)) == {}
+    error = client.ask(op='scene', index=0)['error']
+    assert (error['file'], error['line']) == (str(path), line)
+    assert error['message'].startswith(message)
+
+
+def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
+    client: Client, tmp_path: Path,
+) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(
+        'import numpy\nmodel runway_world\nprint("noise")\n'
+        'ego = new Plane at (0, 400), facing -10 deg\n'
+        'param rain = numpy.float32(0.5)\nparam shadows = False\nparam clouds = "clear"\n'
+        'param duration = 5\nparam verifaiSamplerType = "halton"\n'
+    )
+    assert client.ask(op='compile', program=str(path)) == {}
+    values = client.ask(op='scene', index=0)['values']
+    assert values.pop('heading') == pytest.approx(-10)
+    assert values == {'cross_track': 0.0, 'distance': 400.0, 'rain': 0.5, 'shadows': False,
+                      'clouds': 'clear', 'duration': 5.0}
+    assert str(values['cross_track']) == '0.0', 'and not -0.0'

@@ -1,0 +1,147 @@
+"""Formula texts: what is read, how it prints, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mtl_strategies import fuzz
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import ast, parse_formula
+
+NEAR = {'near': 'abs(cte) <= 1.5'}
+PHI = 'eventually[0:10](always(abs(cte) <= 1.5))'
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        PHI,
+        'F[0,10] G abs(cte)<=1.5;',
+        'F[0, 10] G near',
+        'eventually[0 s : 10000 ms] always[0:inf] near',
+        '◇[0:10e0] □ near',
+        '◊[0:10] (globally (abs(cte) ≤ 1.50))',
+    ],
+)
+def test_given_spellings_of_one_formula_when_parsed_then_the_tree_is_one(text: str) -> None:
+    always = ast.Temporal(
+        'always',
+        ast.Interval(),
+        ast.Compare('<=', ast.Function('abs', (ast.Signal('cte'),)), ast.Number(1.5)),
+    )
+    wanted = ast.Temporal('eventually', ast.Interval(0, 10_000_000_000), always)
+    assert parse_formula(text, NEAR) == wanted
+    assert str(wanted) == PHI
+
+
+@pytest.mark.parametrize(
+    ('text', 'printed'),
+    [
+        ('cte < 1 or he < 1 and x < 1', '(cte < 1) or ((he < 1) and (x < 1))'),
+        ('not cte < 1 and he < 1', '(not (cte < 1)) and (he < 1)'),
+        ('G cte < 1 U he < 1', '(always(cte < 1)) until (he < 1)'),
+        (
+            'cte<1 ∧ ¬ he<1 ∨ x<1 → x>2',
+            '(((cte < 1) and (not (he < 1))) or (x < 1)) implies (x > 2)',
+        ),
+        (
+            '!cte<1 & he<1 | x<1 -> x>2',
+            '(((not (cte < 1)) and (he < 1)) or (x < 1)) implies (x > 2)',
+        ),
+        ('cte - 1 - 2 < -he * 3 / x', '(cte - 1) - 2 < ((-he) * 3) / x'),
+        ('(cte - (1 - 2)) >= min(he, 1, x)', 'cte - (1 - 2) >= min(he, 1, x)'),
+        ('sqrt(cte*cte) > max(1, 2)', 'sqrt(cte * cte) > max(1, 2)'),
+        ('O[100ms:2] cte<1', 'once[0.1:2](cte < 1)'),
+        ('H cte<1 S[5, inf] he<1', '(historically(cte < 1)) since[5:inf] (he < 1)'),
+        ('historically[1ns:2us](cte<1)', 'historically[0.000000001:0.000002](cte < 1)'),
+        ('cte<1 until[3:3] he<1', '(cte < 1) until[3:3] (he < 1)'),
+        ('(cte<1 -> he<1) -> x<1', '((cte < 1) implies (he < 1)) implies (x < 1)'),
+        ('cte_estimate - cte < 0.000001', 'cte_estimate - cte < 1e-06'),
+    ],
+)
+def test_given_a_formula_when_parsed_then_it_prints_fully_parenthesised(
+    text: str, printed: str
+) -> None:
+    formula = parse_formula(text)
+    assert str(formula) == printed
+    assert parse_formula(printed) == formula
+
+
+@pytest.mark.parametrize(
+    ('text', 'column', 'expected'),
+    [
+        ('', 1, 'a signal, number'),
+        ('cte', 4, "'<=', '<', '>=' or '>'"),
+        ('always(cte + 1)', 7, 'a formula'),
+        ('0 <= cte <= 1', 10, "'and'"),
+        ('cte == 1', 5, "'<=', '<', '>=' or '>'"),
+        ('cte = 1', 5, "'<=', '<', '>=' or '>'"),
+        ('cte<1 -> he<1 -> x<1', 15, "parentheses in a chain of 'implies'"),
+        ('cte<1 implies he<1 implies x<1', 20, "parentheses in a chain of 'implies'"),
+        ('always[10:0] cte<1', 8, 'a <= b'),
+        ('always[0:1) cte<1', 11, "']'"),
+        ('always[0 1] cte<1', 10, "':' or ','"),
+        ('always[inf:inf] cte<1', 8, 'a number of seconds'),
+        ('always[-1:2] cte<1', 8, 'a number of seconds'),
+        ('always[0:0.5ns] cte<1', 10, 'a whole number of nanoseconds'),
+        ('always[0:1e-999999999999999999] cte<1', 10, 'a whole number of nanoseconds'),
+        ('always[0:1e99] cte<1', 10, "'inf'"),
+        ('always[0:1e999999999] cte<1', 10, 'a whole number of nanoseconds'),
+        ('lateral <= 1', 1, "unknown 'lateral'; known: cte, he, speed, x, steering"),
+        ('(cte < 1', 9, "')'"),
+        ('cte < 1)', 8, "'and', 'or' or the end"),
+        ('cte < 1 he < 2', 9, "'and', 'or' or the end"),
+        ('cte < 1e999', 7, 'a finite number'),
+        ('abs(cte, he) < 1', 1, '1 argument of abs'),
+        ('min(cte) < 1', 1, 'at least 2 arguments of min'),
+        ('1 + (cte < 1) < 2', 5, 'a number or signal'),
+        ('abs(cte < 1) < 2', 9, "')'"),
+        ('abs((cte < 1)) < 2', 5, 'a number or signal'),
+        ('not cte', 5, 'a formula'),
+        ('cte < 1 and', 12, 'a signal, number'),
+        ('cte # 1', 5, 'a formula sign or name'),
+        ('(' * 60, 51, 'at most 50 nested'),
+        ('not ' * 60 + 'cte < 1', 201, 'at most 50 nested'),
+        ('cte < 1' + ' and cte < 1' * 130, 1501, 'at most 500 words'),
+    ],
+)
+def test_given_a_bad_text_when_parsed_then_one_line_names_column_and_expectation(
+    text: str, column: int, expected: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_formula(text)
+    message = str(caught.value)
+    assert message.startswith(f'formula: column {column}: ')
+    assert expected in message
+    assert '\n' not in message
+
+
+def test_given_a_bad_predicate_when_parsed_then_the_message_names_it() -> None:
+    with pytest.raises(UsageError, match=r"predicate 'near': column 5: expected"):
+        parse_formula('G near', {'near': 'cte = 1'})
+
+
+@pytest.mark.parametrize('name', ['cte', 'always', 'G', 'a b', '1a'])
+def test_given_a_reserved_predicate_name_when_parsed_then_it_is_refused(name: str) -> None:
+    with pytest.raises(UsageError, match='unreserved name'):
+        parse_formula('cte < 1', {name: 'cte < 1'})
+
+
+@given(st.text(alphabet='()[]:,<=>-+*/!&|;. 0159abcehtxsGFUinf□◇¬\n\t"', max_size=40))
+@fuzz(500)
+def test_given_any_text_when_parsed_then_it_is_a_formula_or_a_one_line_error(text: str) -> None:
+    try:
+        message = ''
+        formula = parse_formula(text)
+    except UsageError as error:
+        message = str(error)
+    assert message.startswith('formula: column ') or parse_formula(str(formula)) == formula
+    assert '\n' not in message
+
+
+@pytest.mark.parametrize('value', [-1.0, -0.0, float('inf'), float('nan')])
+def test_given_a_number_that_cannot_be_written_when_made_then_it_is_refused(value: float) -> None:
+    with pytest.raises(UsageError, match='finite and >= 0'):
+        ast.Number(value)

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from network_samples import frame, random_weights
+
+from taxinet_ros.core.network import (
+    ARCHITECTURES,
+    DEFAULT_ARCHITECTURE,
+    IMAGE_SHAPE,
+    INPUT_SHAPE,
+    TaxiNet,
+    is_frame,
+    normalise,
+    scaled,
+    shrink,
+    unscaled,
+)
+
+ARCHITECTURE = ARCHITECTURES[DEFAULT_ARCHITECTURE]
+
+
+def network(seed: int = 0) -> TaxiNet:
+    return TaxiNet(ARCHITECTURE, random_weights(seed))
+
+
+@pytest.mark.parametrize('name', sorted(ARCHITECTURES))
+def test_given_an_architecture_when_built_then_its_weights_have_the_promised_shapes(
+    name: str,
+) -> None:
+    built = ARCHITECTURES[name].build().state_dict()
+    promised = ARCHITECTURES[name].shapes()
+    assert {key: tuple(value.shape) for key, value in built.items()} == promised
+    assert sum(math.prod(shape) for shape in promised.values()) * 4 < 2_000_000
+
+
+def test_given_one_network_when_it_looks_twice_then_the_answers_are_equal_to_the_bit() -> None:
+    subject = network()
+    first = subject.look(frame(1))
+    subject.look(frame(2))
+    assert subject.look(frame(1)) == first
+    assert subject.look(frame(2)) != first
+
+
+def test_given_a_read_only_or_strided_frame_when_looked_at_then_the_answer_is_the_same() -> None:
+    subject, image = network(), frame(3)
+    expected = subject.look(image)
+    locked = image.copy()
+    locked.flags.writeable = False
+    strided = np.repeat(image, 2, axis=1)[:, ::2]
+    mirrored = image[:, ::-1].copy()[:, ::-1]
+    assert [subject.look(view) for view in (locked, strided, mirrored)] == [expected] * 3
+
+
+SCRIPT = """
+from network_samples import frame, random_weights
+from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
+subject = TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], random_weights())
+print([value.hex() for seed in range(4) for value in subject.look(frame(seed))])
+"""
+
+
+def test_given_another_process_with_other_threads_when_it_looks_then_bits_are_equal() -> None:
+    root = Path(__file__).parents[2]
+    path = os.pathsep.join([str(root), str(Path(__file__).parent)])
+    environment = {**os.environ, 'PYTHONPATH': path, 'OMP_NUM_THREADS': '2'}
+    other = subprocess.run(
+        [sys.executable, '-c', SCRIPT], env=environment, capture_output=True, text=True, check=True
+    )
+    subject = network()
+    expected = [value.hex() for seed in range(4) for value in subject.look(frame(seed))]
+    assert len(expected) == 8
+    assert other.stdout.strip() == str(expected)
+
+
+def test_given_a_network_when_made_then_the_global_random_state_is_untouched() -> None:
+    import torch
+
+    before = torch.random.get_rng_state()
+    network()
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_given_a_batch_when_inferred_then_it_agrees_with_one_by_one() -> None:
+    subject = network()
+    pictures = np.stack([shrink(frame(seed)) for seed in range(5)])
+    one_by_one = [subject.look(frame(seed)) for seed in range(5)]
+    np.testing.assert_allclose(subject.infer(pictures), one_by_one, atol=1e-5)
+
+
+@given(level=st.integers(0, 255))
+def test_given_a_frame_of_one_shade_when_prepared_then_the_input_is_zero(level: int) -> None:
+    picture = shrink(np.full(IMAGE_SHAPE, level, np.uint8))
+    assert picture.shape == INPUT_SHAPE
+    assert not normalise(picture[np.newaxis]).any()
+
+
+@given(seed=st.integers(0, 1000), gain=st.floats(0.4, 0.9), offset=st.floats(0, 20))
+def test_given_more_light_or_haze_when_normalised_then_the_input_hardly_changes(
+    seed: int, gain: float, offset: float
+) -> None:
+    picture = np.random.default_rng(seed).integers(0, 256, (1, *INPUT_SHAPE), np.uint8)
+    other = np.rint(picture * gain + offset).astype(np.uint8)
+    inputs = normalise(picture)
+    assert inputs.shape == (1, 1, *INPUT_SHAPE)
+    assert inputs.dtype == np.float32
+    np.testing.assert_allclose(normalise(other), inputs, atol=0.05)
+
+
+def test_given_a_white_patch_top_left_when_shrunk_then_it_stays_top_left_and_grey() -> None:
+    image = np.zeros(IMAGE_SHAPE, np.uint8)
+    image[:50, :90] = (255, 0, 0)
+    picture = shrink(image)
+    assert picture[:15, :31].min() == picture.max() == 76  # red's share of luma, ITU-R BT.601
+    assert picture[17:].max() == 0
+    assert picture[:, 33:].max() == 0
+
+
+@given(cte_m=st.floats(-50, 50), he_rad=st.floats(-3, 3))
+def test_given_true_errors_when_scaled_and_back_then_they_return(
+    cte_m: float, he_rad: float
+) -> None:
+    outputs = scaled(np.array([cte_m]), np.array([he_rad]))
+    np.testing.assert_allclose(unscaled(outputs), [[cte_m, he_rad]], rtol=1e-6, atol=1e-6)
+
+
+def test_given_ten_metres_and_thirty_degrees_when_scaled_then_both_outputs_are_one() -> None:
+    np.testing.assert_array_equal(scaled(np.array([10.0]), np.radians([30.0])), [[1.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    'image',
+    [
+        None,
+        [[0]],
+        np.zeros((200, 360), np.uint8),
+        np.zeros((360, 200, 3), np.uint8),
+        np.zeros((200, 360, 4), np.uint8),
+        np.zeros(IMAGE_SHAPE, np.float32),
+        np.zeros(IMAGE_SHAPE, np.int8),
+        np.zeros((1, *IMAGE_SHAPE), np.uint8),
+    ],
+)
+def test_given_what_is_no_frame_when_asked_then_it_is_none(image: object) -> None:
+    assert not is_frame(image)
+    assert is_frame(np.zeros(IMAGE_SHAPE, np.uint8))

@@ -1,0 +1,112 @@
+"""Messages carry the core's values unchanged, and refuse what they cannot mean."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs.msg import Image
+
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.nodes import convert
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_given_a_stamp_when_sent_and_read_then_no_nanosecond_is_lost(stamp_ns):
+    assert convert.stamp_of(convert.time_of(stamp_ns)) == stamp_ns
+
+
+@given(FINITE, FINITE, st.booleans())
+def test_given_a_tracking_error_when_sent_and_read_then_every_bit_is_there(cte, he, valid):
+    error = TrackingError(cte_m=cte, he_rad=he, valid=valid)
+    message = convert.error_message(error, 'run', 7, 700_000_000)
+    assert convert.error_of(message) == error
+    assert (message.run_id, message.seq) == ('run', 7)
+
+
+@given(FINITE, FINITE)
+def test_given_a_command_when_sent_and_read_then_every_bit_is_there(steering, speed):
+    command = TaxiCommand(steering_rad=steering, speed_mps=speed)
+    estimate = convert.error_message(TrackingError(cte_m=0.0, he_rad=0.0), 'run', 7, 700_000_000)
+    message = convert.command_message(command, estimate)
+    assert convert.command_of(message) == command
+    assert (message.run_id, message.seq, message.header.stamp) == ('run', 7, estimate.header.stamp)
+
+
+def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
+    scenario = Scenario(
+        cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast', rain=0.4,
+        time_of_day_s=30000.0, date='2020-06-01', shadows=False, aircraft='c172p', duration_s=12.0,
+    )
+    default = Scenario()
+    for field in dataclasses.fields(Scenario):
+        assert getattr(scenario, field.name) != getattr(default, field.name), field.name
+    request = RunRequest(
+        run_id='run', index=3, program='s_falsif', seed=9, scenario=scenario,
+        specs=('phi_always',), participants=('perception',),
+    )
+    message = convert.scenario_message(request)
+    assert convert.scenario_of(message) == scenario
+    assert (message.run_id, message.index) == ('run', 3)
+    assert (message.program, message.seed) == ('s_falsif', 9)
+
+
+def test_given_a_frame_when_sent_and_read_then_every_pixel_is_there():
+    pixels = np.random.default_rng(0).integers(0, 256, (200, 360, 3), dtype=np.uint8)
+    message = convert.image_message(pixels, 100_000_000)
+    assert (message.height, message.width, message.step) == (200, 360, 1080)
+    assert message.encoding == 'rgb8'
+    assert message.header.frame_id == 'camera_optical'
+    np.testing.assert_array_equal(convert.pixels_of(message), pixels)
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'encoding': 'mono8'}, "encoding is 'mono8'"),
+        ({'step': 12}, 'has step 12'),
+        ({'height': 3}, 'of 360 x 3'),
+    ],
+)
+def test_given_an_image_that_contradicts_itself_then_it_is_refused(change, words):
+    message = convert.image_message(np.zeros((200, 360, 3), np.uint8), 0)
+    for name, value in change.items():
+        setattr(message, name, value)
+    with pytest.raises(ValueError, match=words):
+        convert.pixels_of(message)
+
+
+def test_given_an_empty_image_then_it_is_refused():
+    with pytest.raises(ValueError, match='encoding'):
+        convert.pixels_of(Image())
+
+
+@given(
+    st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-math.pi + 1e-6, math.pi - 1e-6)
+)
+def test_given_an_attitude_then_its_quaternion_turns_the_axes_the_same_way(roll, pitch, yaw):
+    x, y, z, w = convert.quaternion(roll, pitch, yaw)
+    assert math.hypot(x, y, z, w) == pytest.approx(1)
+    forward = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
+    expected = (
+        math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), -math.sin(pitch)
+    )
+    assert forward == pytest.approx(expected), 'positive pitch is nose down'
+
+
+def test_given_a_state_then_odometry_says_pose_in_map_and_speed_in_base_link():
+    state = AircraftState(
+        x_m=400.0, y_m=-3.0, z_m=1.5, roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.2, speed_mps=5.0,
+        yaw_rate_radps=0.1,
+    )
+    message = convert.odometry_message(state, 100_000_000)
+    position = message.pose.pose.position
+    assert (position.x, position.y, position.z) == (400.0, -3.0, 1.5)
+    assert (message.header.frame_id, message.child_frame_id) == ('map', 'base_link')
+    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (5.0, 0.1)

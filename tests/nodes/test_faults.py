@@ -1,0 +1,204 @@
+"""Trouble in the graph ends the run as INFRA_ERROR that names who failed; the bag stays readable."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.processes import process_graph
+
+pytestmark = pytest.mark.ros
+
+
+def request(run_id: str = 'run', duration: float = 60.0, **changes) -> RunRequest:
+    values = {
+        'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
+        'scenario': scenario_from_human({'duration': duration}),
+        'specs': ('phi_eventually',), 'participants': PARTICIPANTS,
+    }
+    return RunRequest(**{**values, **changes})
+
+
+def run(graph, *asked: RunRequest) -> list[RunResult]:
+    results: list[RunResult] = []
+
+    def keep(request: RunRequest, result: RunResult) -> bool:
+        results.append(result)
+        return True
+
+    graph.run(asked, keep)
+    return results
+
+
+def truth_stamps(folder) -> list[int]:
+    topic = '/ground_truth/tracking_error'
+    return [stamp for name, _, stamp, _ in read_messages(folder) if name == topic]
+
+
+def node_of(graph, name):
+    return next(node for node in graph.nodes if node.get_name() == name)
+
+
+def after_steps(graph, steps: int, act) -> None:
+    """Call ``act`` from another thread once the recorder has written so many steps."""
+    recorder = node_of(graph, interface.RECORDER)
+
+    def wait() -> None:
+        deadline = time.monotonic() + 60
+        while getattr(recorder, '_written', 0) < steps and time.monotonic() < deadline:
+            time.sleep(0.01)
+        act()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@pytest.mark.parametrize(
+    ('who', 'method'),
+    [
+        (interface.PERCEPTION, '_know'),
+        (interface.STEERING_CONTROLLER, '_answer'),
+        (interface.MTL_MONITOR, '_judge_step'),
+    ],
+)
+def test_given_a_node_that_raises_mid_run_then_the_run_names_it_and_why(
+    who, method, tmp_path, monkeypatch
+):
+    options = GraphOptions(perception='truth', out=tmp_path)
+    calls = {'n': 0}
+    kinds = {kind for kind, _ in options.nodes().values()}
+    owner = next(
+        base for kind in kinds for base in kind.__mro__ if method in vars(base)
+    )
+    original = getattr(owner, method)
+
+    def failing(self, *args):
+        calls['n'] += 1
+        if calls['n'] == 20:
+            raise RuntimeError('lost the plot')
+        return original(self, *args)
+
+    monkeypatch.setattr(owner, method, failing)
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert result.outcome is Outcome.INFRA_ERROR
+    assert (result.kind, result.who) == ('node_error', who)
+    assert 'lost the plot' in result.detail
+    assert result.rho == {}
+    stamps = truth_stamps(tmp_path / 'run')
+    assert len(stamps) >= 19
+    assert stamps == sorted(stamps)
+
+
+def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, monkeypatch):
+    from taxinet_ros.nodes.steering_controller import SteeringController
+
+    original = SteeringController._answer
+    monkeypatch.setattr(
+        SteeringController, '_answer',
+        lambda self, message: original(self, message) if message.seq < 15 else None,
+    )
+    options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 0.5})
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'timeout')
+    assert result.who == interface.STEERING_CONTROLLER
+    assert result.last_seq == 15
+    assert len(truth_stamps(tmp_path / 'run')) == 16
+
+
+def test_given_a_missing_node_then_the_run_is_not_begun_and_it_is_named(tmp_path):
+    class WithoutController(GraphOptions):
+        def nodes(self):
+            nodes = super().nodes()
+            del nodes[interface.STEERING_CONTROLLER]
+            return nodes
+
+    options = WithoutController(
+        perception='truth', out=tmp_path, timeouts={'ready_timeout': 1.0}
+    )
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
+    assert interface.STEERING_CONTROLLER in result.who
+
+
+@pytest.mark.parametrize(
+    ('who', 'number', 'word'),
+    [
+        (interface.PERCEPTION, signal.SIGKILL, 'SIGKILL'),
+        (interface.SIMULATOR, signal.SIGKILL, 'SIGKILL'),
+        (interface.RECORDER, signal.SIGKILL, 'SIGKILL'),
+    ],
+)
+def test_given_a_node_process_that_dies_then_the_run_ends_at_once_and_names_it(
+    who, number, word, tmp_path
+):
+    options = GraphOptions(perception='truth', out=tmp_path)
+    with process_graph(options, tmp_path / 'logs') as graph:
+        victim = next(child for child in graph.children if child.name == who)
+
+        def kill_once_recorded() -> None:
+            bag = tmp_path / 'run' / 'run_0.mcap'
+            deadline = time.monotonic() + 60
+            while time.monotonic() < deadline:
+                if bag.exists() and bag.stat().st_size > 300_000:
+                    break
+                time.sleep(0.01)
+            os.kill(victim.process.pid, number)
+
+        threading.Thread(target=kill_once_recorded, daemon=True).start()
+        (result,) = run(graph, request(duration=600.0))
+    assert result.outcome is Outcome.INFRA_ERROR
+    assert (result.kind, result.who) == ('died', who)
+    assert word in result.detail
+    stamps = truth_stamps(tmp_path / 'run')
+    assert len(stamps) >= 2
+    assert stamps == [k * 100_000_000 for k in range(len(stamps))]
+
+
+def test_given_a_bag_that_exists_then_it_is_not_overwritten_and_the_run_fails(tmp_path):
+    (tmp_path / 'run').mkdir()
+    (tmp_path / 'run' / 'precious').write_text('data')
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        (result,) = run(graph, request(duration=1.0))
+    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, interface.RECORDER)
+    assert [file.name for file in (tmp_path / 'run').iterdir()] == ['precious']
+
+
+def test_given_an_interrupt_then_the_run_at_hand_ends_in_order_and_no_more_are_begun(tmp_path):
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        after_steps(graph, 10, graph.interrupt)
+        results = run(graph, request('one', 600.0), request('two', 600.0))
+    assert [result.outcome for result in results] == [Outcome.INTERRUPTED]
+    assert (tmp_path / 'one' / 'metadata.yaml').exists()
+    assert not (tmp_path / 'two').exists()
+
+
+def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_reason(tmp_path):
+    from taxinet_ros.nodes import convert
+
+    original = convert.scenario_message
+
+    def broken(asked):
+        message = original(asked)
+        message.cross_track = 99.0
+        return message
+
+    import taxinet_ros.nodes.scenario_sampler as sampler
+
+    sampler.scenario_message, kept = broken, sampler.scenario_message
+    try:
+        with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+            (result,) = run(graph, request(duration=1.0))
+    finally:
+        sampler.scenario_message = kept
+    assert result.outcome is Outcome.REJECTED
+    assert 'cross_track_m is 99' in result.detail

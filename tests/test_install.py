@@ -1,0 +1,194 @@
+"""What pip and colcon lay down: libraries, messages, executables for ``ros2 run``, shared files."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+import taxinet_msgs.action
+import taxinet_msgs.msg
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+import taxinet_ros
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+PREFIX = Path(sys.prefix)
+EXECUTABLES = {
+    'ground_truth_perception',
+    'mtl_monitor',
+    'recorder',
+    'scenario_sampler',
+    'simulator',
+    'steering_controller',
+    'taxinet',
+    'taxinet_perception',
+}
+MESSAGES = sorted((REPOSITORY / 'msg_defs' / 'msg').glob('*.msg'))
+ROS_NAME = re.compile(r'<(?:depend|exec_depend)>(\w+)</')
+
+
+def run(*command: str | Path, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, its output as text."""
+    return subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, timeout=100, **more
+    )
+
+
+def fields_in(definition: Path) -> list[str]:
+    """Names of the fields of a .msg file, constants left out."""
+    lines = [line.split('#')[0].split() for line in definition.read_text().splitlines()]
+    return [words[1] for words in lines if len(words) == 2 and '=' not in words[1]]
+
+
+def shipped_files() -> list[Path]:
+    """Files of the repository that belong below share/taxinet_ros."""
+    folders = [REPOSITORY / name for name in ('config', 'launch', 'scenarios')]
+    found = [path for folder in folders for path in folder.rglob('*') if path.is_file()]
+    return [path for path in found if '__pycache__' not in path.parts]
+
+
+def imported_packages() -> set[str]:
+    """Top-level names that taxinet_ros imports, the standard library's left out."""
+    names = set()
+    for path in (REPOSITORY / 'taxinet_ros').rglob('*.py'):
+        for statement in ast.walk(ast.parse(path.read_text())):
+            if isinstance(statement, ast.Import):
+                names |= {alias.name.split('.')[0] for alias in statement.names}
+            elif isinstance(statement, ast.ImportFrom) and statement.module:
+                names.add(statement.module.split('.')[0])
+    return names - set(sys.stdlib_module_names) - {'taxinet_ros'}
+
+
+def requirements() -> list[Requirement]:
+    """Everything that setup.py asks for, extras included."""
+    return [Requirement(text) for text in metadata.requires('taxinet_ros') or []]
+
+
+def test_given_two_opencv_builds_when_one_is_imported_then_it_needs_no_display() -> None:
+    cv2 = importlib.import_module('cv2')
+    assert re.search(r'GUI: +NONE', cv2.getBuildInformation())
+
+
+def test_given_the_environment_when_pip_checks_it_then_nothing_is_missing_or_clashes() -> None:
+    done = run(sys.executable, '-m', 'pip', 'check')
+    assert done.returncode == 0, done.stdout
+
+
+def test_given_the_requirements_when_compared_with_constraints_then_each_is_at_its_pin() -> None:
+    lines = (REPOSITORY / 'constraints.txt').read_text().splitlines()
+    pins = dict(line.split('==') for line in lines if '==' in line and not line.startswith('#'))
+    names = [canonicalize_name(requirement.name) for requirement in requirements()]
+    assert len(names) > 20
+    installed = {name: Version(metadata.version(name)).public for name in names}
+    assert installed == {name: pins.get(name) for name in names}
+
+
+def test_given_the_source_when_its_imports_are_listed_then_all_are_declared() -> None:
+    distributions = metadata.packages_distributions()
+    declared = {canonicalize_name(requirement.name) for requirement in requirements()}
+    of_ros = set(ROS_NAME.findall((REPOSITORY / 'package.xml').read_text()))
+    imported = imported_packages()
+    assert len(imported) > 10
+    undeclared = {
+        name
+        for name in imported - of_ros
+        if not declared & {canonicalize_name(d) for d in distributions.get(name, ())}
+    }
+    assert undeclared == set()
+
+
+def test_given_the_versions_when_compared_then_package_and_manifest_agree() -> None:
+    manifest = (REPOSITORY / 'package.xml').read_text()
+    assert f'<version>{taxinet_ros.__version__}</version>' in manifest
+    assert metadata.version('taxinet_ros') == taxinet_ros.__version__
+
+
+def test_given_the_source_tree_when_listed_then_every_folder_is_a_package() -> None:
+    folders = {path.parent for path in (REPOSITORY / 'taxinet_ros').rglob('*.py')}
+    assert len(folders) > 5
+    assert [folder for folder in folders if not (folder / '__init__.py').exists()] == []
+
+
+@pytest.mark.parametrize('definition', MESSAGES, ids=lambda path: path.stem)
+def test_given_a_message_definition_when_imported_then_it_has_those_fields(
+    definition: Path,
+) -> None:
+    message = getattr(taxinet_msgs.msg, definition.stem)
+    assert list(message.get_fields_and_field_types()) == fields_in(definition)
+
+
+def test_given_the_action_when_imported_then_it_carries_a_scenario() -> None:
+    goal = taxinet_msgs.action.RunScenario.Goal
+    assert goal.get_fields_and_field_types() == {'scenario': 'taxinet_msgs/Scenario'}
+
+
+def test_given_the_installation_when_ros2_looks_for_executables_then_all_are_there() -> None:
+    folder = PREFIX / 'lib' / 'taxinet_ros'
+    found = {path.name for path in folder.iterdir() if os.access(path, os.X_OK)}
+    assert found == EXECUTABLES
+
+
+@pytest.mark.parametrize('name', sorted(EXECUTABLES))
+def test_given_an_executable_when_its_module_is_imported_then_it_has_a_main(name: str) -> None:
+    wrapper = (PREFIX / 'lib' / 'taxinet_ros' / name).read_text()
+    assert wrapper == (REPOSITORY / 'scripts' / name).read_text()
+    module = re.search(r'from ([\w.]+) import main', wrapper)
+    assert module
+    assert callable(importlib.import_module(module[1]).main)
+
+
+def test_given_no_activated_environment_when_an_executable_runs_then_it_finds_its_python(
+    tmp_path: Path,
+) -> None:
+    executable = PREFIX / 'lib' / 'taxinet_ros' / 'taxinet'
+    done = run(executable, '--help', cwd=tmp_path, env={'PATH': '/usr/bin:/bin'})
+    assert done.returncode == 0, done.stderr
+    assert 'demo' in done.stdout
+
+
+def test_given_the_installation_when_shared_files_are_read_then_they_are_the_repository_s() -> None:
+    share = PREFIX / 'share' / 'taxinet_ros'
+    shipped = shipped_files()
+    assert len(shipped) > 3
+    differing = [
+        path
+        for path in shipped
+        if (share / path.relative_to(REPOSITORY)).read_bytes() != path.read_bytes()
+    ]
+    assert differing == []
+    assert (PREFIX / 'share/ament_index/resource_index/packages/taxinet_ros').exists()
+
+
+def test_given_a_colcon_workspace_when_built_then_ros2_run_and_launch_find_everything(
+    tmp_path: Path,
+) -> None:
+    bases = ('--build-base', tmp_path / 'build', '--install-base', tmp_path / 'install')
+    done = run(
+        *(PREFIX / 'bin' / 'colcon', '--log-base', tmp_path / 'log'),
+        *('build', '--base-paths', REPOSITORY, *bases),
+        cwd=tmp_path,
+        env={
+            **os.environ,
+            'PATH': f'{PREFIX}/bin:{os.environ["PATH"]}',
+            'AMENT_PREFIX_PATH': str(PREFIX),
+            'CMAKE_PREFIX_PATH': str(PREFIX),
+        },
+    )
+    assert done.returncode == 0, done.stderr
+    installed = tmp_path / 'install' / 'taxinet_ros'
+    executables = (installed / 'lib' / 'taxinet_ros').iterdir()
+    assert {path.name for path in executables if os.access(path, os.X_OK)} == EXECUTABLES
+    assert (installed / 'share/taxinet_ros/launch/taxinet.launch.py').exists()
+    assert (installed / 'share/ament_index/resource_index/packages/taxinet_ros').exists()
+    package = next(installed.glob('lib/python3*/site-packages/taxinet_ros'))
+    assert list(package.glob('core/aircraft_models/*/*.xml'))
