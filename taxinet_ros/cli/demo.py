@@ -72,8 +72,8 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
             paths.append(Trajectory(
                 label=options.perception,
                 t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
-                x_m=trace['x_m'],
-                cte_m=trace['cte_m'],
+                x_m=trace['x_m'].astype(np.float64),
+                cte_m=trace['cte_m'].astype(np.float64),
                 ok=row.outcome is Outcome.PASS if row.outcome.judged else None,
             ))
     return paths

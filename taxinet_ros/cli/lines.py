@@ -50,7 +50,7 @@ def row_line(row: RunRow) -> Text:
 
 def scene_words(row: RunRow) -> str:
     """A scene in a few words, in the units people read; empty where none was drawn."""
-    if row.cross_track is None:
+    if row.time_of_day is None or row.rain is None:
         return ''
     hours, minutes = divmod(round(row.time_of_day * 60), 60)
     rain = f' rain {row.rain:.0f} %' if row.rain > 0 else ''

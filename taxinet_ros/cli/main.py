@@ -91,6 +91,29 @@ def demo(
     raise typer.Exit(run_demo(out, runs=runs, seed=seed))
 
 
+@app.command()
+def train(
+    program: ScenarioArgument,
+    out: Annotated[Path, typer.Option(help='weights file to write, NAME.safetensors')],
+    images: Annotated[int, typer.Option(help='pictures to train on, one per scene')] = 12_000,
+    validation: Annotated[int, typer.Option(help='scenes held back to measure on')] = 1_500,
+    epochs: Annotated[int, typer.Option(help='times that every picture is seen')] = 20,
+    batch: Annotated[int, typer.Option(help='pictures per step')] = 64,
+    learning_rate: Annotated[float, typer.Option(help='highest of the schedule')] = 3e-3,
+    seed: Annotated[int, typer.Option(help='of everything random')] = 1,
+    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
+    overwrite: Annotated[bool, typer.Option('--overwrite', help='replace what is there')] = False,
+) -> None:
+    """Train TaxiNet on rendered frames of a program's scenes; writes weights and model card."""
+    from taxinet_ros.cli.train import run_train
+    from taxinet_ros.training.train import TrainOptions
+
+    run_train(TrainOptions(
+        program=program, out=out, images=images, validation=validation, epochs=epochs,
+        batch=batch, learning_rate=learning_rate, seed=seed, workers=workers, overwrite=overwrite,
+    ))
+
+
 @app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})
 def node(
     context: typer.Context,

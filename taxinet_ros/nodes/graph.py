@@ -16,7 +16,6 @@ import rclpy
 from domain_coordinator import domain_id
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from taxinet_ros.core.outcome import RunRequest, RunResult
@@ -26,9 +25,11 @@ from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
 from taxinet_ros.nodes.simulator import Simulator
+from taxinet_ros.nodes.spinning import spin_until
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
+NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
 
@@ -48,10 +49,10 @@ class GraphOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
 
-    def nodes(self) -> dict[str, tuple[type[Node], dict[str, Any]]]:
+    def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node but the sampler, by node name."""
         if self.perception == 'truth':
-            perception: tuple[type[Node], dict[str, Any]] = (GroundTruthPerception, {})
+            perception: tuple[NodeClass, dict[str, Any]] = (GroundTruthPerception, {})
         else:
             perception = (TaxinetPerception, {'weights': self.perception})
         return {
@@ -137,8 +138,7 @@ class _Composed:
         self._sampler = sampler
         self.add(sampler)
         finished = sampler.start(self._executor, requests, on_result)
-        self._executor.spin_until_future_complete(finished)
-        finished.result()
+        spin_until(self._executor, finished)
 
     def interrupt(self) -> None:
         if self._sampler is not None:

@@ -10,9 +10,11 @@ import rclpy
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from taxinet_ros.core.errors import UsageError
 
+RCLInvalidROSArgsError = rclpy_implementation.RCLInvalidROSArgsError
 _INTERRUPTS = (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException)
 
 
@@ -45,7 +47,7 @@ def run_node(
         code = _complain(str(error), 2)
     except rclpy.exceptions.InvalidHandle as error:
         code = _complain(str(error), 4)
-    except rclpy._rclpy_pybind11.RCLInvalidROSArgsError as error:
+    except RCLInvalidROSArgsError as error:
         code = _complain(' '.join(str(error).split()), 2)
     finally:
         rclpy.try_shutdown()

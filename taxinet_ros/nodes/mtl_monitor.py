@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from taxinet_msgs.msg import NodeStatus, Scenario, Verdict
@@ -10,7 +11,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.loop import MAX_GAP_NS, signals
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import Spec, parse_spec
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
@@ -39,10 +40,10 @@ class MtlMonitor(Participant):
         self._robustness = self.speak(interface.ROBUSTNESS)
         self._verdict = self.speak(interface.VERDICT)
         self._progress = self.speak(interface.PROGRESS)
-        self._specs = ()
+        self._specs: tuple[Spec, ...] = ()
         self._last_seq = -1
         for topic in _INPUTS:
-            self.listen(topic, lambda message, name=topic.name: self._collect(name, message))
+            self.listen(topic, functools.partial(self._collect, topic.name))
 
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""

@@ -24,6 +24,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.nodes.graph import Graph, GraphOptions, OnResult, own_domain
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
+from taxinet_ros.nodes.spinning import spin_until
 
 _POLL_S = 0.1
 _GRACE_S = 5.0
@@ -113,8 +114,7 @@ class _Processes:
         sampler.create_timer(_POLL_S, self._watch, clock=steady)
         self._executor.add_node(sampler)
         finished = sampler.start(self._executor, requests, on_result)
-        self._executor.spin_until_future_complete(finished)
-        finished.result()
+        spin_until(self._executor, finished)
 
     def interrupt(self) -> None:
         if self._sampler is not None:
@@ -132,7 +132,8 @@ class _Processes:
                 continue
             if child.process.returncode == 2:
                 raise UsageError(child.obituary().split('error: ', 1)[-1])
-            self._sampler.mourn(child.name, child.obituary())
+            if self._sampler is not None:
+                self._sampler.mourn(child.name, child.obituary())
 
 
 def _end(children: list[_Child]) -> None:

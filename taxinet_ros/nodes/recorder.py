@@ -166,12 +166,14 @@ class Recorder(Participant):
         self._held.clear()
 
     def _write_step(self, seq: int, messages: dict[str, list[bytes]]) -> None:
+        assert self._writer is not None
         for topic in _STEPPED:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
         self._writer.flush()
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        assert self._writer is not None
         name = bag_name(topic)
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
@@ -191,6 +193,7 @@ class Recorder(Participant):
             self._write(interface.VERDICT, self._verdict, stamp_ns)
         self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
         writer, self._writer = self._writer, None
+        assert writer is not None
         writer.add_metadata('taxinet_outcome', {
             'outcome': self._ended.outcome, 'kind': self._ended.kind, 'who': self._ended.who,
             'detail': self._ended.detail, 'steps': str(self._written),

@@ -116,13 +116,12 @@ class ScenarioSampler(Node):
         self._request, self.seq = request, 0
         self._answer = Future(executor=self._executor)
         self._asked, self._last_heard = time.monotonic(), 0.0
-        self._executor.create_task(self._ask, request)
+        self._executor.create_task(self._ask, request, self._answer)
         result = await self._answer
         self._goal = self._request = None
         return result
 
-    async def _ask(self, request: RunRequest) -> None:
-        answer = self._answer
+    async def _ask(self, request: RunRequest, answer: Future) -> None:
         self._server_found = Future(executor=self._executor)
         await self._server_found
         if answer.done():

@@ -207,7 +207,8 @@ class Simulator(Node):
         self._say(interface.TRUTH, error_message(truth, run.run_id, now.seq, now.stamp_ns))
         self._camera_info.header = header(now.stamp_ns, interface.CAMERA_FRAME)
         self._say(interface.CAMERA_INFO, self._camera_info)
-        self._say(interface.IMAGE, image_message(now.image, now.stamp_ns))
+        if now.image is not None:
+            self._say(interface.IMAGE, image_message(now.image, now.stamp_ns))
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not verdict.complete:

@@ -13,6 +13,7 @@ from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
+from taxinet_ros.nodes.spinning import spin_until
 
 
 def run_standalone() -> None:
@@ -52,10 +53,8 @@ def _work(node: _CampaignNode, executor: Any) -> int:
 
     with Campaign(node.options, node.participants, show) as campaign:
         finished = node.start(executor, campaign.requests(), campaign.take)
-        executor.spin_until_future_complete(finished)
-        if finished.done():
-            finished.result()
+        whole = spin_until(executor, finished)
     outcomes = {row.outcome for row in campaign.rows}
-    if not finished.done() or Outcome.INFRA_ERROR in outcomes:
+    if not whole or Outcome.INFRA_ERROR in outcomes:
         return 4
     return 1 if Outcome.FAIL in outcomes else 0

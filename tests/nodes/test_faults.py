@@ -1,4 +1,4 @@
-"""Trouble in the graph ends the run as INFRA_ERROR that names who failed; the bag stays readable."""
+"""Trouble in the graph ends the run as INFRA_ERROR naming who failed; the bag stays readable."""
 
 import os
 import signal
