@@ -11,10 +11,15 @@ from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.task import Future
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes.spinning import spin_until
 
-RCLInvalidROSArgsError = rclpy_implementation.RCLInvalidROSArgsError
+_BAD_ARGUMENTS = (
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.RCLError,
+)
 _INTERRUPTS = (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException)
 
 
@@ -36,7 +41,7 @@ def run_node(
         executor.add_node(node)
         try:
             if work is None:
-                executor.spin()
+                spin_until(executor, Future())
             else:
                 code = work(node, executor)
         finally:
@@ -47,8 +52,9 @@ def run_node(
         code = _complain(str(error), 2)
     except rclpy.exceptions.InvalidHandle as error:
         code = _complain(str(error), 4)
-    except RCLInvalidROSArgsError as error:
-        code = _complain(' '.join(str(error).split()), 2)
+    except _BAD_ARGUMENTS as error:
+        # What follows is where in the C code it was noticed.
+        code = _complain(' '.join(str(error).split(', at /')[0].split()), 2)
     finally:
         rclpy.try_shutdown()
     sys.exit(code)

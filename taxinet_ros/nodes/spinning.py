@@ -15,7 +15,7 @@ def spin_until(executor: Any, done: Future) -> bool:
     Returns:
         Whether it is done.
     """
-    # Without a timeout the events executor (rclpy 7.1) waits for the future and runs no callback.
+    # Without a timeout the events executor of rclpy 7.1 turns in circles and runs no callback.
     while not done.done() and executor.context.ok():
         executor.spin_until_future_complete(done, timeout_sec=_SLICE_S)
     if done.done():
