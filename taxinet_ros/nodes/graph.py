@@ -6,6 +6,7 @@ Both start the same node classes on a ROS domain of their own, with discovery on
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -74,6 +75,10 @@ class Graph(Protocol):
         """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
 
 
+# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
+_domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
+
+
 @contextlib.contextmanager
 def own_domain() -> Iterator[int]:
     """Reserve a ROS domain id that no other graph on this machine uses, if all of them reserve.
@@ -85,7 +90,7 @@ def own_domain() -> Iterator[int]:
         yield int(fixed)
         return
     # Entered and left by hand: the library's manager swallows an OSError of its body.
-    reservation = domain_id()
+    reservation = domain_id(_domains.__next__)
     number = reservation.__enter__()
     try:
         yield number

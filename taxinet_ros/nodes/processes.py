@@ -122,6 +122,7 @@ class _Processes:
 
     def close(self) -> None:
         if self._sampler is not None:
+            self._sampler.close()
             self._executor.remove_node(self._sampler)
             self._sampler.destroy_node()
         self._executor.shutdown()

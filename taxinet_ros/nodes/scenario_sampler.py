@@ -90,7 +90,8 @@ class ScenarioSampler(Node):
             )
 
     def close(self) -> None:
-        """Nothing to save: every answer is already taken."""
+        """Leave the graph; every answer is already taken."""
+        self._client.destroy()
 
     async def _campaign(
         self, finished: Future, requests: Iterator[RunRequest],

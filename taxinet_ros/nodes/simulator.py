@@ -78,7 +78,8 @@ class Simulator(Node):
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
     def close(self) -> None:
-        """Nothing to save: the recorder owns what was seen."""
+        """Leave the graph: a server that lingers would answer the next graph's goals."""
+        self._server.destroy()
 
     # The action ------------------------------------------------------------------------------
 
