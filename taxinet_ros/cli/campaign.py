@@ -39,17 +39,17 @@ def campaign_rows(options: CampaignOptions) -> list[RunRow]:
         bar = progress.add_task('', total=options.runs)
 
         def show(row: RunRow) -> None:
-            progress.console.print(row_line(row))
+            progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
         with Campaign(options, PARTICIPANTS, show) as campaign, _interrupts() as interrupts:
-            progress.console.print(heading(options))
+            progress.console.print(heading(options), soft_wrap=True)
             while campaign.unfinished and not interrupts.asked:
                 with _graph(options) as graph:
                     interrupts.graph = graph
                     graph.run(campaign.requests(), campaign.take)
                     interrupts.graph = None
-    console.print(summary(campaign.rows, options))
+    console.print(summary(campaign.rows, options), soft_wrap=True)
     return campaign.rows
 
 

@@ -34,11 +34,11 @@ def heading(options: CampaignOptions) -> str:
 def row_line(row: RunRow) -> Text:
     """One run: outcome, robustness, worst deviation, speed, scene."""
     text = Text(f'{row.index:5d}  ')
-    text.append(f'{row.outcome:<11}', style=_STYLES[row.outcome])
+    text.append(f'{row.outcome:<5}', style=_STYLES[row.outcome])
     if row.outcome.judged:
         headline = next(iter(row.rho.values()))
-        text.append(f' rho {headline:+7.2f}  max |CTE| {row.max_cross_track_m:5.1f} m  ')
-        text.append('OFF RUNWAY  ' if row.left_runway else '', style='red')
+        text.append(f' rho {headline:+7.2f}  |CTE| <= {row.max_cross_track_m:4.1f} m  ')
+        text.append('off runway  ' if row.left_runway else ' ' * 12, style='red')
         text.append(f'{row.real_time_factor:5.1f}x  ')
     else:
         words = [word for word in (row.kind, row.who) if word]

@@ -32,5 +32,6 @@ def run_train(options: TrainOptions) -> None:
         card = train(options, show)
     for quantity, errors in card.errors.items():
         figures = ', '.join(f'{name} {value:.3g}' for name, value in errors.items())
-        console.print(f'{quantity}: {figures}')
-    console.print(f'weights: {options.out}, model card: {options.out.with_suffix(".json")}')
+        console.print(f'{quantity}: {figures}', soft_wrap=True)
+    card_path = options.out.with_suffix('.json')
+    console.print(f'weights: {options.out}, model card: {card_path}', soft_wrap=True)

@@ -99,6 +99,10 @@ class Topic:
         names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
         return len(names & {SIMULATOR, *participants})
 
+    def speakers(self, participants: Sequence[str]) -> int:
+        """How many of the nodes of a run publish."""
+        return len(set(self.publishers) & {SIMULATOR, *participants})
+
 
 SCENARIO = Topic(
     name='scenario', type=Scenario, qos=LATCHED, publishers=(SIMULATOR,),

@@ -9,6 +9,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
 from taxinet_ros.nodes import interface
@@ -38,7 +39,7 @@ class Participant(Node):
         self.fingerprint = ''
         self._scenario: Scenario | None = None
         self._speakers: list[tuple[Topic, Publisher]] = []
-        self._listens: list[str] = []
+        self._listeners: list[tuple[Topic, Subscription]] = []
         self._status = self.speak(interface.NODE_STATUS)
         self.listen(interface.SCENARIO, self._take)
         # Getting ready is about processes finding each other, so it runs on wall time.
@@ -57,9 +58,9 @@ class Participant(Node):
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe to a topic of the table, with every exception reported."""
-        self._listens.append(topic.name)
         guarded = self._guarded(callback)
-        self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
+        heard = self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
+        self._listeners.append((topic, heard))
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Tell the simulator how this node stands in the current run."""
@@ -67,6 +68,7 @@ class Participant(Node):
 
     def status(self, state: int, *, seq: int, stamp_ns: int, detail: str = '') -> NodeStatus:
         """A status message of this node for the current run."""
+        ready = state == NodeStatus.READY
         return NodeStatus(
             header=header(stamp_ns, ''),
             run_id=self.run_id,
@@ -74,7 +76,7 @@ class Participant(Node):
             state=state,
             seq=seq,
             detail=detail,
-            listens=self._listens if state == NodeStatus.READY else [],
+            listens=[topic.name for topic, _ in self._listeners] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
         )
@@ -92,12 +94,18 @@ class Participant(Node):
         self._report_ready()
 
     def _report_ready(self) -> None:
-        """Report ready as soon as each publisher has found all its subscribers of this run."""
+        """Report ready as soon as every end has found all its other ends of this run.
+
+        Both directions count: a reader that does not know its writer yet drops what that sends.
+        """
         if self._scenario is None or self._poll.is_canceled():
             return
         present = self._scenario.participants
         for topic, publisher in self._speakers:
             if publisher.get_subscription_count() < topic.listeners(present):
+                return
+        for topic, heard in self._listeners:
+            if heard.get_publisher_count() < topic.speakers(present):
                 return
         self._poll.cancel()
         self.report(NodeStatus.READY)

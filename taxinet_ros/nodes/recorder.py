@@ -73,6 +73,7 @@ class Recorder(Participant):
         refuse_unknown(self)
         self._canonical = Canonical(bag_topics())
         self._writer: BagWriter | None = None
+        self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
         for topic in _STEPPED:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
@@ -89,7 +90,6 @@ class Recorder(Participant):
             for topic in _STEPPED
         }
         self._steps = StepCollector(self._expected)
-        self._ready: dict[str, bytes] = {}
         self._held: list[tuple[int, dict[str, list[bytes]]]] = []
         self._verdict: bytes | None = None
         self._ended: RunStatus | None = None
@@ -121,13 +121,13 @@ class Recorder(Participant):
 
     def _on_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, NodeStatus)
-        if self._writer is None or status.run_id != self.run_id:
+        if status.state != NodeStatus.READY or status.node in self._ready_for(status.run_id):
             return
-        if status.state == NodeStatus.READY and status.node not in self._ready:
-            self._ready[status.node] = cdr
-            if self._head_known():
-                self._write_head()
-                self._write_steps()
+        # Another node may be ready before this one has even heard of the run.
+        self._reports[status.node] = (status.run_id, cdr)
+        if self._writer is not None and status.run_id == self.run_id and self._head_known():
+            self._write_head()
+            self._write_steps()
 
     def _on_verdict(self, cdr: bytes) -> None:
         message = deserialize_message(cdr, interface.VERDICT.type)
@@ -146,12 +146,16 @@ class Recorder(Participant):
     # Writing ---------------------------------------------------------------------------------
 
     def _head_known(self) -> bool:
-        return set(self._ready) == set(self._scenario_message.participants)
+        return set(self._ready_for(self.run_id)) == set(self._scenario_message.participants)
+
+    def _ready_for(self, run_id: str) -> dict[str, bytes]:
+        """Reports of the nodes that are ready for a run, by node."""
+        return {node: cdr for node, (run, cdr) in self._reports.items() if run == run_id}
 
     def _write_head(self) -> None:
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
-        for node in sorted(self._ready):
-            self._write(interface.NODE_STATUS, self._ready[node], 0)
+        for _, cdr in sorted(self._ready_for(self.run_id).items()):
+            self._write(interface.NODE_STATUS, cdr, 0)
 
     def _write_steps(self) -> None:
         """Write what is whole, once the head of the bag is on disk."""

@@ -86,7 +86,7 @@ class ScenarioSampler(Node):
             self._answer.set_result(_broken('died', node, detail, self.seq))
         else:
             self._obituary.publish(
-                NodeStatus(run_id=run_id, node=node, state=NodeStatus.ERROR, detail=detail)
+                NodeStatus(run_id=run_id, node=node, state=NodeStatus.DIED, detail=detail)
             )
 
     def close(self) -> None:

@@ -16,6 +16,7 @@ from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
 
@@ -37,6 +38,7 @@ from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.run_state import ActiveRun
 
 _WATCH_PERIOD_S = 0.1
+_TROUBLE = {NodeStatus.ERROR: 'node_error', NodeStatus.DIED: 'died'}
 
 
 class Simulator(Node):
@@ -52,6 +54,7 @@ class Simulator(Node):
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._speakers: dict[str, Publisher] = {}
+        self._listeners: list[tuple[Topic, Subscription]] = []
         for topic in interface.TOPICS:
             if interface.SIMULATOR in topic.publishers:
                 self._speakers[topic.name] = self.create_publisher(
@@ -65,7 +68,8 @@ class Simulator(Node):
             (interface.COMMAND, self._on_command),
             (interface.VERDICT, self._on_verdict),
         ):
-            self.create_subscription(topic.type, topic.name, callback, topic.qos)
+            heard = self.create_subscription(topic.type, topic.name, callback, topic.qos)
+            self._listeners.append((topic, heard))
         self._server = ActionServer(
             self,
             interface.RUN_SCENARIO_TYPE,
@@ -125,8 +129,8 @@ class Simulator(Node):
             run.lockstep.ready(status.node)
             run.heard()
             self._start_if_ready(run)
-        elif status.state == NodeStatus.ERROR:
-            self._fail(run, 'node_error', status.node, status.detail)
+        elif status.state in _TROUBLE:
+            self._fail(run, _TROUBLE[status.state], status.node, status.detail)
         elif status.state == NodeStatus.DONE and run.ending is not None:
             run.finish()
 
@@ -175,13 +179,19 @@ class Simulator(Node):
         self._publish_frame(run)
 
     def _deaf(self, run: ActiveRun) -> list[str]:
-        """Topics on which some participant has subscribed but this node has not found it yet."""
-        return [
+        """Topics on which this node has not yet found every other end of the run."""
+        unheard = [
             name
             for name, publisher in self._speakers.items()
             if publisher.get_subscription_count()
             < sum(name in listens for listens in run.listens.values())
         ]
+        unseen = [
+            topic.name
+            for topic, heard in self._listeners
+            if heard.get_publisher_count() < topic.speakers(run.participants)
+        ]
+        return unheard + unseen
 
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
