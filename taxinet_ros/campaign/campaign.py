@@ -27,6 +27,7 @@ from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.world import last_step
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -147,7 +148,7 @@ class Campaign:
 
     def _first_scene(self) -> None:
         with contextlib.suppress(Rejected):
-            self._source.scene(0)
+            last_step(self._source.scene(0))
 
     def _make_folder(self) -> None:
         out = self.options.out

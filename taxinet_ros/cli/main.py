@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import click
 import typer
+from typer.exceptions import TyperException
 
 from taxinet_ros import __version__
 from taxinet_ros.core.errors import InfraError, UsageError
@@ -21,7 +21,6 @@ USAGE, INFRA, INTERRUPTED = 2, 4, 130
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
@@ -133,6 +132,8 @@ def _main(
     if version:
         print(f'taxinet {__version__}')
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 def main() -> None:
@@ -143,16 +144,14 @@ def main() -> None:
 def _exit_code(command: Callable[[], object]) -> int:
     try:
         code = command()
-    except click.exceptions.NoArgsIsHelpError as error:
-        print(error.format_message())
-        return USAGE
-    except click.ClickException as error:
-        return _complain(error.format_message(), USAGE)
+    except TyperException as error:
+        text = getattr(error, 'format_message', error.__str__)()
+        return _complain(f'{text.rstrip(".")}; see taxinet --help', USAGE)
     except UsageError as error:
         return _complain(str(error), USAGE)
     except InfraError as error:
         return _complain(str(error), INFRA)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
     except BrokenPipeError:
         return INFRA
