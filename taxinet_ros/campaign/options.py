@@ -25,7 +25,8 @@ class CampaignOptions:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: ``truth``, ``taxinet`` or a weights file.
+        perception: ``truth``, ``taxinet`` or a weights file; '' where a graph that runs already
+            decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
         specs: formulas as text; the first is the headline.
@@ -68,9 +69,11 @@ def make_options(
     SteeringGains(**gains)
     chosen = tuple(specs) or DEFAULT_SPECS
     _check_specs(chosen)
-    check_perception(perception)
+    if perception:
+        check_perception(perception)
     if out is None:
-        stem = f'{Path(program).stem}-{Path(perception).stem}-seed{seed}'
+        words = (Path(program).stem, Path(perception).stem, f'seed{seed}')
+        stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     check_new(out)
     return CampaignOptions(

@@ -38,6 +38,7 @@ class ActiveRun:
             last_seq=self.world.last_seq,
         )
         self.listens: dict[str, set[str]] = {}
+        self.perception = {'perception': '', 'fingerprint': ''}
         self.started = False
         self.command: TaxiCommand | None = None
         self.verdict: Verdict | None = None
@@ -58,7 +59,8 @@ class ActiveRun:
         """A status message of this run at its present step."""
         seq = max(self.lockstep.seq, 0)
         return RunStatus(
-            header=header(seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state, seq=seq, **what
+            header=header(seq * CONTROL_PERIOD_NS), run_id=self.run_id, state=state, seq=seq,
+            **self.perception, **what,
         )
 
     def feedback(self) -> RunScenario.Feedback:

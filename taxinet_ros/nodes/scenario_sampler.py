@@ -34,12 +34,10 @@ class ScenarioSampler(Node):
         self._limits = (server_timeout_s, silence_timeout_s)
         self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         status = interface.NODE_STATUS
-        self.create_subscription(status.type, status.name, self._on_status, status.qos)
         self._obituary = self.create_publisher(status.type, status.name, status.qos)
         self._run_status = self.create_publisher(
             RunStatus, interface.RUN_STATUS.name, interface.RUN_STATUS.qos
         )
-        self._perceptions: dict[str, tuple[str, str]] = {}
         self._goal: Any = None
         self._answer: Future | None = None
         self._interrupted = False
@@ -101,11 +99,7 @@ class ScenarioSampler(Node):
             for request in requests:
                 started = time.monotonic()
                 result = await self._run(request)
-                perception, fingerprint = self._perceptions.get(request.run_id, ('', ''))
-                result = dataclasses.replace(
-                    result, wall_s=time.monotonic() - started,
-                    perception=perception, fingerprint=fingerprint,
-                )
+                result = dataclasses.replace(result, wall_s=time.monotonic() - started)
                 if not on_result(request, result) or self._interrupted:
                     break
             finished.set_result(None)
@@ -115,6 +109,7 @@ class ScenarioSampler(Node):
 
     async def _run(self, request: RunRequest) -> RunResult:
         self._request, self.seq = request, 0
+        self._server_found = Future(executor=self._executor)
         self._answer = Future(executor=self._executor)
         self._asked, self._last_heard = time.monotonic(), 0.0
         self._executor.create_task(self._ask, request, self._answer)
@@ -123,7 +118,6 @@ class ScenarioSampler(Node):
         return result
 
     async def _ask(self, request: RunRequest, answer: Future) -> None:
-        self._server_found = Future(executor=self._executor)
         await self._server_found
         if answer.done():
             return
@@ -143,10 +137,6 @@ class ScenarioSampler(Node):
     def _on_feedback(self, message: Any) -> None:
         self._last_heard = time.monotonic()
         self.seq = message.feedback.seq
-
-    def _on_status(self, status: NodeStatus) -> None:
-        if status.node == interface.PERCEPTION and status.state == NodeStatus.READY:
-            self._perceptions = {status.run_id: (status.implementation, status.fingerprint)}
 
     def _watch(self) -> None:
         answer = self._answer
@@ -182,6 +172,8 @@ def _result_of(answer: Any) -> RunResult:
         who=status.who,
         detail=status.detail,
         last_seq=status.seq,
+        perception=status.perception,
+        fingerprint=status.fingerprint,
         rho={spec.spec: spec.rho_lower for spec in verdict.specs} if judged else {},
         left_runway=judged and verdict.left_runway,
         max_cross_track_m=verdict.max_cross_track_error if judged else float('nan'),

@@ -126,6 +126,10 @@ class Simulator(Node):
             return
         if status.state == NodeStatus.READY:
             run.listens[status.node] = set(status.listens)
+            if status.node == interface.PERCEPTION:
+                run.perception = {
+                    'perception': status.implementation, 'fingerprint': status.fingerprint,
+                }
             run.lockstep.ready(status.node)
             run.heard()
             self._start_if_ready(run)

@@ -1,0 +1,84 @@
+"""Every node is an executable that starts in any order, and says in one line what it cannot do."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.nodes.graph import own_domain
+
+pytestmark = pytest.mark.ros
+
+FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
+
+
+def start(name: str, domain: int, *parameters: str, **how) -> subprocess.Popen[str]:
+    words = [str(FOLDER / name)]
+    for parameter in parameters:
+        words += ['--ros-args', '-p', parameter]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    return subprocess.Popen(words, env=environment, text=True, stderr=subprocess.PIPE, **how)
+
+
+def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_them(tmp_path):
+    with own_domain() as domain:
+        sampler = start(
+            'scenario_sampler', domain, 'program:=nominal', 'runs:=2', f'out:={tmp_path}/table',
+            'set:=["duration=3"]', 'specs:=["phi_always"]',
+        )
+        nodes = [
+            start('recorder', domain, f'out:={tmp_path}/bags'),
+            start('mtl_monitor', domain),
+            start('ground_truth_perception', domain),
+            start('steering_controller', domain, 'heading_gain:=1.5'),
+            start('simulator', domain),
+        ]
+        try:
+            _, errors = sampler.communicate(timeout=90)
+        finally:
+            for node in nodes:
+                node.terminate()
+            ends = [node.communicate(timeout=20) for node in nodes]
+            sampler.kill()
+    assert sampler.returncode == 0, errors
+    assert [node.returncode for node in nodes] == [0] * 5, ends
+    table = pd.read_parquet(tmp_path / 'table' / 'runs.parquet')
+    assert list(table['outcome']) == ['PASS', 'PASS']
+    assert list(table['perception']) == ['truth', 'truth']
+    for run_id in table['run_id']:
+        info = read_info(tmp_path / 'bags' / run_id)
+        assert info.complete
+        assert info.counts['/camera/image_raw'] == 31
+
+
+@pytest.mark.parametrize(
+    ('name', 'parameter', 'words'),
+    [
+        ('steering_controller', 'heading_gan:=1.0', 'did you mean heading_gain?'),
+        ('steering_controller', 'heading_gain:=100.0', 'allowed: 0.0..10.0'),
+        ('steering_controller', 'heading_gain:=fast', 'expecting type'),
+        ('simulator', 'answer_timeout:=-1.0', 'answer_timeout'),
+        ('mtl_monitor', 'formula:=x', "unknown parameter 'formula'"),
+        ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),
+        ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
+        ('recorder', 'min_free:=-5', 'min_free'),
+        ('scenario_sampler', 'program:=nowhere', 'known: nominal'),
+    ],
+)
+def test_given_a_bad_parameter_then_the_node_says_so_in_one_line_and_leaves(
+    name, parameter, words, tmp_path
+):
+    with own_domain() as domain:
+        node = start(name, domain, parameter, cwd=tmp_path)
+        _, errors = node.communicate(timeout=60)
+    assert node.returncode == 2, errors
+    (line,) = errors.strip().splitlines()
+    assert line.startswith('error: ')
+    assert words in line
+    assert list(tmp_path.iterdir()) == []
