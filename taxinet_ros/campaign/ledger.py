@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from taxinet_ros.bag.layout import sync_folder
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 
@@ -57,7 +58,7 @@ class Ledger:
             raise UsageError(f'ledger {path}: another campaign is writing to it') from error
         os.ftruncate(self._fd, len(_whole_lines(path.read_bytes())))
         os.fsync(self._fd)
-        fsync_folder(path.parent)
+        sync_folder(path.parent)
 
     def __enter__(self) -> Self:
         return self
@@ -129,12 +130,3 @@ def _take(
 
 def _whole_lines(data: bytes) -> bytes:
     return data[: data.rfind(b'\n') + 1]
-
-
-def fsync_folder(folder: Path) -> None:
-    """Make a new or renamed file's name last through a power cut."""
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

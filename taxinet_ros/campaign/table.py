@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 import pandas as pd
 
-from taxinet_ros.campaign.ledger import fsync_folder
+from taxinet_ros.bag.layout import sync_folder
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 
@@ -106,4 +106,4 @@ def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
-    fsync_folder(path.parent)
+    sync_folder(path.parent)

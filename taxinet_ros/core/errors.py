@@ -22,3 +22,7 @@ class InfraError(Exception):
         self.who = who
         self.step = step
         self.detail = detail
+
+    def __reduce__(self) -> tuple[type[InfraError], tuple[str, str, int, str]]:
+        """Survive the way home from a worker process."""
+        return InfraError, (self.kind, self.who, self.step, self.detail)

@@ -33,7 +33,6 @@ from taxinet_ros.core.mtl.ast import Formula, atoms, signal_names
 from taxinet_ros.core.mtl.offline import robustness
 from taxinet_ros.core.mtl.online import Monitor, Reading, Verdict, verdict_of
 from taxinet_ros.core.mtl.specs import (
-    HALF_WIDTH_M,
     SHIPPED,
     SIGNALS,
     Spec,
@@ -42,7 +41,6 @@ from taxinet_ros.core.mtl.specs import (
 )
 
 __all__ = [
-    'HALF_WIDTH_M',
     'SHIPPED',
     'SIGNALS',
     'Formula',

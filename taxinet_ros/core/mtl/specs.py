@@ -12,6 +12,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.parser import parse
+from taxinet_ros.core.runway import HALF_WIDTH_M
 
 SIGNALS: Mapping[str, str] = MappingProxyType(
     {
@@ -33,10 +34,6 @@ CENTRELINE_TOLERANCE_M = 1.5
 
 SETTLING_TIME_S = 10
 """Time that phi_eventually allows to reach the centreline for good [s]."""
-
-# The runway's: KMWH 04 is 100 ft wide.
-HALF_WIDTH_M = 15.24
-"""Half the width of the runway's pavement [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,0 +1,17 @@
+"""Trouble and outcomes keep their meaning wherever they travel."""
+
+import pickle
+
+from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.outcome import Outcome
+
+
+def test_given_trouble_in_a_worker_process_then_it_arrives_with_kind_name_and_step():
+    error = pickle.loads(pickle.dumps(InfraError('sim', 'simulator', 7, 'not finite')))
+    assert (error.kind, error.who, error.step, error.detail) == ('sim', 'simulator', 7, 'not finite')
+    assert str(error) == 'sim: simulator at step 7: not finite'
+
+
+def test_given_the_five_outcomes_then_only_pass_and_fail_carry_a_robustness():
+    assert [outcome for outcome in Outcome if outcome.judged] == [Outcome.PASS, Outcome.FAIL]
+    assert len(Outcome) == 5
