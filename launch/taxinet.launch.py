@@ -30,7 +30,7 @@ def arguments() -> list[DeclareLaunchArgument]:
         'runs': ('10', 'number of runs'),
         'seed': ('0', 'seed of the draws'),
         'out': (f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}', 'new folder for table and bags'),
-        'namespace': ('', 'namespace of the graph, so that several can share a domain'),
+        'namespace': ('', 'prefix of every topic of the graph but /clock'),
         'params': (str(config), "file with the nodes' parameters"),
     }
     return [

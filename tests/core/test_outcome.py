@@ -7,8 +7,9 @@ from taxinet_ros.core.outcome import Outcome
 
 
 def test_given_trouble_in_a_worker_process_then_it_arrives_with_kind_name_and_step():
-    error = pickle.loads(pickle.dumps(InfraError('sim', 'simulator', 7, 'not finite')))
-    assert (error.kind, error.who, error.step, error.detail) == ('sim', 'simulator', 7, 'not finite')
+    facts = ('sim', 'simulator', 7, 'not finite')
+    error = pickle.loads(pickle.dumps(InfraError(*facts)))
+    assert (error.kind, error.who, error.step, error.detail) == facts
     assert str(error) == 'sim: simulator at step 7: not finite'
 
 
