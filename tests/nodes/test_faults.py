@@ -112,7 +112,7 @@ def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, mon
         SteeringController, '_answer',
         lambda self, message: original(self, message) if message.seq < 15 else None,
     )
-    options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 0.5})
+    options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 2.0})
     with composed_graph(options) as graph:
         (result,) = run(graph, request())
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'timeout')
