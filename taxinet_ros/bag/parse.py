@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 
-import lz4.frame  # type: ignore[import-untyped]
+import lz4.frame  # type: ignore[import-untyped]  # lz4 has no stubs
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError

@@ -72,9 +72,10 @@ class Campaign:
         self._source.__enter__()
         try:
             self._first_scene()
-            self._make_folder()
+            facts = self._facts()
+            self._make_folder(facts)
             self._ledger = Ledger(self.options.out / 'ledger.jsonl')
-            self._ledger.campaign(self._facts())
+            self._ledger.campaign(facts)
         except BaseException:
             self._source.__exit__(None, None, None)
             raise
@@ -150,13 +151,12 @@ class Campaign:
         with contextlib.suppress(Rejected):
             last_step(self._source.scene(0))
 
-    def _make_folder(self) -> None:
+    def _make_folder(self, facts: dict[str, object]) -> None:
         out = self.options.out
         check_new(out)
         try:
             out.mkdir(parents=True, exist_ok=True)
-            text = json.dumps(self._facts(), indent=2) + '\n'
-            (out / 'campaign.json').write_text(text)
+            (out / 'campaign.json').write_text(json.dumps(facts, indent=2) + '\n')
         except OSError as error:
             raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
 
@@ -176,3 +176,24 @@ class Campaign:
             'specs': {spec.name: str(spec.formula) for spec in self._specs},
             'processes': options.processes,
         }
+
+
+def exit_code(rows: list[RunRow]) -> int:
+    """The exit code that a campaign's rows ask for.
+
+    Returns:
+        0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
+
+    Raises:
+        UsageError: every scene was rejected by the program's own requirements.
+    """
+    outcomes = {row.outcome for row in rows}
+    if Outcome.INTERRUPTED in outcomes:
+        return 130
+    if Outcome.INFRA_ERROR in outcomes:
+        return 4
+    if Outcome.FAIL in outcomes:
+        return 1
+    if Outcome.PASS not in outcomes:
+        raise UsageError('no run could be judged: every scene was rejected by its own requirements')
+    return 0

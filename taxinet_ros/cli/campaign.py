@@ -11,12 +11,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from taxinet_ros.campaign.campaign import Campaign
+from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.lines import heading, row_line, summary
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.processes import process_graph
@@ -51,20 +49,6 @@ def campaign_rows(options: CampaignOptions) -> list[RunRow]:
                     interrupts.graph = None
     console.print(summary(campaign.rows, options), soft_wrap=True)
     return campaign.rows
-
-
-def exit_code(rows: list[RunRow]) -> int:
-    """The exit code that a campaign's rows ask for."""
-    outcomes = {row.outcome for row in rows}
-    if Outcome.INTERRUPTED in outcomes:
-        return 130
-    if Outcome.INFRA_ERROR in outcomes:
-        return 4
-    if Outcome.FAIL in outcomes:
-        return 1
-    if Outcome.PASS not in outcomes:
-        raise UsageError('no run could be judged: every scene was rejected by its own requirements')
-    return 0
 
 
 def _graph(options: CampaignOptions) -> contextlib.AbstractContextManager[Graph]:

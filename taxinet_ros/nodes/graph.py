@@ -83,8 +83,14 @@ _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os
 def own_domain() -> Iterator[int]:
     """Reserve a ROS domain id that no other graph on this machine uses, if all of them reserve.
 
-    ``TAXINET_DOMAIN_ID`` sets it by hand, to look at the graph with other tools.
+    Discovery stays on this machine unless the user has set another range.
+    ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools.
     """
+    with _localhost():
+        yield from _reserved()
+
+
+def _reserved() -> Iterator[int]:
     fixed = os.environ.get('TAXINET_DOMAIN_ID')
     if fixed:
         yield int(fixed)
@@ -101,10 +107,10 @@ def own_domain() -> Iterator[int]:
 @contextlib.contextmanager
 def composed_graph(options: GraphOptions) -> Iterator[Graph]:
     """Every node in this process, on one executor; they still talk only over topics."""
-    with own_domain() as domain, _localhost():
+    with own_domain() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
-        graph = _Composed(context)
+        graph = SampledGraph(context)
         try:
             for node, parameters in options.nodes().values():
                 overrides = [Parameter(name, value=value) for name, value in parameters.items()]
@@ -127,29 +133,40 @@ def _localhost() -> Iterator[None]:
             del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
 
 
-class _Composed:
+class SampledGraph:
+    """A graph with a sampler in this process, beside whatever other nodes are added to it."""
+
     def __init__(self, context: Context) -> None:
+        """Spin on ``context``, which is the caller's to shut down."""
         self._context = context
         self._executor = EventsExecutor(context=context)
         self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
 
     def add(self, node: Any) -> None:
+        """Spin a node too, and close it with the graph."""
         self.nodes.append(node)
         self._executor.add_node(node)
 
+    def prepare(self, sampler: ScenarioSampler) -> None:
+        """Called with the sampler before a campaign begins."""
+
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
+        """See :class:`Graph`."""
         sampler = ScenarioSampler(context=self._context)
         self._sampler = sampler
+        self.prepare(sampler)
         self.add(sampler)
         finished = sampler.start(self._executor, requests, on_result)
         spin_until(self._executor, finished)
 
     def interrupt(self) -> None:
+        """See :class:`Graph`."""
         if self._sampler is not None:
             self._sampler.interrupt()
 
     def close(self) -> None:
+        """Take every node out of the graph."""
         for node in reversed(self.nodes):
             node.close()
             self._executor.remove_node(node)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,13 +19,10 @@ import rclpy
 import yaml
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.outcome import RunRequest
-from taxinet_ros.nodes.graph import Graph, GraphOptions, OnResult, own_domain
+from taxinet_ros.nodes.graph import Graph, GraphOptions, SampledGraph, own_domain
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
-from taxinet_ros.nodes.spinning import spin_until
 
 _POLL_S = 0.1
 _GRACE_S = 5.0
@@ -63,7 +61,6 @@ class _Child:
         file = scratch / f'{name}.yaml'
         file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
         environment = {
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             **os.environ,
             'ROS_DOMAIN_ID': str(domain),
             'PYTHONUNBUFFERED': '1',
@@ -100,41 +97,22 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-class _Processes:
+class _Processes(SampledGraph):
     def __init__(self, context: Context, children: list[_Child]) -> None:
-        self._context = context
+        super().__init__(context)
         self.children = children
-        self._executor = EventsExecutor(context=context)
-        self._sampler: ScenarioSampler | None = None
 
-    def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
-        sampler = ScenarioSampler(context=self._context)
-        self._sampler = sampler
+    def prepare(self, sampler: ScenarioSampler) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        sampler.create_timer(_POLL_S, self._watch, clock=steady)
-        self._executor.add_node(sampler)
-        finished = sampler.start(self._executor, requests, on_result)
-        spin_until(self._executor, finished)
+        sampler.create_timer(_POLL_S, functools.partial(self._watch, sampler), clock=steady)
 
-    def interrupt(self) -> None:
-        if self._sampler is not None:
-            self._sampler.interrupt()
-
-    def close(self) -> None:
-        if self._sampler is not None:
-            self._sampler.close()
-            self._executor.remove_node(self._sampler)
-            self._sampler.destroy_node()
-        self._executor.shutdown()
-
-    def _watch(self) -> None:
+    def _watch(self, sampler: ScenarioSampler) -> None:
         for child in self.children:
             if child.process.poll() is None:
                 continue
             if child.process.returncode == 2:
                 raise UsageError(child.obituary().split('error: ', 1)[-1])
-            if self._sampler is not None:
-                self._sampler.mourn(child.name, child.obituary())
+            sampler.mourn(child.name, child.obituary())
 
 
 def _end(children: list[_Child]) -> None:

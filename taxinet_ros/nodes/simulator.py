@@ -236,16 +236,15 @@ class Simulator(Node):
     # Endings ---------------------------------------------------------------------------------
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
-        if run.ending is not None:
-            # The bag could not be finished, so the evidence is not whole: no verdict stands.
-            run.ending = run.status(
-                RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
-            )
-            run.finish()
-            return
-        self._end(run, run.status(
+        status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
-        ))
+        )
+        if run.ending is None:
+            self._end(run, status)
+        elif who == interface.RECORDER:
+            # The bag could not be finished, so the evidence is not whole: no verdict stands.
+            run.ending = status
+            run.finish()
 
     def _end(self, run: ActiveRun, status: RunStatus) -> None:
         """Announce the end, then wait for the recorder to close its bag where there is one."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.campaign import Campaign
+from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
@@ -54,7 +53,4 @@ def _work(node: _CampaignNode, executor: Any) -> int:
     with Campaign(node.options, node.participants, show) as campaign:
         finished = node.start(executor, campaign.requests(), campaign.take)
         whole = spin_until(executor, finished)
-    outcomes = {row.outcome for row in campaign.rows}
-    if not whole or Outcome.INFRA_ERROR in outcomes:
-        return 4
-    return 1 if Outcome.FAIL in outcomes else 0
+    return exit_code(campaign.rows) if whole else 4

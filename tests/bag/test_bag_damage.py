@@ -285,7 +285,7 @@ def test_given_a_chunk_that_contradicts_itself_when_read_then_corrupt(
 def test_given_each_compression_when_read_then_messages_come(
     damaged: Callable[[bytes], Path], compression: str
 ) -> None:
-    import lz4.frame  # type: ignore[import-untyped]
+    import lz4.frame  # type: ignore[import-untyped]  # lz4 has no stubs
 
     raw = _declarations() + encode(Message(1, 5, b'abcd', 5, 0))
     packed = {'': bytes, 'zstd': zstandard.compress, 'lz4': lz4.frame.compress}[compression](raw)
