@@ -25,7 +25,7 @@ def arguments() -> list[DeclareLaunchArgument]:
     """What may be set on the command line; a word that is not a choice is refused with the list."""
     config = Path(get_package_share_directory(PACKAGE)) / 'config' / 'nodes.yaml'
     described = {
-        'weights': ('taxinet', "the network's weights: taxinet (shipped) or a .safetensors file"),
+        'weights': ('taxinet', 'the network: taxinet (shipped), or a .safetensors or .onnx file'),
         'program': ('s_falsif', 'Scenic program to draw scenarios from: a shipped name or a file'),
         'runs': ('10', 'number of runs'),
         'seed': ('0', 'seed of the draws'),

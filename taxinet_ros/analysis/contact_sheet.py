@@ -14,13 +14,19 @@ from PIL import Image, ImageDraw, ImageFont
 Picture = NDArray[np.uint8]
 
 _GAP_PX = 6
+_APART_PX = 18
 _PAPER = (255, 255, 255)
 _INK = (20, 20, 20)
 _FONT_SHARE = 22
 """A tile is as wide as so many times the caption's letters are high: readable in a report."""
+_HEADING_SHARE = 85
+"""The same for the headings of a whole table of pictures."""
 
 
-def contact_sheet(tiles: Sequence[tuple[Picture, str]], columns: int, path: Path) -> None:
+def contact_sheet(
+    tiles: Sequence[tuple[Picture, str]], columns: int, path: Path,
+    *, title: str = '', group: int = 0,
+) -> None:
     """Lay out pictures row by row, each with its caption below.
 
     The same tiles give the same bytes. Every tile gets the size of the largest picture; a smaller
@@ -30,34 +36,120 @@ def contact_sheet(tiles: Sequence[tuple[Picture, str]], columns: int, path: Path
         tiles: pictures ((H, W, 3) uint8, RGB) and their captions.
         columns: pictures in a row.
         path: PNG file to write.
+        title: a line above all.
+        group: so many pictures of a row belong together and stand a little apart from the next.
 
     Raises:
         ValueError: no tiles, no columns, or a picture that is not (H, W, 3) uint8.
     """
     if not tiles or columns < 1:
         raise ValueError(f'{len(tiles)} tiles in {columns} columns make no sheet')
-    for image, caption in tiles:
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ValueError(f'tile {caption!r}: {image.shape} {image.dtype}, not (H, W, 3) uint8')
+    _check(tiles)
     columns = min(columns, len(tiles))
-    height = max(image.shape[0] for image, _ in tiles)
-    width = max(image.shape[1] for image, _ in tiles)
+    height, width = _largest(tiles)
     captions = [_wrap(caption, width) for _, caption in tiles]
     strip = _line_height(width) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
     rows = -(-len(tiles) // columns)
-    cell = (width + _GAP_PX, height + strip + _GAP_PX)
-    sheet = Image.new('RGB', (columns * cell[0] + _GAP_PX, rows * cell[1] + _GAP_PX), _PAPER)
+    head = _title_height(_title_px(width)) if title else 0
+    lefts = [
+        _GAP_PX + column * (width + _GAP_PX) + (column // group * _APART_PX if group else 0)
+        for column in range(columns)
+    ]
+    pitch = height + strip + _GAP_PX
+    size = (lefts[-1] + width + _GAP_PX, head + rows * pitch + _GAP_PX)
+    sheet = Image.new('RGB', size, _PAPER)
     draw = ImageDraw.Draw(sheet)
+    _draw_title(draw, title, _title_px(width))
     for number, ((image, _), caption) in enumerate(zip(tiles, captions, strict=True)):
         row, column = divmod(number, columns)
-        left, top = _GAP_PX + column * cell[0], _GAP_PX + row * cell[1]
-        at = (left + (width - image.shape[1]) // 2, top + (height - image.shape[0]) // 2)
-        sheet.paste(Image.fromarray(image), at)
+        left, top = lefts[column], head + _GAP_PX + row * pitch
+        _paste(sheet, image, (left, top), (height, width))
         draw.text(
-            (left + 2, top + height + 2), caption, fill=_INK, font=_font(width),
+            (left + 2, top + height + 2), caption, fill=_INK, font=_font(_font_px(width)),
             spacing=_line_height(width) - _font_px(width),
         )
     sheet.save(path, format='PNG')
+
+
+def grid_sheet(
+    tiles: Sequence[Sequence[Picture]], rows: Sequence[str], columns: Sequence[str], path: Path,
+    *, title: str,
+) -> None:
+    """Lay out pictures as a table with a heading for every row and every column.
+
+    Args:
+        tiles: one sequence of pictures ((H, W, 3) uint8, RGB) per row.
+        rows: headings at the left; they keep their line breaks.
+        columns: headings above.
+        path: PNG file to write.
+        title: a line above all.
+
+    Raises:
+        ValueError: no tiles, headings that do not fit them, or a picture that is not such.
+    """
+    if not rows or not columns or [len(row) for row in tiles] != [len(columns)] * len(rows):
+        raise ValueError(f'{len(rows)} rows and {len(columns)} columns of headings fit no tiles')
+    flat = [
+        (image, f'{row}, {column}')
+        for row, images in zip(rows, tiles, strict=True)
+        for column, image in zip(columns, images, strict=True)
+    ]
+    _check(flat)
+    height, width = _largest(flat)
+    # A sheet is looked at as a whole: its headings grow with it, not with its pictures.
+    px = max(_title_px(width), len(columns) * width // _HEADING_SHARE)
+    font = _font(px)
+    draw = ImageDraw.Draw(Image.new('RGB', (1, 1)))
+    margin = round(max(draw.multiline_textbbox((0, 0), row, font)[2] for row in rows)) + 4 * _GAP_PX
+    top0 = _title_height(px) + round(1.3 * px) + _GAP_PX
+    size = (
+        margin + len(columns) * (width + _GAP_PX), top0 + len(rows) * (height + _GAP_PX),
+    )
+    sheet = Image.new('RGB', size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    _draw_title(draw, title, px)
+    for column, text in enumerate(columns):
+        middle = margin + column * (width + _GAP_PX) + width // 2
+        draw.text((middle, top0 - _GAP_PX), text, fill=_INK, font=font, anchor='md')
+    for row, text in enumerate(rows):
+        top = top0 + row * (height + _GAP_PX)
+        draw.multiline_text(
+            (margin - 2 * _GAP_PX, top + height // 2), text, _INK, font, 'rm', align='right',
+        )
+        for column, image in enumerate(tiles[row]):
+            _paste(sheet, image, (margin + column * (width + _GAP_PX), top), (height, width))
+    sheet.save(path, format='PNG')
+
+
+def _check(tiles: Sequence[tuple[Picture, str]]) -> None:
+    for image, caption in tiles:
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise ValueError(f'tile {caption!r}: {image.shape} {image.dtype}, not (H, W, 3) uint8')
+
+
+def _largest(tiles: Sequence[tuple[Picture, str]]) -> tuple[int, int]:
+    return max(i.shape[0] for i, _ in tiles), max(i.shape[1] for i, _ in tiles)
+
+
+def _paste(
+    sheet: Image.Image, image: Picture, corner: tuple[int, int], size: tuple[int, int]
+) -> None:
+    """Put a picture into the middle of a place of ``size`` (height, width)."""
+    left, top = corner
+    at = (left + (size[1] - image.shape[1]) // 2, top + (size[0] - image.shape[0]) // 2)
+    sheet.paste(Image.fromarray(image), at)
+
+
+def _draw_title(draw: ImageDraw.ImageDraw, title: str, px: int) -> None:
+    draw.text((_GAP_PX + 2, 2 * _GAP_PX), title, fill=_INK, font=_font(px))
+
+
+def _title_px(width: int) -> int:
+    return round(1.4 * _font_px(width))
+
+
+def _title_height(px: int) -> int:
+    return round(1.3 * px) + 3 * _GAP_PX
 
 
 def _font_px(width: int) -> int:
@@ -69,10 +161,10 @@ def _line_height(width: int) -> int:
 
 
 @cache
-def _font(width: int) -> ImageFont.FreeTypeFont:
+def _font(px: int) -> ImageFont.FreeTypeFont:
     # matplotlib brings DejaVu Sans along: the same letters on every machine, degrees included.
     file = Path(matplotlib.get_data_path(), 'fonts', 'ttf', 'DejaVuSans.ttf')
-    return ImageFont.truetype(file, _font_px(width))
+    return ImageFont.truetype(file, px)
 
 
 def _wrap(caption: str, width: int) -> str:
@@ -83,7 +175,7 @@ def _wrap_line(text: str, width: int) -> list[str]:
     lines: list[str] = []
     for word in text.split(' '):
         longer = f'{lines[-1]} {word}' if lines else word
-        if lines and _font(width).getlength(longer) <= width - 4:
+        if lines and _font(_font_px(width)).getlength(longer) <= width - 4:
             lines[-1] = longer
         else:
             lines.append(word)

@@ -25,7 +25,7 @@ class CampaignOptions:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: ``truth``, ``taxinet`` or a weights file; '' where a graph that runs already
+        perception: ``truth``, ``taxinet`` or a network's file; '' where a graph that runs already
             decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
@@ -55,7 +55,7 @@ def make_options(
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: ``truth``, ``taxinet`` or a weights file.
+        perception: ``truth``, ``taxinet`` or a network's file.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
         specs: formulas as text; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.

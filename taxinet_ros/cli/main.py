@@ -1,4 +1,4 @@
-"""``taxinet``: run scenarios, train the network, start nodes.
+"""``taxinet``: run scenarios, train the network, look through the camera, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
 4 the bench broke, 130 interrupted.
@@ -15,6 +15,7 @@ import typer
 from typer.exceptions import TyperException
 
 from taxinet_ros import __version__
+from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.core.errors import InfraError, UsageError
 
 USAGE, INFRA, INTERRUPTED = 2, 4, 130
@@ -25,6 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
 )
+app.add_typer(camera_app, name='camera')
 
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file')
@@ -33,7 +35,7 @@ RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw a
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
 PerceptionOption = Annotated[
-    str, typer.Option(help='truth, taxinet, or a .safetensors weights file')
+    str, typer.Option(help='truth, taxinet, a .safetensors weights file, or an .onnx network')
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -92,25 +94,102 @@ def demo(
 
 @app.command()
 def train(
-    program: ScenarioArgument,
     out: Annotated[Path, typer.Option(help='weights file to write, NAME.safetensors')],
-    images: Annotated[int, typer.Option(help='pictures to train on, one per scene')] = 12_000,
-    validation: Annotated[int, typer.Option(help='scenes held back to measure on')] = 1_500,
+    program: Annotated[
+        str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
+    ] = None,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(help='folder of labelled images, instead of a program; repeatable'),
+    ] = None,
+    images: Annotated[int, typer.Option(help='pictures to render, one per scene')] = 12_000,
+    validation: Annotated[int, typer.Option(help='further ones held back to measure on')] = 1_500,
+    validation_data: Annotated[
+        Path | None, typer.Option(help='folder of images to measure on, instead')
+    ] = None,
+    varied: Annotated[
+        bool, typer.Option('--varied', help='vary the look of the rendered world')
+    ] = False,
+    augment: Annotated[
+        bool, typer.Option('--augment', help='change exposure, focus, noise at every look')
+    ] = False,
     epochs: Annotated[int, typer.Option(help='times that every picture is seen')] = 20,
     batch: Annotated[int, typer.Option(help='pictures per step')] = 64,
     learning_rate: Annotated[float, typer.Option(help='highest of the schedule')] = 3e-3,
+    patience: Annotated[
+        int,
+        typer.Option(
+            help='stop after so many epochs without gain, 0 never; the best epoch is kept anyway, '
+            'and most of the gain comes at the end of the schedule'
+        ),
+    ] = 0,
     seed: Annotated[int, typer.Option(help='of everything random')] = 1,
     workers: Annotated[int, typer.Option(help='processes that render')] = 2,
     overwrite: Annotated[bool, typer.Option('--overwrite', help='replace what is there')] = False,
 ) -> None:
-    """Train TaxiNet on rendered frames of a program's scenes; writes weights and model card."""
+    """Train TaxiNet on a program's rendered scenes or on labelled images.
+
+    Writes weights, model card and learning curves.
+    """
     from taxinet_ros.cli.train import run_train
-    from taxinet_ros.training.train import TrainOptions
+    from taxinet_ros.training.options import TrainOptions
 
     run_train(TrainOptions(
-        program=program, out=out, images=images, validation=validation, epochs=epochs,
-        batch=batch, learning_rate=learning_rate, seed=seed, workers=workers, overwrite=overwrite,
+        program=program, data=tuple(data or ()), validation_data=validation_data, out=out,
+        images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
+        batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
+        overwrite=overwrite,
     ))
+
+
+@app.command()
+def dataset(
+    program: ScenarioArgument,
+    out: Annotated[Path, typer.Option(help='folder for images and labels; must be new')],
+    count: Annotated[int, typer.Option(help='images, one per scene')],
+    sampler: Annotated[str, typer.Option(help='how scenes are drawn: random')] = 'random',
+    seed: SeedOption = 0,
+    varied: Annotated[
+        bool, typer.Option('--varied', help='vary the look of the rendered world')
+    ] = False,
+    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue what was interrupted')
+    ] = False,
+) -> None:
+    """Render a labelled image of each scene of a program into a folder to train on."""
+    from taxinet_ros.cli.dataset import run_dataset
+    from taxinet_ros.training.folder import DatasetOptions
+
+    run_dataset(DatasetOptions(
+        program=program, out=out, count=count, sampler=sampler, seed=seed, varied=varied,
+        workers=workers, resume=resume,
+    ))
+
+
+@app.command()
+def evaluate(
+    program: Annotated[
+        str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help='folder of labelled images, instead of a program')
+    ] = None,
+    perception: PerceptionOption = 'taxinet',
+    images: Annotated[int, typer.Option(help='pictures to render, one per scene')] = 2_000,
+    seed: Annotated[
+        int, typer.Option(min=0, help='of the scenes; another than that of the training')
+    ] = 2,
+    workers: Annotated[int, typer.Option(help='processes that render')] = 2,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> None:
+    """Measure how well a network sees: rendered scenes by kind, or labelled images."""
+    from taxinet_ros.cli.evaluate import run_evaluate
+
+    run_evaluate(
+        program, data, perception=perception, images=images, seed=seed, workers=workers,
+        as_json=as_json,
+    )
 
 
 @app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})

@@ -1,11 +1,13 @@
 """The aircraft's own parts at the left edge of the picture: cowling, gear leg and wheel.
 
-The camera is bolted to the aircraft, so they never move; the light on them is the scenario's. Drawn
-by hand as polygons in picture coordinates [px] after the view of the published pictures.
+The camera is bolted to the aircraft, so they never move; the light on them is the scenario's, at
+the aircraft's heading. Drawn by hand as polygons in picture coordinates [px] after the view of the
+published pictures.
 """
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import cv2
@@ -16,6 +18,10 @@ from taxinet_ros.core.light import GAMMA, Light, display_code
 
 HEIGHT, WIDTH = 200, 56
 _FINE = 4
+_FLANK = (0.15, -0.75, 0.64)
+"""Where the cowling's flank faces, in the body frame: right and up."""
+
+_YAW_STEP_RAD = math.radians(2.0)
 _CREAM = (250, 243, 229)
 _COWLING = (
     (-2, -2), (26, -2), (33, 1.5), (42, 5), (48, 9.5), (51.5, 15), (53.2, 22), (53.4, 32),
@@ -113,22 +119,37 @@ class AirframeView:
     """The aircraft's parts in one scenario's light, ready to be laid over pictures."""
 
     def __init__(self, light: Light) -> None:
-        """Light the drawing; the cowling's flank faces right and up."""
-        colour, opacity = _drawing()
-        facing = max(0.0, float(light.sun @ np.array([0.15, -0.75, 0.64])))
-        beam = (
-            light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
-            if light.sun[2] > 0
-            else 0.0
-        )
-        shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        lit = display_code((colour / 255) ** GAMMA * shine)
-        self._light = np.rint(lit * opacity).astype(np.uint8)
-        behind = np.repeat(255 * (1 - opacity), 3, axis=2)
+        """Keep the light; the parts are lit when a heading first asks for them."""
+        self._light = light
+        colour, self._opacity = _drawing()
+        self._albedo = (colour / 255) ** GAMMA
+        behind = np.repeat(255 * (1 - self._opacity), 3, axis=2)
         self._behind = np.rint(behind).astype(np.uint8)
+        self._lit: dict[int, NDArray[np.uint8]] = {}
 
-    def lay_over(self, picture: NDArray[np.uint8]) -> None:
-        """Put the parts over ``picture`` (200, 360, 3), in place."""
+    def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
+        """Put the parts over ``picture`` (200, 360, 3), in place.
+
+        Args:
+            picture: of the ground and sky.
+            yaw_rad: heading of the aircraft in ``map``; it turns the parts in the sun, in steps.
+        """
+        step = round(yaw_rad / _YAW_STEP_RAD)
+        if step not in self._lit:
+            self._lit[step] = self._lighten(step * _YAW_STEP_RAD)
         corner = picture[:HEIGHT, :WIDTH]
         through = cv2.multiply(corner, self._behind, scale=1 / 255)
-        cv2.add(through, self._light, dst=corner)
+        cv2.add(through, self._lit[step], dst=corner)
+
+    def _lighten(self, yaw_rad: float) -> NDArray[np.uint8]:
+        """The drawing in the light, times its opacity."""
+        light = self._light
+        beam = np.zeros(3)
+        if light.sun[2] > 0:
+            cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+            x, y, z = _FLANK
+            facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
+            beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
+        shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
+        lit = display_code(self._albedo * shine)
+        return np.rint(lit * self._opacity).astype(np.uint8)

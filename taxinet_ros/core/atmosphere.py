@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core import sky
 from taxinet_ros.core.light import Light
+from taxinet_ros.core.row_colours import RowColours
 
 _VISIBLE_SHARE = 1 / 400
 _WATER_SHARE = 0.55
 _SPRAY_SHARE = 0.16
 """Share of the picture that full rain veils evenly: spray in the air and drops on the lens."""
+
+_SPARSE_PX = 15
+"""Distance of the columns for which directions are computed; between them, interpolation errs by
+less than a tenth of the panorama's columns. It divides the picture's width."""
 
 _GLARE_STRENGTH = 120.0
 _GLARE_HALF_WIDTH_RAD = math.radians(16.0)
@@ -27,6 +32,7 @@ class Atmosphere:
         """Prepare for pictures of ``height`` by ``width`` pixels in one scenario's light."""
         self._light = light
         self._panorama = sky.panorama(light)
+        self._row_colours = RowColours(height, width)
         self._rows = np.arange(height, dtype=np.float64)
         self._columns = np.arange(width, dtype=np.float64)
         ones = np.ones_like
@@ -36,6 +42,8 @@ class Atmosphere:
         self._across = np.stack(
             [self._columns, np.full_like(self._columns, 60.0), ones(self._columns)]
         )
+        # Where the skyline is looked up: one column beyond the picture on both sides.
+        self._sparse = (np.arange(-1, width // _SPARSE_PX + 1) + 0.5) * _SPARSE_PX - 0.5
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
         self._glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)
@@ -58,25 +66,27 @@ class Atmosphere:
     def _veil(self, picture: NDArray[np.uint8], sine: NDArray[np.float64], height_m: float) -> None:
         """Fade the ground row by row into haze and, where wet, into the sky's mirror image."""
         haze = 1 - np.exp(-height_m / sine / self._light.visibility_m)
-        # Schlick's form of Fresnel's law for water, on the share of the ground that is film.
-        mirror = _WATER_SHARE * self._light.wetness * (0.02 + 0.98 * (1 - sine) ** 5)
-        mirror += _SPRAY_SHARE * self._light.rain
-        share = 1 - (1 - haze) * (1 - mirror)
+        share = haze
+        wet = self._light.wetness > 0
+        if wet:
+            # Schlick's form of Fresnel's law for water, on the share of the ground that is film.
+            mirror = _WATER_SHARE * self._light.wetness * (0.02 + 0.98 * (1 - sine) ** 5)
+            mirror += _SPRAY_SHARE * self._light.rain
+            share = 1 - (1 - haze) * (1 - mirror)
         seen = np.flatnonzero(share > _VISIBLE_SHARE)
         if not len(seen):
             return
         rows = int(seen[-1]) + 1
         low, high = self._light.sky_low, self._light.sky_high
-        rise = np.clip(sine[:rows, None] / math.sin(math.radians(15)), 0, 1)
-        mirrored = 0.92 * (low + (high - low) * np.sqrt(rise))
-        added = haze[:rows, None] * low + ((1 - haze) * mirror)[:rows, None] * mirrored
-        kept = np.empty((rows, picture.shape[1], 3), np.uint8)
-        kept[:] = np.rint(255 * (1 - share[:rows]))[:, None, None]
-        extra = np.empty_like(kept)
-        extra[:] = np.rint(np.clip(added, 0, 255))[:, None, :]
+        added = haze[:rows, None] * low
+        if wet:
+            rise = np.clip(sine[:rows, None] / math.sin(math.radians(15)), 0, 1)
+            mirrored = 0.92 * (low + (high - low) * np.sqrt(rise))
+            added += ((1 - haze) * mirror)[:rows, None] * mirrored
         part = picture[:rows]
-        cv2.multiply(part, kept, dst=part, scale=1 / 255)
-        cv2.add(part, extra, dst=part)
+        kept = np.repeat(255 * (1 - share[:rows, None]), 3, axis=1)
+        cv2.multiply(part, self._row_colours.spread(kept), dst=part, scale=1 / 255)
+        cv2.add(part, self._row_colours.spread(added), dst=part)
 
     def _add_glare(
         self, picture: NDArray[np.uint8], rays: NDArray[np.float64], sine: NDArray[np.float64]
@@ -88,8 +98,9 @@ class Atmosphere:
         away = np.abs(np.angle(np.exp(1j * yaw))) / _GLARE_HALF_WIDTH_RAD
         if away.min() > 3:
             return
-        shine = self._glare * np.outer(np.exp(-sine / 0.10) + 0.12, np.exp(-0.5 * away * away))
-        warm = [np.rint(shine * share).astype(np.uint8) for share in (1.0, 0.84, 0.58)]
+        grazing = self._glare * (np.exp(-sine / 0.10) + 0.12)
+        shine = np.outer(grazing.astype(np.float32), np.exp(-0.5 * away * away).astype(np.float32))
+        warm = [cv2.convertScaleAbs(shine, alpha=share) for share in (1.0, 0.84, 0.58)]
         cv2.add(picture, cv2.merge(warm), dst=picture)
 
     def _skyline(self, picture: NDArray[np.uint8], rays: NDArray[np.float64]) -> None:
@@ -100,15 +111,28 @@ class Atmosphere:
         rows = min(math.floor(float(last)) + 1, picture.shape[0])
         if rows <= 0:
             return
-        u, v = np.meshgrid(self._columns, self._rows[:rows])
-        d = [row[0] * u + row[1] * v + row[2] for row in rays]
-        elevation = np.arctan2(d[2], np.hypot(d[0], d[1]))
-        yaw = np.arctan2(d[1], d[0])
-        across = ((np.degrees(yaw) + 180.0) * 4).astype(np.float32)
-        up = np.clip((elevation - sky.LOWEST_RAD) / sky.STEP_RAD, 0, sky.ROWS - 1).astype(
-            np.float32
-        )
-        far = cv2.remap(self._panorama, across, up, cv2.INTER_LINEAR)
-        above = d[2] > -sky.GROUND_END_TAN * np.hypot(d[0], d[1])
-        part = picture[:rows]
-        np.copyto(part, far, where=above[:, :, None])
+        across, up = self._directions(rays, rows)
+        far = cv2.remap(self._panorama, across, up, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        lowest = (-math.atan(sky.GROUND_END_TAN) - sky.LOWEST_RAD) / sky.STEP_RAD
+        cv2.copyTo(far, (up > lowest).view(np.uint8), picture[:rows])
+
+    def _directions(
+        self, rays: NDArray[np.float64], rows: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Panorama column and row, (rows, width) each, of the upper ``rows`` of the picture."""
+        du, dv, d1 = rays.T[:, :, None, None]
+        x, y, z = du * self._sparse + dv * self._rows[:rows, None] + d1
+        # Measured from the view's middle, yaw has no jump inside the picture.
+        middle = len(self._sparse) // 2
+        cos, sin = float(x[0, middle]), float(y[0, middle])
+        aside = np.degrees(np.arctan2(cos * y - sin * x, cos * x + sin * y))
+        north = math.degrees(math.atan2(sin, cos)) + 180.0
+        across = (north + aside) * sky.COLUMNS_PER_DEGREE
+        up = (np.arctan2(z, np.hypot(x, y)) - sky.LOWEST_RAD) / sky.STEP_RAD
+        up = np.minimum(np.maximum(up, 0), sky.ROWS - 1)
+        size = (_SPARSE_PX * len(self._sparse), rows)
+        wide = [
+            cv2.resize(sparse.astype(np.float32), size)[:, _SPARSE_PX:-_SPARSE_PX]
+            for sparse in (across, up)
+        ]
+        return np.ascontiguousarray(wide[0], np.float32), np.ascontiguousarray(wide[1], np.float32)

@@ -24,14 +24,19 @@ from taxinet_ros.core.airframe_view import AirframeView
 from taxinet_ros.core.atmosphere import Atmosphere
 from taxinet_ros.core.cloud_shade import CloudShade
 from taxinet_ros.core.ground import grain_atlas, ground_atlas
-from taxinet_ros.core.ground_view import GroundView
+from taxinet_ros.core.ground_view import GROUND_STAGES, GroundView, Mark
 from taxinet_ros.core.light import ground_table, scenario_light
 from taxinet_ros.core.rain import RainSheet
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.shadow import LOWEST_SUN_RAD, shadow_mask, shadow_on_ground
+from taxinet_ros.core.shadow import LOWEST_SUN_RAD, Mask, OwnShadow
 from taxinet_ros.core.types import AircraftState
 
 IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
+
+STAGES = (
+    *GROUND_STAGES, 'cloud shade', 'own shadow', 'light table', 'atmosphere', 'rain', 'airframe',
+)  # fmt: skip
+"""Stages of a picture, in their order."""
 
 CAMERA_OFFSET_M = (0.085, -2.17, 0.50)
 """Camera in the body frame (x forward, y left, z up) from the reference point."""
@@ -109,31 +114,67 @@ def project(
     return pixels, points[:, 2]
 
 
+def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Take the light table of three channels apart: one curve for all, and a gain before it.
+
+    Every channel's display code is the same function of albedo times irradiance, and albedo is a
+    power of the ground's code; so the channels' tables differ by the scale of their argument only.
+
+    Args:
+        table: display code by ground code and channel, (1, 256, 3).
+
+    Returns:
+        The brightest channel's table (256,), and factors on red, green and blue codes, 0..1.
+    """
+    codes = table[0].astype(np.float64)
+    brightest = int(codes.sum(axis=0).argmax())
+    seen = np.arange(60, 200)
+    gain = [
+        np.interp(column[seen], codes[:, brightest], np.arange(256)).sum() / seen.sum()
+        for column in codes.T
+    ]
+    return table[0, :, brightest].copy(), np.minimum(gain, 1.0)
+
+
 class Camera:
     """The wing camera in one scenario's light and weather. Not to be shared between threads."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        """Work out everything that the scenario fixes; textures are made once per process."""
+    def __init__(self, scenario: Scenario, ground: NDArray[np.uint8] | None = None) -> None:
+        """Work out everything that the scenario fixes; textures are made once per process.
+
+        Args:
+            scenario: whose light and weather it is.
+            ground: atlas of another look of the ground (:mod:`taxinet_ros.core.ground`).
+        """
         self._light = scenario_light(scenario)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)
-        self._ground = GroundView(ground_atlas(), grain_atlas(), IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._curve, gain = shared_curve(ground_table(self._light))
+        atlas = ground_atlas() if ground is None else ground
+        self._ground = GroundView(atlas, grain_atlas(), gain, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
-        self._table = ground_table(self._light)
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._airframe = AirframeView(self._light)
         self._rain = (
             RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if scenario.rain > 0 else None
         )
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
-        self._casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        self._shadow = (
+            OwnShadow(self._light.sun, self._intrinsics, IMAGE_HEIGHT, IMAGE_WIDTH)
+            if casts
+            else None
+        )
 
-    def render(self, state: AircraftState, stamp_ns: int) -> NDArray[np.uint8]:
+    def render(
+        self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
+    ) -> NDArray[np.uint8]:
         """Photograph the scene from ``state``.
 
         Args:
             state: the aircraft's true state.
             stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
+            mark: told the name of a stage, of :data:`STAGES`, whenever a part of it is done.
 
         Returns:
             (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
@@ -143,36 +184,31 @@ class Camera:
         """
         body, to_optical, camera = pose(state)
         rays = to_optical.T @ self._to_ray
-        colour = self._ground.render(rays, camera)
+        colour = self._ground.render(rays, camera, mark)
         self._clouds.shade(colour, rays, camera)
-        if self._casts:
-            self._shade(colour, body, state, to_optical, camera)
+        mark('cloud shade')
+        if self._shadow is not None:
+            place = np.array([state.x_m, state.y_m, state.z_m])
+            self._shade(colour, self._shadow.mask(body, place, to_optical, camera), state)
+        mark('own shadow')
         picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
-        cv2.LUT(colour, self._table, dst=picture)
+        cv2.LUT(colour, self._curve, dst=picture)
+        mark('light table')
         self._atmosphere.apply(picture, rays, float(camera[2]))
+        mark('atmosphere')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
-        self._airframe.lay_over(picture)
+        mark('rain')
+        self._airframe.lay_over(picture, state.yaw_rad)
+        mark('airframe')
         return picture
 
-    def _shade(
-        self,
-        colour: NDArray[np.uint8],
-        body: NDArray[np.float64],
-        state: AircraftState,
-        to_optical: NDArray[np.float64],
-        camera: NDArray[np.float64],
-    ) -> None:
+    def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
         """Darken the ground where the aircraft keeps the sun off it."""
-        place = np.array([state.x_m, state.y_m, state.z_m])
-        corners = shadow_on_ground(body, place, self._light.sun)
-        optical = (corners - camera) @ to_optical.T
-        found = shadow_mask(optical, self._intrinsics, (IMAGE_HEIGHT, IMAGE_WIDTH))
-        if found is None:
+        if shadow is None:
             return
-        rows, columns, mask = found
+        rows, columns, mask = shadow
         depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
-        table = np.rint(255 - np.arange(256)[:, None] * depth).astype(np.uint8)[None]
+        factor = cv2.merge([cv2.convertScaleAbs(mask, alpha=-share, beta=255) for share in depth])
         part = colour[rows, columns]
-        factor = cv2.LUT(cv2.merge([mask] * 3), table)
         cv2.multiply(part, factor, dst=part, scale=1 / 255)

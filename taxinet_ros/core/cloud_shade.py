@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.light import Light
 from taxinet_ros.core.noise import Floats, smooth_noise
+from taxinet_ros.core.row_colours import RowColours
 
 _CELL_M = 8.0
 _SHAPE = (416, 80)  # x and y cells: -100..3,228 m and -320..320 m
@@ -32,7 +33,7 @@ class CloudShade:
         self._beam = _beam(light.clouds) if casts else None
         rows = np.arange(height, dtype=np.float64)
         self._middle = np.stack([np.full_like(rows, (width - 1) / 2), rows, np.ones_like(rows)])
-        self._factor = np.empty((height, width, 3), np.uint8)
+        self._factor = RowColours(height, width)
 
     def sun_share(self, x_m: float, y_m: float) -> float:
         """Share (0..1) of the beam that reaches the ground at a place in ``map``."""
@@ -58,8 +59,7 @@ class CloudShade:
         full, dark = 1.0, self._light.shade_factor()
         # Linear between shade and sun in display codes: within 2 codes of the exact power law.
         factor = dark + (full - dark) * share[:, None]
-        self._factor[:] = np.rint(255 * factor)[:, None, :]
-        cv2.multiply(colour, self._factor, dst=colour, scale=1 / 255)
+        cv2.multiply(colour, self._factor.spread(255 * factor), dst=colour, scale=1 / 255)
 
     def _look_up(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         assert self._beam is not None

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.ground_style import STANDARD, GroundStyle
 from taxinet_ros.core.noise import Floats, smooth_noise, white_noise
 from taxinet_ros.core.pavement import (
     Grid,
@@ -35,41 +36,46 @@ GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
 """Grain code that leaves the ground as it is: the product is scaled by its inverse."""
 
-_TAN = np.array([164, 157, 135], np.float32)
-_OLIVE = np.array([133, 130, 97], np.float32)
-
 
 @cache
 def ground_atlas() -> NDArray[np.uint8]:
+    """The atlas of the standard look, made once per process."""
+    return make_ground_atlas(STANDARD)
+
+
+def make_ground_atlas(style: GroundStyle) -> NDArray[np.uint8]:
     """Ripmap of the ground's daylight colours, (2 * ROWS, 2 * COLUMNS, 3) uint8 RGB, read-only."""
     base = np.empty((ROWS, COLUMNS, 3), np.uint8)
     fine = Grid(rows=ROWS, columns=COLUMNS - 2 * _SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
                 y0_m=-FINE_HALF_M, dy_m=FINE_M)  # fmt: skip
-    surface = runway_surface(fine)
-    base[:, _SIDE_COLUMNS:-_SIDE_COLUMNS] = cv2.LUT(cv2.merge([surface] * 3), pavement_colours())
+    surface = runway_surface(fine, style)
+    base[:, _SIDE_COLUMNS:-_SIDE_COLUMNS] = cv2.LUT(
+        cv2.merge([surface] * 3), pavement_colours(style)
+    )
     for side in (-1, 1):
         start = -HALF_SPAN_M if side < 0 else FINE_HALF_M
         grid = Grid(rows=ROWS, columns=_SIDE_COLUMNS, x0_m=START_X_M, dx_m=ROW_M,
                     y0_m=start, dy_m=COARSE_M)  # fmt: skip
         target = base[:, :_SIDE_COLUMNS] if side < 0 else base[:, -_SIDE_COLUMNS:]
-        target[:] = _field(grid, seed=60 + side)
-    _shoulders(base, fine)
+        target[:] = _field(grid, style, seed=style.seed + 60 + side)
+    _shoulders(base, fine, style)
     atlas = build_ripmap(base, ROW_LEVELS, COLUMN_LEVELS)
     atlas.flags.writeable = False
     return atlas
 
 
-def _field(grid: Grid, seed: int) -> NDArray[np.uint8]:
+def _field(grid: Grid, style: GroundStyle, seed: int) -> NDArray[np.uint8]:
     """Dry ground beside the runway, tan near it, olive grass farther out; and the crossing."""
     value = _dry_texture(grid, seed)
     _, y = grid.centres(slice(0, 1))
     grass = np.clip((np.abs(y[0]) - 55) / 40, 0, 1)[:, None]
-    tint = _TAN + (_OLIVE - _TAN) * grass
+    near, far = np.float32(style.near_tint), np.float32(style.far_tint)
+    tint = near + (far - near) * grass
     colour = value[:, :, None] * tint[None]
     for first in (3300, 4000):  # around the crossing only, in two halves
         rows = slice(first, first + 700)
-        surface, share = crossing_surface(*grid.centres(rows), soft_m=COARSE_M)
-        tinted = surface[:, :, None] * np.array([1.05, 1.0, 0.91], np.float32)
+        surface, share = crossing_surface(*grid.centres(rows), COARSE_M, style)
+        tinted = surface[:, :, None] * np.float32(style.asphalt_tint)
         colour[rows] += share[:, :, None] * (tinted - colour[rows])
     codes: NDArray[np.uint8] = np.clip(colour, 0, 255).astype(np.uint8)
     return codes
@@ -88,16 +94,16 @@ def _dry_texture(grid: Grid, seed: int) -> Floats:
     return value
 
 
-def _shoulders(base: NDArray[np.uint8], fine: Grid) -> None:
+def _shoulders(base: NDArray[np.uint8], fine: Grid, style: GroundStyle) -> None:
     """Bare tan ground between the pavement's edge and the end of the fine columns."""
     first = round(fine.column(HALF_WIDTH_M))
     count = fine.columns - first
     for side in (-1, 1):
-        seed = 80 + side
+        seed = style.seed + 80 + side
         noise = white_noise(seed, (fine.rows, count)) * np.float32(0.02)
         noise += smooth_noise(seed + 10, noise.shape, (10, 6)) * np.float32(0.02)
         noise += np.float32(1.0)
-        colour = np.clip(noise[:, :, None] * _TAN, 0, 255).astype(np.uint8)
+        colour = np.clip(noise[:, :, None] * np.float32(style.near_tint), 0, 255).astype(np.uint8)
         middle = COLUMNS // 2
         edge = middle + side * (first - fine.columns // 2)
         columns = slice(edge, edge + count) if side > 0 else slice(edge - count, edge)

@@ -1,7 +1,8 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
-One word chooses: ``truth``, ``taxinet`` (the shipped network), or a weights file. A word that is
-not known is an error, for a test of the network that silently ran on the truth would prove nothing.
+One word chooses: ``truth``, ``taxinet`` (the shipped network), or a file: weights that ``taxinet
+train`` has written, or anybody's network in ONNX. A word that is not known is an error, for a test
+of the network that silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES, TaxiNet, is_frame
+from taxinet_ros.core.onnx_network import ONNX_SUFFIX, OnnxNetwork
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.weights import SHIPPED, SUFFIX, Model, load_model
 
@@ -26,8 +28,9 @@ class Perception(Protocol):
     """Estimates the tracking error once per control step, from nothing but its arguments.
 
     Attributes:
-        word: ``truth``, or ``taxinet`` for any network.
-        fingerprint: SHA-256 of the weights file, empty for the truth.
+        word: ``truth``, ``taxinet`` for a network of ours, ``onnx`` for one from elsewhere.
+        fingerprint: SHA-256 of the weights file, or of the ONNX file with its description after
+            it; empty for the truth.
         needs_image: whether it looks at camera frames.
     """
 
@@ -64,16 +67,24 @@ class GroundTruth:
         return NO_ESTIMATE if truth is None else truth
 
 
+class Network(Protocol):
+    """What looks at a frame, whoever made it."""
+
+    def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        ...
+
+
 class NetworkPerception:
     """A neural network looks at the camera frame, and never at the truth."""
 
-    word = 'taxinet'
     needs_image = True
 
-    def __init__(self, model: Model) -> None:
-        """Make the network of ``model`` ready; the first one in a process imports torch."""
-        self.fingerprint = model.card.weights_sha256
-        self._network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+    def __init__(self, network: Network, *, word: str, fingerprint: str) -> None:
+        """See :class:`Perception` for what ``word`` and ``fingerprint`` are."""
+        self.word = word
+        self.fingerprint = fingerprint
+        self._network = network
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -86,22 +97,38 @@ class NetworkPerception:
         return seen if seen.usable else NO_ESTIMATE
 
 
+def _taxinet(model: Model) -> Perception:
+    """A network of ours; the first one in a process imports torch."""
+    network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+    return NetworkPerception(network, word='taxinet', fingerprint=model.card.weights_sha256)
+
+
+def _onnx(path: Path) -> Perception:
+    network = OnnxNetwork(path)
+    return NetworkPerception(network, word='onnx', fingerprint=network.fingerprint)
+
+
 PERCEPTION: dict[str, Callable[[], Perception]] = {
     'truth': GroundTruth,
-    'taxinet': lambda: NetworkPerception(load_model(SHIPPED)),
+    'taxinet': lambda: _taxinet(load_model(SHIPPED)),
 }
 """Perceptions by the word that chooses them."""
 
 
 def make_perception(word_or_file: str) -> Perception:
-    """The perception of a word of :data:`PERCEPTION`, or the network in a ``.safetensors`` file.
+    """The perception of a word of :data:`PERCEPTION`, or the network in a file.
+
+    Args:
+        word_or_file: the word; or a ``.safetensors`` file with its model card beside it, or an
+            ``.onnx`` file with its description (:mod:`taxinet_ros.core.onnx_sidecar`).
 
     Raises:
-        UsageError: unknown word (the known ones are listed), or weights that cannot be used.
+        UsageError: unknown word (the known ones are listed), or a file that cannot be used.
     """
     if word_or_file in PERCEPTION:
         return PERCEPTION[word_or_file]()
-    return NetworkPerception(load_model(_weights_file(word_or_file)))
+    path = _network_file(word_or_file)
+    return _onnx(path) if path.suffix == ONNX_SUFFIX else _taxinet(load_model(path))
 
 
 def check_perception(word_or_file: str) -> None:
@@ -113,12 +140,17 @@ def check_perception(word_or_file: str) -> None:
     if word_or_file == 'taxinet':
         load_model(SHIPPED)
     elif word_or_file not in PERCEPTION:
-        load_model(_weights_file(word_or_file))
+        path = _network_file(word_or_file)
+        if path.suffix == ONNX_SUFFIX:
+            _onnx(path)
+        else:
+            load_model(path)
 
 
-def _weights_file(text: str) -> Path:
+def _network_file(text: str) -> Path:
     path = Path(text)
-    if path.suffix != SUFFIX:
+    if path.suffix not in (SUFFIX, ONNX_SUFFIX):
         words = ', '.join(PERCEPTION)
-        raise UsageError(f'perception: {text!r} is unknown; known: {words}, or a {SUFFIX} file')
+        raise UsageError(f'perception: {text!r} is unknown; known: {words}, or a {SUFFIX} or '
+                         f'{ONNX_SUFFIX} file')
     return path

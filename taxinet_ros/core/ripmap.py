@@ -17,7 +17,6 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 _EXPONENT_MASK = np.int32(0x7F800000)
-_INVERSE_BITS = np.int32(254 << 23)
 
 
 def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
@@ -43,21 +42,11 @@ def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
     return atlas
 
 
-def shrink_factor(footprint: Floats, levels: int) -> Floats:
-    """Scale p = 2^-i of the level with the largest texel up to ``footprint`` texels.
+def whole_power_of_two(numbers: Floats) -> Floats:
+    """Largest power of two not above each number (normal, positive), in place.
 
-    Works in place on ``footprint`` (float32, C-contiguous), by its exponent bits: exact, no log.
+    It clears all but the exponent bits of float32: exact, and no logarithm.
     """
-    np.clip(footprint, 1.0, float(1 << (levels - 1)), out=footprint)
-    bits = footprint.view(np.int32)
+    bits = numbers.view(np.int32)
     np.bitwise_and(bits, _EXPONENT_MASK, out=bits)
-    np.subtract(_INVERSE_BITS, bits, out=bits)
-    return footprint
-
-
-def to_atlas(texel: Floats, shrink: Floats, size: int) -> Floats:
-    """Atlas pixel coordinate of ``texel`` (level-0 texels from the edge), in place."""
-    np.subtract(texel, np.float32(2 * size), out=texel)
-    np.multiply(texel, shrink, out=texel)
-    np.add(texel, np.float32(2 * size - 0.5), out=texel)
-    return texel
+    return numbers

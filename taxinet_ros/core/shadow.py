@@ -21,7 +21,11 @@ LOWEST_SUN_RAD = math.radians(1.0)
 """Below this the shadow is longer than the runway is wide and fainter than the sky's light."""
 
 _NEAREST_M = 0.2
+_INSIDE = np.array([0.0, 0.0, 0.0, 0.0, _NEAREST_M])
 _PENUMBRA_PX = 3
+_FARTHEST_PX = 4000
+_SHIFT = 4
+"""OpenCV draws in whole numbers: of sixteenths of a pixel."""
 
 
 def _prism(
@@ -72,66 +76,83 @@ OUTLINE: tuple[Vectors, ...] = (
 
 _POINTS = np.concatenate(OUTLINE)
 _STARTS = np.cumsum([0, *(len(part) for part in OUTLINE[:-1])])
+_PARTS = [
+    slice(start, start + len(part)) for start, part in zip(_STARTS.tolist(), OUTLINE, strict=True)
+]
 
 
-def shadow_on_ground(body_to_map: Vectors, position: Vectors, sun: Vectors) -> Vectors:
-    """Where the corners of all convex parts, one after the other, throw their shadow: (N, 3) [m].
+class OwnShadow:
+    """Where the aircraft's shadow lies in pictures, for one place of the sun."""
 
-    Args:
-        body_to_map: rotation matrix of the aircraft's attitude, (3, 3).
-        position: reference point in ``map`` (3,).
-        sun: unit vector towards the sun in ``map``; its z is positive.
-    """
-    points = _POINTS @ body_to_map.T + position
-    points -= points[:, 2:] * (sun / sun[2])
-    points[:, 2] = 0.0
-    return points
+    def __init__(self, sun: Vectors, intrinsics: Vectors, height: int, width: int) -> None:
+        """Prepare for pictures of ``height`` by ``width`` pixels.
 
+        Args:
+            sun: unit vector towards the sun in ``map``; its z is positive.
+            intrinsics: camera matrix (3, 3).
+            height: of the pictures [px].
+            width: of the pictures [px].
+        """
+        self._size = (height, width)
+        self._intrinsics = intrinsics.T
+        self._flatten = np.eye(3)
+        self._flatten[:, 2] -= sun / sun[2]
+        k, z = intrinsics, np.array([0.0, 0.0, 1.0])
+        # Distances from the view's five sides, inside positive, up to a scale.
+        self._sides = np.stack([k[0], k[1], width * z - k[0], height * z - k[1], z]).T
 
-def shadow_mask(optical: Vectors, intrinsics: Vectors, size: tuple[int, int]) -> Mask | None:
-    """The shadow in the picture; None where none is in view.
+    def mask(
+        self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
+    ) -> Mask | None:
+        """The shadow in the picture; None where none is in view.
 
-    Args:
-        optical: corners from :func:`shadow_on_ground` in the camera's optical frame, (N, 3) [m].
-        intrinsics: camera matrix (3, 3).
-        size: (height, width) of the picture [px].
-    """
-    polygons = [
-        np.rint(np.clip(polygon, -4000, 4000) * 16).astype(np.int32)
-        for polygon in _polygons_in_view(optical, intrinsics, size)
-    ]
-    if not polygons:
-        return None
-    mask = np.zeros(size, np.uint8)
-    for polygon in polygons:
-        cv2.fillConvexPoly(mask, polygon, (255,), lineType=cv2.LINE_AA, shift=4)
-    corners = np.concatenate(polygons)[:, 0] // 16
-    (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0)
-    margin = _PENUMBRA_PX
-    rows = slice(max(int(top) - margin, 0), min(int(bottom) + margin + 1, size[0]))
-    columns = slice(max(int(left) - margin, 0), min(int(right) + margin + 1, size[1]))
-    soft = cv2.blur(mask[rows, columns], (_PENUMBRA_PX, _PENUMBRA_PX))
-    return rows, columns, np.asarray(soft, np.uint8)
+        Args:
+            body: rotation from the body frame to ``map`` (3, 3).
+            place: the aircraft's reference point in ``map`` (3,).
+            to_optical: rotation from ``map`` to the camera's optical frame (3, 3).
+            camera: the camera's place in ``map`` (3,).
+        """
+        turn = to_optical @ self._flatten
+        optical = _POINTS @ (turn @ body).T + (turn @ place - to_optical @ camera)
+        polygons = self._polygons_in_view(optical)
+        if not polygons:
+            return None
+        mask = np.zeros(self._size, np.uint8)
+        for polygon in polygons:
+            cv2.fillConvexPoly(mask, polygon, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
+        left, top, width, height = cv2.boundingRect(np.concatenate(polygons) >> _SHIFT)
+        margin = _PENUMBRA_PX
+        rows = slice(max(top - margin, 0), min(top + height + margin, self._size[0]))
+        columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
+        soft = cv2.blur(mask[rows, columns], (_PENUMBRA_PX, _PENUMBRA_PX))
+        return rows, columns, np.asarray(soft, np.uint8)
 
+    def _polygons_in_view(self, optical: Vectors) -> list[NDArray[np.int32]]:
+        """Outlines (n, 1, 2) [px / 16] of the parts whose shadow may touch the picture."""
+        sides = optical @ self._sides
+        # A convex part that lies beyond one of the sides is out of view, also where some of its
+        # corners are behind the camera.
+        seen = (np.maximum.reduceat(sides, _STARTS) > _INSIDE).all(axis=1)
+        before = np.minimum.reduceat(optical[:, 2], _STARTS) >= _NEAREST_M
+        corners = [
+            optical[_PARTS[part]] if before[part] else _cut(optical[_PARTS[part]])
+            for part in np.flatnonzero(seen).tolist()
+        ]
+        if not corners:
+            return []
+        points, end = self._pixels(np.concatenate(corners)), 0
+        polygons = []
+        for part in corners:
+            start, end = end, end + len(part)
+            polygons.append(np.asarray(cv2.convexHull(points[start:end]), np.int32))
+        return polygons
 
-def _polygons_in_view(
-    optical: Vectors, intrinsics: Vectors, size: tuple[int, int]
-) -> list[NDArray[np.float32]]:
-    """Outlines (n, 1, 2) [px] of the parts whose shadow may touch the picture."""
-    scaled = optical @ intrinsics.T
-    right = scaled[:, 0] - size[1] * scaled[:, 2]
-    below = scaled[:, 1] - size[0] * scaled[:, 2]
-    # Signed distances from the view's five sides, inside positive. A convex part that lies beyond
-    # one of them is out of view, also where some of its corners are behind the camera.
-    sides = np.stack([scaled[:, 0], scaled[:, 1], -right, -below, optical[:, 2] - _NEAREST_M])
-    seen = (np.maximum.reduceat(sides, _STARTS, axis=1) > 0).all(axis=0)
-    polygons = []
-    for part in np.flatnonzero(seen):
-        corners = optical[_STARTS[part] : _STARTS[part] + len(OUTLINE[part])]
-        outline = _cut(corners) @ intrinsics.T
-        pixels = (outline[:, :2] / outline[:, 2:]).astype(np.float32)
-        polygons.append(cv2.convexHull(pixels).astype(np.float32))
-    return polygons
+    def _pixels(self, optical: Vectors) -> NDArray[np.int32]:
+        """Corners (N, 3) before the camera as (N, 2) in sixteenths of a pixel."""
+        scaled = optical @ self._intrinsics
+        pixels = scaled[:, :2] / scaled[:, 2:]
+        near = np.minimum(np.maximum(pixels, -_FARTHEST_PX), _FARTHEST_PX)
+        return np.asarray(np.rint(near * (1 << _SHIFT)), np.int32)
 
 
 def _cut(points: Vectors) -> Vectors:

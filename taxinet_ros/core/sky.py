@@ -1,22 +1,24 @@
 """What stands above the ground at the horizon: far fields, hills, trees, hangars and the sky.
 
-A panorama in azimuth and elevation, made once per scenario. The camera looks down, so only its
-lowest rows are ever seen, at the upper edge of the picture.
+A panorama in azimuth and elevation, made once per scenario, its shapes once per process. The camera
+looks down, so only its lowest rows are ever seen, at the upper edge of the picture.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.light import GAMMA, Light, display_code
 from taxinet_ros.core.noise import Floats, smooth_noise
 
-COLUMNS, ROWS = 1440, 160
+COLUMNS, ROWS, COLUMNS_PER_DEGREE = 1440, 160, 4
 LOWEST_RAD, STEP_RAD = math.radians(-0.5), math.radians(0.1)
-"""Elevation of row 0's centre and step between rows; column step is 0.25 degrees of yaw."""
+"""Elevation of row 0's centre and step between rows; columns go round the compass."""
 
 GROUND_END_TAN = 0.0022
 """Tangent of the depression above which the panorama replaces the ground (about 0.9 km away)."""
@@ -29,21 +31,28 @@ _HANGARS = np.array(
 )
 
 
+_COVER = {'scattered': (0.6, 20.0), 'broken': (-0.2, 26.0), 'cirrus': (0.3, 8.0)}
+"""Noise level above which there is cloud, and how much brighter it is, in display codes."""
+
+_GLOW_TINT = (1.0, 0.86, 0.62)
+
+
 def panorama(light: Light) -> NDArray[np.uint8]:
-    """Display colours (ROWS, COLUMNS + 1, 3); column k is yaw k / 4 - 180 deg, row 0 lowest."""
-    elevation = LOWEST_RAD + STEP_RAD * np.arange(ROWS, dtype=np.float32)[:, None]
-    picture = _sky(light, elevation)
+    """Display colours (ROWS, COLUMNS, 3); column k is yaw k / 4 - 180 deg, row 0 lowest."""
+    planes = _sky(light)
     shine = np.asarray(light.total * 0.85 + light.diffuse * 0.15)
     haze = math.exp(-1500.0 / light.visibility_m)
-    hills = np.radians(0.35 + 0.18 * _profile(301, 60) + 0.06 * _profile(302, 12))
-    trees = np.radians(0.10 + 0.12 * np.clip(_profile(303, 5), 0, None) + 0.05 * _profile(304, 2))
-    for tops, colour, clearness in ((hills, _HILLS, 0.45 * haze), (trees, _TREES, haze)):
-        _below(picture, elevation, tops, _lit(colour, shine), light.sky_low, clearness)
-    _hangars(picture, elevation, shine, light.sky_low, haze)
-    _below(picture, elevation, np.zeros(COLUMNS), _lit(_FAR_FIELD, shine), light.sky_low, haze)
-    whole = np.concatenate([picture, picture[:, :1]], axis=1)
-    codes: NDArray[np.uint8] = np.clip(np.rint(whole), 0, 255).astype(np.uint8)
-    return codes
+    clear = np.array([0.45 * haze, *[haze] * 6])[:, None]
+    paints = np.stack([_lit(paint, shine) for paint in (_HILLS, _TREES, *_HANGARS, _FAR_FIELD)])
+    colours = (light.sky_low + (paints - light.sky_low) * clear).astype(np.float32)
+    behind, cover = _skyline()
+    for plane, channel in zip(planes, colours.T, strict=True):
+        low = plane[: len(behind)]
+        low *= behind
+        for share, code in zip(cover, channel, strict=True):
+            cv2.scaleAdd(share, float(code), low, dst=low)
+    picture = cv2.merge([cv2.convertScaleAbs(plane) for plane in planes])
+    return np.asarray(picture, np.uint8)
 
 
 def _lit(colour: Floats, shine: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -58,55 +67,72 @@ def _profile(seed: int, cell: float) -> NDArray[np.float32]:
     return closed
 
 
-def _sky(light: Light, elevation: Floats) -> NDArray[np.float64]:
-    """Gradient from the horizon upwards, clouds, and the glow round a low sun."""
-    rise = np.clip(elevation / math.radians(15), 0, 1)[:, :, None]
-    picture = light.sky_low + (light.sky_high - light.sky_low) * np.sqrt(rise)
-    picture = np.repeat(picture, COLUMNS, axis=1)
-    cover = {'scattered': (0.6, 20.0), 'broken': (-0.2, 26.0), 'cirrus': (0.3, 8.0)}
-    if light.clouds in cover:
-        start, strength = cover[light.clouds]
-        noise = smooth_noise(310, (ROWS, COLUMNS), (9, 60)) + smooth_noise(
-            311, (ROWS, COLUMNS), (4, 20)
-        )
-        noise[:, -40:] += (noise[:, :1] - noise[:, -1:]) * np.linspace(0, 1, 40, dtype=np.float32)
-        picture += (strength * np.clip(noise - start, 0, 1.5))[:, :, None]
+def _sky(light: Light) -> Floats:
+    """Gradient from the horizon upwards, clouds, and the glow round a low sun; (3, ROWS, COLUMNS).
+
+    Display codes, not yet cut to 0..255.
+    """
+    elevation = LOWEST_RAD + STEP_RAD * np.arange(ROWS)
+    rise = np.clip(elevation / math.radians(15), 0, 1)[:, None]
+    gradient = light.sky_low + (light.sky_high - light.sky_low) * np.sqrt(rise)
+    planes = np.empty((3, ROWS, COLUMNS), np.float32)
+    planes[:] = gradient.T[:, :, None]
+    if light.clouds in _COVER:
+        planes += _clouds(light.clouds)
     beam = light.direct.max() / (light.total.max() + 1e-9)
     if beam > 0.01 and light.sun_elevation_rad > 0:
-        yaw = np.radians(np.arange(COLUMNS) / 4 - 180.0)
+        yaw = np.radians(np.arange(COLUMNS) / COLUMNS_PER_DEGREE - 180.0)
         away = np.angle(np.exp(1j * (yaw - math.atan2(light.sun[1], light.sun[0]))))
-        distance = np.square(away)[None] + np.square(elevation - light.sun_elevation_rad)
-        glow = beam * (150 * np.exp(-distance / 0.004) + 60 * np.exp(-distance / 0.10))
-        picture += glow[:, :, None] * np.array([1.0, 0.86, 0.62])
-    return picture
+        above = elevation - light.sun_elevation_rad
+        for strength, width in ((150, 0.004), (60, 0.10)):
+            column = (beam * strength * np.exp(-np.square(above) / width)).astype(np.float32)
+            glow = np.outer(column, np.exp(-np.square(away) / width).astype(np.float32))
+            for plane, tint in zip(planes, _GLOW_TINT, strict=True):
+                cv2.scaleAdd(glow, tint, plane, dst=plane)
+    return planes
 
 
-def _below(
-    picture: NDArray[np.float64],
-    elevation: Floats,
-    tops: NDArray[np.floating],
-    colour: NDArray[np.float64],
-    haze_colour: NDArray[np.float64],
-    clearness: float,
-) -> None:
-    """Paint everything below a skyline, faded into the haze."""
-    share = np.clip((tops[None] - elevation) / STEP_RAD + 0.5, 0, 1)[:, :, None]
-    picture += share * (haze_colour + (colour - haze_colour) * clearness - picture)
+@cache
+def _clouds(kind: str) -> Floats:
+    """Brightness that a kind of cloud adds to the sky, (ROWS, COLUMNS); it closes on itself."""
+    start, strength = _COVER[kind]
+    noise = smooth_noise(310, (ROWS, COLUMNS), (9, 60)) + smooth_noise(
+        311, (ROWS, COLUMNS), (4, 20)
+    )
+    noise[:, -40:] += (noise[:, :1] - noise[:, -1:]) * np.linspace(0, 1, 40, dtype=np.float32)
+    added: Floats = (strength * np.clip(noise - start, 0, 1.5)).astype(np.float32)
+    return added
 
 
-def _hangars(
-    picture: NDArray[np.float64],
-    elevation: Floats,
-    shine: NDArray[np.float64],
-    haze_colour: NDArray[np.float64],
-    clearness: float,
-) -> None:
-    """A scatter of airport buildings and parked things along the skyline."""
+@cache
+def _skyline() -> tuple[Floats, Floats]:
+    """What stands on the horizon, whatever its light.
+
+    Returns:
+        Share of the sky that is seen, (n, COLUMNS), for the lowest n rows; and the shares of hills,
+        trees, each paint of the hangars, and the far field, (7, n, COLUMNS).
+    """
+    hills = np.radians(0.35 + 0.18 * _profile(301, 60) + 0.06 * _profile(302, 12))
+    trees = np.radians(0.10 + 0.12 * np.clip(_profile(303, 5), 0, None) + 0.05 * _profile(304, 2))
+    rows = math.ceil((float(max(hills.max(), trees.max())) - LOWEST_RAD) / STEP_RAD + 0.5)
+    shares = np.zeros((8, rows, COLUMNS), np.float32)
+    shares[0] = 1.0
+    _paint(shares, 1, hills)
+    _paint(shares, 2, trees)
     rng = np.random.default_rng(320)
     for _ in range(130):
         start, width = int(rng.integers(0, COLUMNS)), int(rng.integers(1, 9))
         top = math.radians(float(rng.uniform(0.05, 0.45)))
-        colour = _lit(_HANGARS[rng.integers(0, len(_HANGARS))], shine)
-        part = picture[:, start : start + width]
-        tops = np.full(part.shape[1], top)
-        _below(part, elevation, tops, colour, haze_colour, clearness)
+        paint = int(rng.integers(0, len(_HANGARS)))
+        part = shares[:, :, start : start + width]
+        _paint(part, 3 + paint, np.full(part.shape[2], top))
+    _paint(shares, 7, np.zeros(COLUMNS))
+    return shares[0], shares[1:]
+
+
+def _paint(shares: Floats, layer: int, tops: NDArray[np.floating]) -> None:
+    """Cover everything below ``tops`` with a layer."""
+    elevation = LOWEST_RAD + STEP_RAD * np.arange(shares.shape[1])[:, None]
+    share = np.clip((tops[None] - elevation) / STEP_RAD + 0.5, 0, 1).astype(np.float32)
+    shares *= 1 - share
+    shares[layer] += share

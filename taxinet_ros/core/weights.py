@@ -12,7 +12,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -38,18 +38,41 @@ ERROR_QUANTITIES = ('cte_m', 'he_deg')
 Weights = Mapping[str, NDArray[np.float32]]
 
 
+SOURCE_KINDS = ('program', 'folder')
+"""Where pictures come from: rendered scenes of a Scenic program, or a folder with a label table."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Source:
+    """Where pictures come from.
+
+    Attributes:
+        kind: one of :data:`SOURCE_KINDS`.
+        name: of the program or folder.
+        sha256: digest of the program's text, or of the folder's labels and images.
+    """
+
+    kind: str
+    name: str
+    sha256: str
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModelCard:
     """Where a network comes from, and how well it sees in the world it was trained in.
 
     Attributes:
         architecture: word of :data:`~taxinet_ros.core.network.ARCHITECTURES`.
-        program: Scenic program that the training scenes came from.
-        program_sha256: digest of its text.
+        training_data: where the training pictures came from.
+        validation_data: where the validation pictures came from; empty if they were held back
+            from the training data.
         seed: of the scenes, the first weights and the order of training.
         images: pictures that were trained on.
-        validation: pictures of the same program, held back, that the errors were measured on.
-        epochs, batch, learning_rate: how it was trained.
+        validation: others, that chose the epoch and that the errors were measured on.
+        varied: whether the look of the rendered world varied.
+        augment: whether pictures were changed a little each time they were seen.
+        epochs, batch, learning_rate, patience: how it was trained.
+        best_epoch: the one with the lowest validation loss, whose weights these are.
         errors: absolute errors on the validation pictures: for each of
             :data:`ERROR_QUANTITIES` the :data:`ERROR_STATISTICS`, [m] and [degrees].
         weights_sha256: digest of the weights file.
@@ -59,14 +82,18 @@ class ModelCard:
     """
 
     architecture: str
-    program: str
-    program_sha256: str
+    training_data: tuple[Source, ...]
+    validation_data: tuple[Source, ...]
     seed: int
     images: int
     validation: int
+    varied: bool
+    augment: bool
     epochs: int
     batch: int
     learning_rate: float
+    patience: int
+    best_epoch: int
     errors: Mapping[str, Mapping[str, float]]
     weights_sha256: str
     package_version: str
@@ -191,30 +218,40 @@ def _load_card(path: Path) -> ModelCard:
         name = min(values.keys() ^ set(names))
         raise _bad(path, f'{name!r} {"is missing" if name in names else "is unknown"} in the card')
     for name in names:
-        _check_entry(path, name, values[name])
+        if not _CHECKS.get(name, _is_text)(values[name]):
+            raise _bad(path, f'{name} in the card is {str(values[name])[:40]!r}, which cannot be')
+    for name in ('training_data', 'validation_data'):
+        values[name] = tuple(Source(**source) for source in values[name])
     return ModelCard(**values)
 
 
-_COUNTS = ('seed', 'images', 'validation', 'epochs', 'batch')
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and value != ''
 
 
-def _check_entry(path: Path, name: str, value: object) -> None:
-    if name == 'errors':
-        good = _are_errors(value)
-    elif name in _COUNTS:
-        good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
-    elif name == 'learning_rate':
-        good = _is_magnitude(value)
-    else:
-        good = isinstance(value, str) and value != ''
-    if not good:
-        raise _bad(path, f'{name} in the card is {str(value)[:40]!r}, which cannot be')
+def _is_switch(value: object) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _is_magnitude(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return 0 <= value < math.inf
+
+
+def _are_sources(value: object) -> bool:
+    names = {field.name for field in fields(Source)}
+    return isinstance(value, list) and all(
+        isinstance(source, dict)
+        and set(source) == names
+        and all(map(_is_text, source.values()))
+        and source['kind'] in SOURCE_KINDS
+        for source in value
+    )
 
 
 def _are_errors(value: object) -> bool:
@@ -226,6 +263,20 @@ def _are_errors(value: object) -> bool:
         and all(map(_is_magnitude, row.values()))
         for row in value.values()
     )
+
+
+_CHECKS: dict[str, Callable[[object], bool]] = {
+    'training_data': lambda value: value != [] and _are_sources(value),
+    'validation_data': _are_sources,
+    'varied': _is_switch,
+    'augment': _is_switch,
+    'errors': _are_errors,
+    'learning_rate': _is_magnitude,
+    **dict.fromkeys(
+        ('seed', 'images', 'validation', 'epochs', 'batch', 'patience', 'best_epoch'), _is_count
+    ),
+}
+"""What the entries of a card have to be, where they are no texts."""
 
 
 def _replace(path: Path, data: bytes) -> None:

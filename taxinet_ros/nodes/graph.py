@@ -39,7 +39,7 @@ class GraphOptions:
     """What a graph is made of.
 
     Attributes:
-        perception: ``truth``, ``taxinet``, or a weights file.
+        perception: ``truth``, ``taxinet``, or a network's file.
         out: folder that takes one bag folder per run.
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.

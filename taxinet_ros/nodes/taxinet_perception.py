@@ -13,7 +13,7 @@ class TaxinetPerception(PerceptionNode):
 
     def choose(self) -> Perception:
         """The network that the parameter ``weights`` names."""
-        text = 'network: taxinet for the shipped weights, or a .safetensors file'
+        text = 'network: taxinet for the shipped weights, or a .safetensors or .onnx file'
         return make_perception(declare(self, 'weights', 'taxinet', text))
 
 

@@ -1,34 +1,26 @@
-"""Labelled pictures: one per scene of a Scenic program, as the paper's training sets are made.
+"""Labelled pictures in memory: one per scene of a Scenic program, as the paper's training sets are.
 
 A picture is kept as the network gets it, 8 KiB instead of 216.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource
-from taxinet_ros.core.aircraft import Aircraft
-from taxinet_ros.core.camera import Camera
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.training.rendering import photographs
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is in all."""
-
-_CHUNK = 16
-"""Scenes handed to a worker process at a time."""
 
 _Labelled = tuple[NDArray[np.uint8], float, float]
 
@@ -38,27 +30,21 @@ class Dataset:
     """Pictures and what a perfect network would say to them.
 
     Attributes:
-        scenarios: the N scenes.
-        pictures: what the network sees at the start of each, (N, 64, 128) uint8.
+        pictures: what the network sees, (N, 64, 128) uint8.
         cte_m, he_rad: true errors there, (N,) [m] and [rad].
     """
 
-    scenarios: tuple[Scenario, ...]
     pictures: NDArray[np.uint8]
     cte_m: NDArray[np.float64]
     he_rad: NDArray[np.float64]
 
     def __len__(self) -> int:
-        return len(self.scenarios)
+        return len(self.pictures)
 
-    def take(self, rows: slice | NDArray[np.bool_]) -> Dataset:
-        """Some of the rows, in their order."""
-        chosen = np.arange(len(self))[rows]
+    def take(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Dataset:
+        """Some of the rows."""
         return Dataset(
-            scenarios=tuple(self.scenarios[row] for row in chosen),
-            pictures=self.pictures[chosen],
-            cte_m=self.cte_m[chosen],
-            he_rad=self.he_rad[chosen],
+            pictures=self.pictures[rows], cte_m=self.cte_m[rows], he_rad=self.he_rad[rows]
         )
 
 
@@ -91,21 +77,21 @@ def draw_scenes(
     return scenes
 
 
-def photograph(scene: Scenario) -> _Labelled:
-    """What the network sees at the start of a scene, and the true errors there [m], [rad]."""
-    state = Aircraft(scene).state
-    truth = state.tracking_error
-    return shrink(Camera(scene).render(state, 0)), truth.cte_m, truth.he_rad
-
-
 def make_dataset(
-    scenes: Sequence[Scenario], *, workers: int, progress: Progress = silent
+    scenes: Sequence[Scenario],
+    *,
+    workers: int,
+    varied: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Dataset:
     """Photograph scenes. The result does not depend on the number of worker processes.
 
     Args:
-        scenes: what to photograph.
+        scenes: what to photograph; the place of one in the sequence is its number.
         workers: processes to do it in; 1 is this one.
+        varied: whether the look of the world varies.
+        seed: of what is drawn for that.
         progress: told after every picture.
 
     Raises:
@@ -113,29 +99,13 @@ def make_dataset(
     """
     pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
     truth = np.empty((len(scenes), 2))
-    for row, (picture, cte_m, he_rad) in enumerate(_photographs(scenes, workers)):
+    taken = photographs(enumerate(scenes), _shrunk, varied=varied, seed=seed, workers=workers)
+    for row, (picture, cte_m, he_rad) in enumerate(taken):
         pictures[row] = picture
         truth[row] = cte_m, he_rad
         progress('images', row + 1, len(scenes))
-    return Dataset(
-        scenarios=tuple(scenes), pictures=pictures, cte_m=truth[:, 0], he_rad=truth[:, 1]
-    )
+    return Dataset(pictures=pictures, cte_m=truth[:, 0], he_rad=truth[:, 1])
 
 
-def _photographs(scenes: Iterable[Scenario], workers: int) -> Iterator[_Labelled]:
-    if workers == 1:
-        yield from map(photograph, scenes)
-        return
-    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of torch badly
-    with ProcessPoolExecutor(workers, context, initializer=_start_worker) as pool:
-        try:
-            yield from pool.map(photograph, scenes, chunksize=_CHUNK)
-        except BrokenProcessPool as error:
-            raise InfraError('died', 'training worker', -1, 'see the messages above') from error
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
-    cv2.setNumThreads(1)
+def _shrunk(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Labelled:
+    return shrink(image), truth.cte_m, truth.he_rad

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.nn.functional import smooth_l1_loss
 
-from taxinet_ros.core.network import Architecture, normalise, scaled
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import Architecture, normalise, scaled, unscaled
+from taxinet_ros.training.augment import augment
 from taxinet_ros.training.dataset import Dataset, Progress, silent
+from taxinet_ros.training.history import Epoch
 
 _WARM_UP = 0.1
 """Share of all steps in which the learning rate rises, before it falls to nothing."""
@@ -16,18 +23,55 @@ _WARM_UP = 0.1
 _ROUND_BELOW = 0.05
 """Errors below it count squared, above it in proportion: hopeless pictures must not dominate."""
 
+_MEASURED_AT_ONCE = 256
+"""Validation pictures per pass through the network."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Recipe:
+    """How a network is fitted.
+
+    Attributes:
+        epochs: times that every picture is seen.
+        batch: pictures per step; a rest that does not fill one sits the epoch out.
+        learning_rate: the highest.
+        seed: of the first weights, of the order of the pictures, and of their augmentation.
+        patience: epochs without a better validation loss after which to stop; 0 is never. The
+            learning rate falls until the last epoch and most of the gain comes with its fall, so
+            stopping before it saves time at the cost of accuracy.
+        augmented: whether every picture is changed a little each time it is seen.
+    """
+
+    epochs: int
+    batch: int
+    learning_rate: float
+    seed: int
+    patience: int = 0
+    augmented: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Fitted:
+    """What came out.
+
+    Attributes:
+        weights: by name, those of the epoch with the lowest validation loss.
+        history: every epoch, in order.
+        best_epoch: number of the epoch whose weights these are.
+    """
+
+    weights: dict[str, NDArray[np.float32]]
+    history: tuple[Epoch, ...]
+    best_epoch: int
+
 
 def fit(
     architecture: Architecture,
-    dataset: Dataset,
-    *,
-    epochs: int,
-    batch: int,
-    learning_rate: float,
-    seed: int,
+    training: Dataset,
+    validation: Dataset,
+    recipe: Recipe,
     progress: Progress = silent,
-    losses: list[float] | None = None,
-) -> dict[str, NDArray[np.float32]]:
+) -> Fitted:
     """Train a fresh network, by AdamW under one cycle of the learning rate.
 
     One thread and seeded generators make it repeatable: on one machine, the same arguments give
@@ -35,41 +79,113 @@ def fit(
 
     Args:
         architecture: of the network.
-        dataset: pictures and true errors to learn.
-        epochs: times that every picture is seen.
-        batch: pictures per step; a rest that does not fill one sits the epoch out.
-        learning_rate: the highest.
-        seed: of the first weights and of the order of the pictures.
+        training: pictures and true errors to learn.
+        validation: others, which choose the epoch.
+        recipe: how.
         progress: told after every epoch.
-        losses: gets the mean loss of each epoch appended.
 
-    Returns:
-        The weights by name.
+    Raises:
+        UsageError: the loss left the numbers; a lower learning rate mends that.
     """
     torch.set_num_threads(1)
-    order = np.random.default_rng(seed)
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = architecture.build().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    inputs = dataset.pictures
-    targets = torch.from_numpy(scaled(dataset.cte_m, dataset.he_rad))
-    steps = max(1, len(dataset) // batch)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=learning_rate, weight_decay=0.01)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, max_lr=learning_rate, total_steps=epochs * steps, pct_start=_WARM_UP
-    )
-    for epoch in range(epochs):
-        total = 0.0
-        for rows in np.array_split(order.permutation(len(dataset))[: steps * batch], steps):
-            seen = torch.from_numpy(normalise(inputs[rows]))
-            answers = network(seen.to(memory_format=torch.channels_last))
-            loss = smooth_l1_loss(answers, targets[rows], beta=_ROUND_BELOW)
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            total += loss.item()
-        if losses is not None:
-            losses.append(total / steps)
-        progress('epochs', epoch + 1, epochs)
-    return {name: value.contiguous().numpy() for name, value in network.state_dict().items()}
+        torch.manual_seed(recipe.seed)
+        trainer = _Trainer(architecture, training, validation, recipe)
+        history: list[Epoch] = []
+        best = 0
+        for number in range(1, recipe.epochs + 1):
+            history.append(trainer.epoch(number))
+            if number == 1 or history[-1].validation_loss < history[best - 1].validation_loss:
+                best = number
+                weights = trainer.weights()
+            progress('epochs', number, recipe.epochs)
+            if 0 < recipe.patience <= number - best:
+                break
+    return Fitted(weights=weights, history=tuple(history), best_epoch=best)
+
+
+class _Trainer:
+    """A network in training, with all that has a state."""
+
+    def __init__(
+        self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe
+    ) -> None:
+        network = architecture.build()
+        self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._training = training
+        self._targets = torch.from_numpy(scaled(training.cte_m, training.he_rad))
+        self._validation = validation
+        self._recipe = recipe
+        self._steps = max(1, len(training) // recipe.batch)
+        self._order = np.random.default_rng(recipe.seed)
+        # Of its own, so that the order of the pictures is the same with augmentation and without.
+        self._chance = np.random.default_rng([recipe.seed, 1])
+        rate = recipe.learning_rate
+        self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=rate, weight_decay=0.01)
+        self._schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self._optimiser, max_lr=rate, total_steps=recipe.epochs * self._steps,
+            pct_start=_WARM_UP,
+        )
+
+    def epoch(self, number: int) -> Epoch:
+        """See every training picture once, then measure."""
+        self._network.train()
+        losses = [self._step(rows) for rows in self._batches()]
+        validation_loss, cte_mae_m, he_mae_rad = self._measure()
+        if not math.isfinite(validation_loss):
+            raise UsageError(
+                f'train: the loss is {validation_loss} after epoch {number}; lower --learning-rate '
+                f'from {self._recipe.learning_rate:g}'
+            )
+        return Epoch(
+            number=number,
+            learning_rate=self._rate,
+            training_loss=sum(losses) / len(losses),
+            validation_loss=validation_loss,
+            cte_mae_m=cte_mae_m,
+            he_mae_deg=math.degrees(he_mae_rad),
+        )
+
+    def weights(self) -> dict[str, NDArray[np.float32]]:
+        """A copy of the weights as they are now."""
+        state = self._network.state_dict()
+        return {name: np.array(value.contiguous().numpy()) for name, value in state.items()}
+
+    def _batches(self) -> Iterator[NDArray[np.int64]]:
+        kept = self._steps * self._recipe.batch
+        order = self._order.permutation(len(self._training))[:kept]
+        yield from np.array_split(order, self._steps)
+
+    def _step(self, rows: NDArray[np.int64]) -> float:
+        pictures = self._training.pictures[rows]
+        if self._recipe.augmented:
+            pictures = augment(pictures, self._chance)
+        loss = _loss(self._answers(pictures), self._targets[rows])
+        self._optimiser.zero_grad()
+        loss.backward()
+        self._rate = self._optimiser.param_groups[0]['lr']
+        self._optimiser.step()
+        self._schedule.step()
+        return loss.item()
+
+    def _answers(self, pictures: NDArray[np.uint8]) -> torch.Tensor:
+        seen = torch.from_numpy(normalise(pictures))
+        answers: torch.Tensor = self._network(seen.to(memory_format=torch.channels_last))
+        return answers
+
+    def _measure(self) -> tuple[float, float, float]:
+        """Loss on the validation pictures and mean absolute errors [m], [rad]."""
+        pictures = self._validation.pictures
+        starts = range(0, len(pictures), _MEASURED_AT_ONCE)
+        self._network.eval()
+        with torch.inference_mode():
+            parts = [self._answers(pictures[s : s + _MEASURED_AT_ONCE]) for s in starts]
+            answers = torch.cat(parts)
+            truth = scaled(self._validation.cte_m, self._validation.he_rad)
+            loss = _loss(answers, torch.from_numpy(truth)).item()
+        cte_m, he_rad = np.abs(unscaled(answers.numpy()) - unscaled(truth)).mean(axis=0)
+        return loss, float(cte_m), float(he_rad)
+
+
+def _loss(answers: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    return smooth_l1_loss(answers, targets, beta=_ROUND_BELOW)

@@ -1,172 +1,166 @@
-"""From a Scenic program to a weights file with its model card."""
+"""From a Scenic program or folders of labelled images to a weights file with its model card."""
 
 from __future__ import annotations
 
 import datetime
-import math
-import os
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
-from taxinet_ros.core.weights import (
-    SUFFIX,
-    ModelCard,
-    Weights,
-    card_path,
-    digest,
-    save_model,
-    to_bytes,
-)
+from taxinet_ros.core.weights import ModelCard, Source, Weights, digest, save_model, to_bytes
 from taxinet_ros.training.dataset import Dataset, Progress, draw_scenes, make_dataset, silent
+from taxinet_ros.training.history import history_csv
+from taxinet_ros.training.images import load_folders
+from taxinet_ros.training.options import TrainOptions
 
-_LIMITS: dict[str, tuple[float, float]] = {
-    'images': (1, 1_000_000),
-    'validation': (1, 1_000_000),
-    'epochs': (1, 10_000),
-    'batch': (1, 65_536),
-    'learning_rate': (1e-8, 1.0),
-    'seed': (0, 2**63 - 1),
-    'workers': (1, 256),
-}
+if TYPE_CHECKING:
+    from taxinet_ros.training.fit import Fitted
+
+_SPLIT = 2
+"""Tells the random numbers that hold rows back from those of the training."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TrainOptions:
-    """What to train on, how, and where the result goes; numbers are checked on construction.
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Material:
+    """What to learn and what to measure on, and where both come from."""
 
-    Attributes:
-        program: word of a shipped Scenic program or path of one.
-        out: weights file to write, ``NAME.safetensors``; its card becomes ``NAME.json``.
-        images: pictures to train on, one per scene.
-        validation: further scenes, held back to measure the errors on.
-        epochs: times that every picture is seen.
-        batch: pictures per step.
-        learning_rate: the highest of the one-cycle schedule.
-        seed: of everything random.
-        workers: processes that render; the result does not depend on them.
-        overwrite: whether existing files may be replaced.
-
-    Raises:
-        UsageError: a number is out of range.
-    """
-
-    program: str
-    out: Path
-    images: int = 12_000
-    validation: int = 1_500
-    epochs: int = 20
-    batch: int = 64
-    learning_rate: float = 3e-3
-    seed: int = 1
-    workers: int = 2
-    overwrite: bool = False
-
-    def __post_init__(self) -> None:
-        for name, (low, high) in _LIMITS.items():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise UsageError(f'train: {name} is {value:g}, outside {low:g}..{high:g}')
-        if self.batch > self.images:
-            raise UsageError(f'train: a batch of {self.batch} is more than {self.images} images')
-
-    @property
-    def command_line(self) -> str:
-        """The command that trains these weights, with every number that matters."""
-        numbers = ('images', 'validation', 'epochs', 'batch', 'learning_rate', 'seed')
-        words = ['taxinet', 'train', self.program]
-        for name in numbers:
-            words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
-        return shlex.join([*words, '--out', self.out.name])
+    training: Dataset
+    validation: Dataset
+    training_data: tuple[Source, ...]
+    validation_data: tuple[Source, ...] = ()
 
 
 def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
-    """Draw scenes, photograph them, fit a network, measure it, and write both files.
+    """Get labelled pictures, fit a network, measure it, and write weights, card and curves.
 
     Everything that can be wrong with the options is found before the work starts. Files appear
     at the end and whole; equal options give equal weights on one machine.
 
     Args:
         options: what to do.
-        progress: told of the stages ``scenes``, ``images`` and ``epochs``.
+        progress: told of the stages ``scenes``, ``images``, ``held back`` (images of
+            ``validation_data``) and ``epochs``.
 
     Returns:
-        The card that was written.
+        The card that was written. Its errors were measured on the pictures that also chose the
+        epoch, one of a few dozen, which flatters them a little.
 
     Raises:
-        UsageError: options, program or folder cannot be used.
+        UsageError: options, program, data or folder cannot be used.
         InfraError: a worker process died, or the simulator failed.
     """
-    check_out(options)
-    program_sha256 = program_digest(find_program(options.program))
-    dataset = _render(options, progress)
-    weights = _fit(options, dataset.take(slice(options.images)), progress)
-    data = to_bytes(weights)
+    options.check_out()
+    material = _material(options, progress)
+    fitted = _fit(options, material, progress)
+    data = to_bytes(fitted.weights)
     card = ModelCard(
         architecture=DEFAULT_ARCHITECTURE,
-        program=Path(options.program).stem,
-        program_sha256=program_sha256,
+        training_data=material.training_data,
+        validation_data=material.validation_data,
         seed=options.seed,
-        images=options.images,
-        validation=options.validation,
+        images=len(material.training),
+        validation=len(material.validation),
+        varied=options.varied,
+        augment=options.augment,
         epochs=options.epochs,
         batch=options.batch,
         learning_rate=options.learning_rate,
-        errors=_measure(weights, dataset.take(slice(options.images, None))),
+        patience=options.patience,
+        best_epoch=fitted.best_epoch,
+        errors=_measure(fitted.weights, material.validation),
         weights_sha256=digest(data),
         package_version=__version__,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         command_line=options.command_line,
     )
     save_model(options.out, data, card)
+    _write_curves(options, fitted)
     return card
 
 
-def check_out(options: TrainOptions) -> None:
-    """See that the result can be written, before hours go into it.
+def _material(options: TrainOptions, progress: Progress) -> _Material:
+    if options.program is not None:
+        return _rendered(options, options.program, progress)
+    workers = options.workers
+    training, sources = load_folders(options.data, workers=workers, progress=progress)
+    if options.validation_data is None:
+        kept, held_back = _split(options, training)
+        return _Material(training=kept, validation=held_back, training_data=sources)
+    _check_batch(options, len(training))
+    validation, others = load_folders(
+        (options.validation_data,), workers=workers, stage='held back', progress=progress
+    )
+    return _Material(
+        training=training, validation=validation, training_data=sources, validation_data=others
+    )
 
-    Raises:
-        UsageError: wrong suffix, no such folder, not writable, or there already.
-    """
-    out = options.out
-    if out.suffix != SUFFIX:
-        raise UsageError(f'train: --out {out}: has to end in {SUFFIX}')
-    if not out.parent.is_dir():
-        raise UsageError(f'train: --out {out}: {out.parent} is no folder; make it first')
-    if not os.access(out.parent, os.W_OK | os.X_OK):
-        raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
-    for path in (out, card_path(out)):
-        if path.is_dir() or (path.exists() and not options.overwrite):
-            raise UsageError(f'train: --out {path}: exists; name another file or say --overwrite')
 
-
-def _render(options: TrainOptions, progress: Progress) -> Dataset:
+def _rendered(options: TrainOptions, program: str, progress: Progress) -> _Material:
+    sha256 = program_digest(find_program(program))
     images = options.images + options.validation
-    scenes = draw_scenes(options.program, seed=options.seed, images=images, progress=progress)
-    return make_dataset(scenes, workers=options.workers, progress=progress)
-
-
-def _fit(options: TrainOptions, training: Dataset, progress: Progress) -> Weights:
-    from taxinet_ros.training.fit import fit  # imports torch, which bad options should not wait for
-
-    return fit(
-        ARCHITECTURES[DEFAULT_ARCHITECTURE],
-        training,
-        epochs=options.epochs,
-        batch=options.batch,
-        learning_rate=options.learning_rate,
-        seed=options.seed,
+    scenes = draw_scenes(program, seed=options.seed, images=images, progress=progress)
+    dataset = make_dataset(
+        scenes, workers=options.workers, varied=options.varied, seed=options.seed,
         progress=progress,
     )
+    return _Material(
+        training=dataset.take(slice(options.images)),
+        validation=dataset.take(slice(options.images, None)),
+        training_data=(Source(kind='program', name=Path(program).stem, sha256=sha256),),
+    )
+
+
+def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
+    """Rows to learn and rows held back, each in the order of the tables."""
+    import numpy as np
+
+    left = len(dataset) - options.validation
+    if left < 1:
+        raise UsageError(
+            f'train: --validation {options.validation} leaves nothing of {len(dataset)} images to '
+            'train on; hold fewer back'
+        )
+    _check_batch(options, left)
+    order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
+    return dataset.take(np.sort(order[:left])), dataset.take(np.sort(order[left:]))
+
+
+def _check_batch(options: TrainOptions, images: int) -> None:
+    if options.batch > images:
+        raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
+
+
+def _fit(options: TrainOptions, material: _Material, progress: Progress) -> Fitted:
+    from taxinet_ros.training.fit import Recipe, fit  # torch: bad options should not wait for it
+
+    recipe = Recipe(
+        epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate,
+        seed=options.seed, patience=options.patience, augmented=options.augment,
+    )
+    architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
+    return fit(architecture, material.training, material.validation, recipe, progress)
 
 
 def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:
     from taxinet_ros.core.network import TaxiNet
-    from taxinet_ros.training.evaluate import absolute_errors, statistics
+    from taxinet_ros.training.accuracy import absolute_errors, statistics
 
     network = TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], weights)
     return statistics(absolute_errors(network, held_back))
+
+
+def _write_curves(options: TrainOptions, fitted: Fitted) -> None:
+    from taxinet_ros.training.curves import learning_curves
+
+    picture = learning_curves(fitted.history, fitted.best_epoch, options.out.stem)
+    try:
+        options.curves_path.write_bytes(picture)
+        options.history_path.write_text(history_csv(fitted.history), encoding='utf-8')
+    except OSError as error:
+        raise UsageError(
+            f'train: {options.curves_path.parent}: cannot be written ({error.strerror})'
+        ) from error

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from taxinet_ros.analysis.contact_sheet import Picture, contact_sheet
+from taxinet_ros.analysis.contact_sheet import Picture, contact_sheet, grid_sheet
 
 
 def tile(value: int, height: int = 200, width: int = 360) -> Picture:
@@ -70,3 +70,45 @@ def test_given_no_pictures_when_laid_out_then_it_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         contact_sheet(tiles, columns, tmp_path / 'sheet.png')
+
+
+def test_given_groups_when_laid_out_then_they_stand_apart_and_a_title_stands_above(
+    tmp_path: Path,
+) -> None:
+    tiles = [(tile(value), '') for value in (50, 60, 70, 80)]
+    contact_sheet(tiles, 4, tmp_path / 'sheet.png', title='Pairs', group=2)
+    sheet = np.asarray(Image.open(tmp_path / 'sheet.png'))
+    corners = [np.argwhere((sheet == (v, 10, 200)).all(axis=2)).min(axis=0) for v in (50, 60, 70)]
+    within, between = corners[1][1] - corners[0][1], corners[2][1] - corners[1][1]
+    assert between > within + 10
+    ink = np.argwhere(sheet.max(axis=2) < 100)
+    assert len(ink) > 50
+    assert ink[:, 0].max() < corners[0][0]
+
+
+def test_given_a_table_when_laid_out_then_headings_stand_left_and_above_of_whole_pictures(
+    tmp_path: Path,
+) -> None:
+    tiles = [[tile(50), tile(60)], [tile(70), tile(80)]]
+    grid_sheet(tiles, ['a long heading', 'two\nlines'], ['07:00', '08:00'], tmp_path / 's.png',
+               title='Title')  # fmt: skip
+    sheet = np.asarray(Image.open(tmp_path / 's.png'))
+    corners = {}
+    for value in (50, 60, 70, 80):
+        where = np.argwhere((sheet == (value, 10, 200)).all(axis=2))
+        assert len(where) == 200 * 360
+        corners[value] = where.min(axis=0)
+    assert corners[50][0] == corners[60][0] < corners[70][0] == corners[80][0]
+    assert corners[50][1] == corners[70][1] < corners[60][1] == corners[80][1]
+    ink = np.argwhere(sheet.max(axis=2) < 100)
+    left, above = ink[:, 1] < corners[50][1], ink[:, 0] < corners[50][0]
+    assert (left | above).all()
+    assert (left & ~above).sum() > 300
+    assert (above & ~left).sum() > 300
+
+
+def test_given_headings_that_do_not_fit_when_laid_out_then_they_are_refused(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(ValueError, match='2 columns'):
+        grid_sheet([[tile(50)]], ['a'], ['b', 'c'], tmp_path / 's.png', title='')

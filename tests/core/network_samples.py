@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, IMAGE_SHAPE
-from taxinet_ros.core.weights import ERROR_STATISTICS, ModelCard, digest, save_model, to_bytes
+from taxinet_ros.core.weights import (
+    ERROR_STATISTICS,
+    ModelCard,
+    Source,
+    digest,
+    save_model,
+    to_bytes,
+)
 
 
 def random_weights(seed: int = 0) -> dict[str, NDArray[np.float32]]:
@@ -27,14 +34,18 @@ def card_of(data: bytes) -> ModelCard:
     row = dict.fromkeys(ERROR_STATISTICS, 0.25)
     return ModelCard(
         architecture=DEFAULT_ARCHITECTURE,
-        program='nominal',
-        program_sha256='0' * 64,
+        training_data=(Source(kind='program', name='nominal', sha256='0' * 64),),
+        validation_data=(),
         seed=1,
         images=10,
         validation=5,
+        varied=False,
+        augment=False,
         epochs=2,
         batch=4,
         learning_rate=1e-3,
+        patience=0,
+        best_epoch=2,
         errors={'cte_m': row, 'he_deg': row},
         weights_sha256=digest(data),
         package_version='0.1.0',

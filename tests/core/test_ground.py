@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from taxinet_ros.core import ground, runway
-from taxinet_ros.core.pavement import ASPHALT, PAINT, Grid, coverage
+from taxinet_ros.core.ground_style import STANDARD
+from taxinet_ros.core.pavement import Grid, coverage
 
 
 def base() -> np.ndarray:
@@ -30,9 +31,9 @@ def test_given_a_clean_stretch_when_measured_then_paint_asphalt_and_field_have_t
 ):
     for side in (-1, 1):
         low, high = sorted((side * 14.4, side * 15.0))
-        assert patch(1000, 1100, low, high) == pytest.approx(PAINT, abs=10)
+        assert patch(1000, 1100, low, high) == pytest.approx(STANDARD.paint, abs=10)
         low, high = sorted((side * 9, side * 13))
-        assert patch(1000, 1100, low, high) == pytest.approx(ASPHALT, abs=10)
+        assert patch(1000, 1100, low, high) == pytest.approx(STANDARD.asphalt, abs=10)
         low, high = sorted((side * 16, side * 19))
         assert patch(1000, 1100, low, high) == pytest.approx(152, abs=8)
 
@@ -46,7 +47,7 @@ def test_given_the_touchdown_zone_when_measured_then_rubber_makes_the_middle_dar
 def test_given_the_crossing_when_measured_then_our_stripes_are_gone() -> None:
     for side in (-1, 1):
         low, high = sorted((side * 14.4, side * 15.0))
-        assert patch(1425, 1465, low, high) < ASPHALT
+        assert patch(1425, 1465, low, high) < STANDARD.asphalt
     dashes = [m.polygon for m in runway.markings() if m.kind == 'centreline']
     assert not any(1400 < x < 1490 for polygon in dashes for x, _ in polygon)
 

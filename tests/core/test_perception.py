@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from network_samples import frame, random_weights, save_sample
+from onnx_samples import save
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import CTE_SCALE_M, HE_SCALE_RAD
@@ -24,11 +25,12 @@ from taxinet_ros.core.weights import SHIPPED, digest
 TRUTH = TrackingError(cte_m=-1.5, he_rad=0.2)
 
 
-@pytest.fixture(params=[*PERCEPTION, 'file'])
+@pytest.fixture(params=[*PERCEPTION, 'weights', 'onnx'])
 def perception(request: pytest.FixtureRequest, tmp_path: Path) -> Perception:
     """The contract kit runs over every perception there is."""
-    if request.param == 'file':
-        return make_perception(str(save_sample(tmp_path)))
+    files = {'weights': save_sample, 'onnx': save}
+    if request.param in files:
+        return make_perception(str(files[request.param](tmp_path)))
     return make_perception(request.param)
 
 
@@ -67,7 +69,7 @@ def test_given_any_perception_when_it_has_nothing_to_go_by_then_the_estimate_is_
 def test_given_any_perception_when_described_then_word_fingerprint_and_need_agree(
     perception: Perception,
 ) -> None:
-    assert perception.word in PERCEPTION
+    assert perception.word in (*PERCEPTION, 'onnx')
     assert perception.needs_image == (perception.word != 'truth')
     assert len(perception.fingerprint) == (64 if perception.needs_image else 0)
 
@@ -137,7 +139,7 @@ def test_given_an_unknown_word_when_chosen_then_the_known_ones_are_listed(
         choose(word)
     message = str(caught.value)
     assert repr(word) in message
-    assert all(known in message for known in (*PERCEPTION, '.safetensors'))
+    assert all(known in message for known in (*PERCEPTION, '.safetensors', '.onnx'))
     assert '\n' not in message
 
 

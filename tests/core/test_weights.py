@@ -120,6 +120,15 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     'errors not a table': (entries(errors=[]), 'errors in the card'),
     'errors negative': (entries(errors={'cte_m': {'mae': -1}, 'he_deg': {}}), 'errors in the card'),
     'date no text': (entries(date=20260131), 'date in the card'),
+    'switch a count': (entries(varied=1), 'varied in the card'),
+    'nothing learnt from': (entries(training_data=[]), 'training_data in the card'),
+    'source without digest': (
+        entries(training_data=[{'kind': 'program', 'name': 'x'}]), 'training_data in the card',
+    ),
+    'source of no kind': (
+        entries(validation_data=[{'kind': 'dream', 'name': 'x', 'sha256': '0'}]),
+        'validation_data in the card',
+    ),
 }
 
 
@@ -170,7 +179,9 @@ def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_car
     model = load_model(SHIPPED)
     assert SHIPPED.stat().st_size < 2_000_000
     assert model.weights.keys() == ARCHITECTURES[model.card.architecture].shapes().keys()
-    assert model.card.program == 'training_original'
+    assert [(data.kind, data.name) for data in model.card.training_data] == [
+        ('program', 'training_original')
+    ]
     assert model.card.command_line.startswith('taxinet train training_original ')
     assert model.card.errors['cte_m']['mae'] <= 0.4
     assert model.card.errors['he_deg']['mae'] <= 1.5

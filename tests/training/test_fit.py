@@ -1,70 +1,91 @@
 from __future__ import annotations
 
-import numpy as np
+import csv
+import dataclasses
 
-from taxinet_ros.core.network import (
-    ARCHITECTURES,
-    DEFAULT_ARCHITECTURE,
-    HE_SCALE_RAD,
-    INPUT_SHAPE,
-    TaxiNet,
-)
-from taxinet_ros.core.scenario import Scenario
+import numpy as np
+import pytest
+from training_samples import bright_columns
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.weights import to_bytes
-from taxinet_ros.training.dataset import Dataset
-from taxinet_ros.training.evaluate import SLICES, absolute_errors, by_slice, statistics
-from taxinet_ros.training.fit import fit
+from taxinet_ros.training.accuracy import absolute_errors, half_width_95, statistics
+from taxinet_ros.training.curves import learning_curves
+from taxinet_ros.training.fit import Fitted, Recipe, fit
+from taxinet_ros.training.history import Epoch, history_csv
 
 ARCHITECTURE = ARCHITECTURES[DEFAULT_ARCHITECTURE]
+RECIPE = Recipe(epochs=3, batch=16, learning_rate=2e-3, seed=1)
+TRAINING = bright_columns(64, 1)
+VALIDATION = bright_columns(32, 2)
 
 
-def bright_columns(images: int, seed: int) -> Dataset:
-    """Pictures with a bright column whose place says where the aircraft is."""
-    rng = np.random.default_rng(seed)
-    place = rng.uniform(-0.8, 0.8, images)
-    pictures = rng.integers(0, 60, (images, *INPUT_SHAPE), np.uint8)
-    for picture, middle in zip(pictures, place, strict=True):
-        column = int(64 + 60 * middle)
-        picture[:, column - 3 : column + 3] = 255
-    return Dataset(
-        scenarios=(Scenario(),) * images,
-        pictures=pictures,
-        cte_m=10 * place,
-        he_rad=-HE_SCALE_RAD * place,
+def fitted(**changes: object) -> Fitted:
+    return fit(ARCHITECTURE, TRAINING, VALIDATION, dataclasses.replace(RECIPE, **changes))
+
+
+@pytest.mark.parametrize('augmented', [False, True])
+def test_given_the_same_recipe_when_fitted_twice_then_the_weights_are_the_same_bytes(
+    augmented: bool,
+) -> None:
+    first, again, other = (
+        fitted(seed=seed, augmented=augmented, epochs=2) for seed in (1, 1, 2)
     )
+    assert to_bytes(again.weights) == to_bytes(first.weights)
+    assert again.history == first.history
+    assert to_bytes(other.weights) != to_bytes(first.weights)
 
 
-def fitted(dataset: Dataset, seed: int = 1, losses: list[float] | None = None) -> bytes:
-    weights = fit(
-        ARCHITECTURE, dataset, epochs=3, batch=16, learning_rate=2e-3, seed=seed, losses=losses
-    )
-    return to_bytes(weights)
-
-
-def test_given_the_same_seed_when_fitted_twice_then_the_weights_are_the_same_bytes() -> None:
-    dataset = bright_columns(64, 1)
-    first = fitted(dataset)
-    assert fitted(dataset) == first
-    assert fitted(dataset, seed=2) != first
+def test_given_augmentation_when_fitted_then_other_weights_come_out() -> None:
+    assert to_bytes(fitted(epochs=1).weights) != to_bytes(fitted(epochs=1, augmented=True).weights)
 
 
 def test_given_a_simple_world_when_fitted_then_the_loss_falls_and_new_pictures_are_understood() -> (
     None
 ):
-    losses: list[float] = []
     told: list[tuple[str, int, int]] = []
-    weights = fit(
-        ARCHITECTURE, bright_columns(512, 1), epochs=6, batch=16, learning_rate=2e-3, seed=1,
-        progress=lambda *what: told.append(what), losses=losses,
-    )  # fmt: skip
+    recipe = dataclasses.replace(RECIPE, epochs=6)
+    result = fit(
+        ARCHITECTURE, bright_columns(320, 1), VALIDATION, recipe, lambda *what: told.append(what)
+    )
     assert told == [('epochs', epoch, 6) for epoch in range(1, 7)]
-    assert len(losses) == 6
-    assert losses[-1] < 0.2 * losses[0]
-    unseen = bright_columns(64, 2)
-    errors = absolute_errors(TaxiNet(ARCHITECTURE, weights), unseen)
+    assert [epoch.number for epoch in result.history] == [1, 2, 3, 4, 5, 6]
+    assert result.history[-1].training_loss < 0.2 * result.history[0].training_loss
+    rates = [epoch.learning_rate for epoch in result.history]
+    assert max(rates) <= RECIPE.learning_rate
+    assert rates[-1] < 0.01 * max(rates)
+    unseen = bright_columns(64, 3)
+    errors = absolute_errors(TaxiNet(ARCHITECTURE, result.weights), unseen)
     assert errors.shape == (64, 2)
     assert errors[:, 0].mean() < 0.2 * np.abs(unseen.cte_m).mean()
     assert errors[:, 1].mean() < 0.2 * np.abs(unseen.he_rad).mean()
+
+
+def test_given_an_epoch_that_was_better_when_fitted_then_its_weights_are_kept() -> None:
+    # Labels that contradict what is learnt: the longer it is learnt, the worse it gets.
+    opposed = dataclasses.replace(
+        VALIDATION, cte_m=-VALIDATION.cte_m, he_rad=-VALIDATION.he_rad
+    )
+    result = fit(ARCHITECTURE, TRAINING, opposed, dataclasses.replace(RECIPE, epochs=8))
+    losses = [epoch.validation_loss for epoch in result.history]
+    best = result.history[result.best_epoch - 1]
+    assert len(losses) == 8
+    assert result.best_epoch < 8
+    assert best.validation_loss == min(losses)
+    errors = absolute_errors(TaxiNet(ARCHITECTURE, result.weights), opposed).mean(axis=0)
+    assert (best.cte_mae_m, best.he_mae_deg) == pytest.approx((errors[0], np.degrees(errors[1])))
+
+    impatient = dataclasses.replace(RECIPE, epochs=8, patience=1)
+    stopped = fit(ARCHITECTURE, TRAINING, opposed, impatient)
+    assert stopped.best_epoch <= result.best_epoch
+    assert stopped.history == result.history[: stopped.best_epoch + 1]
+
+
+def test_given_a_rate_far_too_high_when_fitted_then_one_line_says_so() -> None:
+    with pytest.raises(UsageError, match='lower --learning-rate') as caught:
+        fitted(learning_rate=1e30)
+    assert '\n' not in str(caught.value)
 
 
 def test_given_errors_when_summed_up_then_metres_and_degrees_have_their_statistics() -> None:
@@ -75,27 +96,30 @@ def test_given_errors_when_summed_up_then_metres_and_degrees_have_their_statisti
     }
 
 
-def test_given_scenes_of_two_slices_when_measured_then_each_has_its_own_errors() -> None:
-    hour = 3600.0
-    dataset = bright_columns(4, 3)
-    scenarios = (
-        Scenario(time_of_day_s=10 * hour),
-        Scenario(time_of_day_s=10 * hour, distance_m=1450.0),
-        Scenario(time_of_day_s=14 * hour, clouds='overcast', rain=0.5),
-        Scenario(time_of_day_s=7 * hour),
-    )
-    dataset = Dataset(
-        scenarios=scenarios, pictures=dataset.pictures, cte_m=dataset.cte_m, he_rad=dataset.he_rad
-    )
-    weights = fit(ARCHITECTURE, dataset, epochs=1, batch=4, learning_rate=1e-4, seed=1)
-    network = TaxiNet(ARCHITECTURE, weights)
-    table = {row.name: row for row in by_slice(network, dataset)}
-    assert list(table) == list(SLICES)
-    counts = {name: row.images for name, row in table.items()}
-    assert counts == {
-        'all': 4, 'like the training': 1, 'early morning': 1, 'afternoon, clear': 0,
-        'broken or stratus, dry': 0, 'rain': 1, 'crossing': 1,
-    }  # fmt: skip
-    single = statistics(absolute_errors(network, dataset)[2:3])
-    assert table['rain'].errors == single
-    assert table['afternoon, clear'].errors == {}
+def test_given_many_samples_when_their_means_are_bounded_then_most_intervals_hold_the_truth() -> (
+    None
+):
+    samples = np.random.default_rng(1).exponential(2.0, (1000, 50))
+    held = [abs(sample.mean() - 2.0) <= (half_width_95(sample) or 0) for sample in samples]
+    assert 0.90 <= np.mean(held) <= 0.97
+    assert half_width_95(np.array([1.0])) is None
+
+
+def epochs(count: int) -> list[Epoch]:
+    return [
+        Epoch(number=i, learning_rate=1e-3 / i, training_loss=0.5 / i, validation_loss=0.6 / i,
+              cte_mae_m=3 / i, he_mae_deg=9 / i)
+        for i in range(1, count + 1)
+    ]  # fmt: skip
+
+
+def test_given_a_history_when_written_then_table_and_picture_show_every_epoch() -> None:
+    count = 5
+    history = epochs(count)
+    rows = list(csv.DictReader(history_csv(history).splitlines()))
+    assert [int(row['number']) for row in rows] == list(range(1, count + 1))
+    assert float(rows[-1]['validation_loss']) == pytest.approx(0.6 / count, rel=1e-5)
+    picture = learning_curves(history, count, 'net')
+    assert picture.startswith(b'\x89PNG')
+    assert learning_curves(history, count, 'net') == picture
+    assert learning_curves(history[:1], 1, 'net') != picture

@@ -1,16 +1,23 @@
 from __future__ import annotations
 
+import csv
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
+from training_samples import foreign_folder
 
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import make_perception
-from taxinet_ros.core.weights import digest, load_model
-from taxinet_ros.training.train import TrainOptions, train
+from taxinet_ros.core.weights import Source, digest, load_model
+from taxinet_ros.training.dataset import draw_scenes, make_dataset
+from taxinet_ros.training.folder import DatasetOptions, write_dataset
+from taxinet_ros.training.images import load_folders
+from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.training.train import train
 
 
 def options(out: Path, **changes: object) -> TrainOptions:
@@ -18,6 +25,10 @@ def options(out: Path, **changes: object) -> TrainOptions:
         program='nominal', out=out, images=12, validation=4, epochs=2, batch=4, workers=1, seed=7
     )
     return dataclasses.replace(tiny, **changes)
+
+
+def from_data(out: Path, *folders: Path, **changes: object) -> TrainOptions:
+    return options(out, program=None, data=folders, validation=2, **changes)
 
 
 def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_card_complete(
@@ -33,8 +44,10 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
     assert load_model(first).card == card
     assert make_perception(str(first)).fingerprint == card.weights_sha256
     assert card.weights_sha256 == digest(first.read_bytes())
-    assert card.program_sha256 == program_digest(find_program('nominal'))
-    assert (card.program, card.seed, card.images, card.validation) == ('nominal', 7, 12, 4)
+    program = Source(kind='program', name='nominal', sha256=program_digest(find_program('nominal')))
+    assert (card.training_data, card.validation_data) == ((program,), ())
+    assert (card.seed, card.images, card.validation) == (7, 12, 4)
+    assert (card.varied, card.augment, card.patience) == (False, False, 0)
     assert (card.epochs, card.batch, card.package_version) == (2, 4, __version__)
     assert card.command_line == (
         'taxinet train nominal --images 12 --validation 4 --epochs 2 --batch 4 '
@@ -42,8 +55,93 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
     )
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [
-        'again.json', 'again.safetensors', 'first.json', 'first.safetensors'
-    ]  # fmt: skip
+        f'{name}.{suffix}' for name in ('again', 'first')
+        for suffix in ('csv', 'json', 'png', 'safetensors')
+    ]
+    rows = list(csv.DictReader((tmp_path / 'first.csv').read_text().splitlines()))
+    assert [row['number'] for row in rows] == ['1', '2']
+    best = rows[card.best_epoch - 1]
+    assert float(best['cte_mae_m']) == pytest.approx(card.errors['cte_m']['mae'], abs=1e-4)
+    assert float(best['validation_loss']) == min(float(row['validation_loss']) for row in rows)
+    assert (tmp_path / 'first.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_given_a_foreign_folder_when_trained_on_then_rows_are_held_back_by_seed(
+    tmp_path: Path,
+) -> None:
+    folder = foreign_folder(tmp_path / 'photos', images=8)
+    cards = [
+        train(from_data(tmp_path / f'{name}.safetensors', folder, seed=seed))
+        for name, seed in (('one', 1), ('two', 1), ('three', 2))
+    ]
+    assert cards[0].weights_sha256 == cards[1].weights_sha256 != cards[2].weights_sha256
+    assert (cards[0].images, cards[0].validation) == (6, 2)
+    assert [(data.kind, data.name) for data in cards[0].training_data] == [('folder', 'photos')]
+    assert cards[0].command_line == (
+        f'taxinet train --data {folder} --validation 2 --epochs 2 --batch 4 '
+        '--learning-rate 0.003 --seed 1 --out one.safetensors'
+    )
+
+
+def test_given_a_folder_to_measure_on_when_trained_then_nothing_is_held_back(
+    tmp_path: Path,
+) -> None:
+    one, two, other = (foreign_folder(tmp_path / name, images=4) for name in ('a', 'b', 'c'))
+    out = tmp_path / 'net.safetensors'
+    card = train(from_data(out, one, two, validation_data=other, augment=True, patience=1))
+    assert (card.images, card.validation) == (8, 4)
+    assert [data.name for data in card.training_data] == ['a', 'b']
+    assert [data.name for data in card.validation_data] == ['c']
+    assert (card.augment, card.patience) == (True, 1)
+    assert card.command_line == (
+        f'taxinet train --data {one} --data {two} --validation-data {other} --augment --epochs 2 '
+        '--batch 4 --learning-rate 0.003 --patience 1 --seed 7 --out net.safetensors'
+    )
+    assert load_model(out).card == card
+
+
+def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_program_gives(
+    tmp_path: Path,
+) -> None:
+    write_dataset(DatasetOptions(program='nominal', out=tmp_path / 'd', count=5, seed=3, workers=1))
+    from_disk, _ = load_folders([tmp_path / 'd'], workers=2)
+    in_memory = make_dataset(draw_scenes('nominal', seed=3, images=5), workers=1)
+    assert np.array_equal(from_disk.pictures, in_memory.pictures)
+    assert list(from_disk.cte_m) == list(in_memory.cte_m)
+    assert from_disk.he_rad == pytest.approx(in_memory.he_rad, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('validation', 'batch', 'reason'), [(8, 1, 'leaves nothing of 8'), (4, 5, 'more than 4 images')]
+)
+def test_given_too_few_rows_when_trained_then_one_line_says_so(
+    validation: int, batch: int, reason: str, tmp_path: Path
+) -> None:
+    folder = foreign_folder(tmp_path / 'photos', images=8)
+    asked = from_data(tmp_path / 'net.safetensors', folder, batch=batch)
+    with pytest.raises(UsageError, match=reason):
+        train(dataclasses.replace(asked, validation=validation))
+    assert [path.name for path in tmp_path.iterdir()] == ['photos']
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        ({'data': (Path('d'),)}, 'both a program and --data'),
+        ({'program': None}, 'neither a program nor --data'),
+        ({'program': None, 'data': (Path('d'),), 'varied': True}, '--varied is for rendered'),
+        ({'program': None, 'data': (Path('d'), Path('x/../d'))}, 'given twice'),
+        ({'program': None, 'data': (Path('d'),), 'validation_data': Path('d')}, 'given twice'),
+        ({'validation_data': Path('d')}, '--validation-data goes with --data'),
+    ],
+)
+def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so(
+    change: dict[str, object], reason: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match=r'^train: ') as caught:
+        options(tmp_path / 'net.safetensors', **change)
+    assert reason in str(caught.value)
+    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -54,12 +152,13 @@ def test_given_a_tiny_training_when_done_twice_then_weights_are_equal_and_the_ca
         ('file/net.safetensors', 'is no folder'),
         ('old.safetensors', 'exists'),
         ('only_card.safetensors', 'exists'),
+        ('only_curves.safetensors', 'exists'),
     ],
 )
 def test_given_an_out_that_cannot_be_when_trained_then_refused_before_any_work(
     name: str, reason: str, tmp_path: Path
 ) -> None:
-    for existing in ('file', 'old.safetensors', 'only_card.json'):
+    for existing in ('file', 'old.safetensors', 'only_card.json', 'only_curves.png'):
         (tmp_path / existing).write_text('mine')
     started: list[str] = []
     with pytest.raises(UsageError) as caught:
@@ -83,7 +182,8 @@ def test_given_an_unknown_program_when_trained_then_refused_and_nothing_is_writt
     'change',
     [
         {'images': 0}, {'validation': 0}, {'epochs': 0}, {'batch': 0}, {'batch': 13},
-        {'learning_rate': 0.0}, {'learning_rate': float('nan')}, {'seed': -1}, {'workers': 0},
+        {'learning_rate': 0.0}, {'learning_rate': float('nan')}, {'patience': -1},
+        {'seed': -1}, {'workers': 0},
     ],
 )  # fmt: skip
 def test_given_a_number_out_of_range_when_stated_then_one_line_names_it(

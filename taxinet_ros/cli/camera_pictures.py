@@ -1,0 +1,115 @@
+"""The pictures of ``taxinet camera``: what was asked for, checked, drawn and put in a new file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from PIL import Image
+
+from taxinet_ros.analysis.camera_sheet import HOURS, camera_sheet, scene_picture, sheet_scenes
+from taxinet_ros.campaign.options import DEFAULT_ROOT
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, scenario_from_human
+
+SUFFIX = '.png'
+_AXES = {'time_of_day': '--hours', 'clouds': '--clouds', 'rain': '--rain'}
+
+
+def save_frame(settings: Iterable[str], out: Path | None) -> None:
+    """Write the frame of one scene and say where.
+
+    Raises:
+        UsageError: bad settings, or a file that cannot be written.
+    """
+    scene = scenario_from_human(read_settings(settings))
+    path = new_picture(out, 'camera-frame')
+    write(path, lambda: Image.fromarray(scene_picture(scene)).save(path))
+    print(f'picture: {path}')
+
+
+def save_sheet(
+    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None
+) -> None:
+    """Write the sheet of one pose and say where.
+
+    Raises:
+        UsageError: bad settings, or a file that cannot be written.
+    """
+    values = read_settings(settings)
+    for key, option in _AXES.items():
+        if key in values:
+            raise UsageError(f'--set {key}: varies over the sheet; use {option} {values[key]}')
+    columns = _numbers('--hours', hours) or HOURS
+    rains = _numbers('--rain', rain) or (0.0,)
+    kinds = _words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
+    scenes = sheet_scenes(values, columns, kinds, rains)
+    path = new_picture(out, 'camera-sheet')
+    write(path, lambda: camera_sheet(scenes, path))
+    print(f'sheet: {path}')
+
+
+def read_settings(settings: Iterable[str]) -> dict[str, object]:
+    """Scenario values from ``key=value`` words; the last of a key counts.
+
+    Raises:
+        UsageError: no ``key=value``.
+    """
+    values: dict[str, object] = {}
+    for setting in settings:
+        key, equals, value = (part.strip() for part in setting.partition('='))
+        if not (key and equals and value):
+            raise UsageError(f'--set {setting!r}: expected key=value')
+        values[key] = value
+    return values
+
+
+def new_picture(out: Path | None, stem: str) -> Path:
+    """File for a picture that is not there yet: ``out``, or one below ``bags/`` named ``stem``.
+
+    Raises:
+        UsageError: ``out`` exists, is no PNG file, or lies in no folder.
+    """
+    if out is None:
+        return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
+    if out.suffix.lower() != SUFFIX:
+        raise UsageError(f'--out {out}: pictures are PNG files; name it {out.stem}{SUFFIX}')
+    if out.exists() or out.is_symlink():
+        raise UsageError(f'--out {out}: exists already and is not overwritten; name a new file')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
+    return out
+
+
+def _next_free(wanted: Path) -> Path:
+    """``wanted``, or where that exists, the next of ``NAME-2.png``, … that does not."""
+    candidate, number = wanted, 1
+    while candidate.exists() or candidate.is_symlink():
+        number += 1
+        candidate = wanted.with_stem(f'{wanted.stem}-{number}')
+    return candidate
+
+
+def write(path: Path, save: Callable[[], object]) -> None:
+    """Call ``save``, which writes ``path``; the default folder is made first.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    try:
+        if path.parent == DEFAULT_ROOT:
+            path.parent.mkdir(exist_ok=True)
+        save()
+    except OSError as error:
+        raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(',') if word.strip())
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in _words(text))
+    except ValueError:
+        raise UsageError(f'{option} {text!r}: expected numbers with commas, as 6,6.5,7') from None

@@ -1,0 +1,233 @@
+"""A third party's network in an ONNX file, run by onnxruntime as its sidecar says.
+
+The file comes from elsewhere, so it is tried before anything relies on it. Nothing but the two
+files is read: a model whose weights lie in further files is refused.
+
+onnxruntime is imported by the function that needs it, so that nobody else waits for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import reprlib
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import IMAGE_SHAPE
+from taxinet_ros.core.onnx_picture import prepare
+from taxinet_ros.core.onnx_sidecar import MAX_SIDECAR_BYTES, parse_sidecar, sidecar_path
+from taxinet_ros.core.onnx_yaml import bad
+
+ONNX_SUFFIX = '.onnx'
+
+MAX_BYTES = 256 << 20
+"""Largest model that is read."""
+
+TRIAL_LIMIT_S = 30.0
+"""Longest time that the first look may take; a control step has a small part of it."""
+
+_GREY = 128
+_DTYPES: dict[str, type[np.floating[Any]]] = {
+    'tensor(float)': np.float32, 'tensor(double)': np.float64, 'tensor(float16)': np.float16,
+}
+_FATAL = 4  # onnxruntime's least talkative level; every error comes back as an exception
+
+
+class OnnxNetwork:
+    """A network ready to look.
+
+    It runs on one thread of the processor: on one machine the same frame gives the same answer to
+    the bit, in any process.
+
+    Attributes:
+        fingerprint: SHA-256 of the model's bytes with the sidecar's after them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read ``NAME.onnx`` and ``NAME.yaml``, check that they agree, and try the network.
+
+        Raises:
+            UsageError: one line on the first thing that is wrong.
+        """
+        self._path = path
+        data = _read(path, MAX_BYTES)
+        described = sidecar_path(path)
+        text = _read(described, MAX_SIDECAR_BYTES)
+        self.fingerprint = hashlib.sha256(data + text).hexdigest()
+        self._sidecar = parse_sidecar(described, text)
+        self._model = _open(path, data)
+        self._name, self._dtype = self._input()
+        for output in self._model.outputs:
+            if output.kind not in _DTYPES:
+                raise bad(path, f'output {output} is {output.kind}; export the network with '
+                                'outputs of floating point')
+        self._try()
+
+    def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8.
+
+        Not finite where the network's answer is not, or where it fails.
+        """
+        try:
+            return self._meaning(self._run(image))
+        except Exception:  # onnxruntime's have no other base, and a run must not end for one
+            return math.nan, math.nan
+
+    def _input(self) -> tuple[str, type[np.floating[Any]]]:
+        """Name and number type of the model's input, once it is as the sidecar says."""
+        if len(self._model.inputs) != 1:
+            raise bad(self._path, f'has {len(self._model.inputs)} inputs; a network that sees has '
+                                  'one')
+        given, wanted = self._model.inputs[0], self._sidecar.picture
+        if wanted.name not in (None, given.name):
+            raise self._disagrees(f'input.name is {reprlib.repr(wanted.name)}',
+                                  f"the model's input is {given}")
+        if given.kind not in _DTYPES:
+            raise bad(self._path, f'input {given} is {given.kind}; export the network with an '
+                                  'input of floating point')
+        fits = len(given.shape) == len(wanted.shape) and all(
+            side in (None, asked) for side, asked in zip(given.shape, wanted.shape, strict=True)
+        )
+        if not fits:
+            sides = ', '.join('?' if side is None else str(side) for side in given.shape)
+            raise self._disagrees(f'layout, colour, height and width say {wanted.shape}',
+                                  f"the model's input {given} is ({sides[:80]})")
+        return given.name, _DTYPES[given.kind]
+
+    def _try(self) -> None:
+        """Look at a grey frame, twice, before a run relies on the network."""
+        frame = np.full(IMAGE_SHAPE, _GREY, np.uint8)
+        options = self._model.runtime.RunOptions()
+        options.log_severity_level = _FATAL
+        limit = threading.Timer(TRIAL_LIMIT_S, lambda: setattr(options, 'terminate', True))
+        limit.daemon = True
+        limit.start()
+        try:
+            numbers, again = self._run(frame, options), self._run(frame, options)
+        except Exception as error:  # onnxruntime's have no other base
+            raise bad(self._path, f'fails on a grey frame ({_reason(error)}); try it with '
+                                  'onnxruntime alone, and export it again') from None
+        finally:
+            limit.cancel()
+        entries = len(self._sidecar.outputs)
+        if len(numbers) != entries:
+            raise self._disagrees(f'outputs has {entries} entries',
+                                  f'the model gives {len(numbers)} numbers')
+        if not all(map(math.isfinite, self._meaning(numbers))):
+            raise bad(self._path, 'answers a grey frame with numbers that are not finite; look at '
+                                  'its weights, and at the scaling in the description')
+        if not np.array_equal(numbers, again, equal_nan=True):
+            raise bad(self._path, 'answers the same frame differently each time; export it for '
+                                  'inference, without random layers')
+
+    def _run(self, image: NDArray[np.uint8], options: Any = None) -> NDArray[np.float64]:
+        """Every number that comes out, in order."""
+        with np.errstate(over='ignore', invalid='ignore'):
+            inputs = prepare(image, self._sidecar).astype(self._dtype)
+        arrays = self._model.session.run(None, {self._name: inputs}, options)
+        return np.concatenate([np.asarray(array, np.float64).ravel() for array in arrays])
+
+    def _meaning(self, numbers: NDArray[np.float64]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] among the numbers."""
+        outputs = zip(self._sidecar.outputs, numbers.tolist(), strict=True)
+        values = {
+            output.quantity: output.scale * number + output.offset for output, number in outputs
+        }
+        return values['cte'], values['heading_error']
+
+    def _disagrees(self, description: str, model: str) -> UsageError:
+        return bad(sidecar_path(self._path), f'{description}, but {model}; mend the description')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Tensor:
+    """What goes in or out of a model; None in its shape is a side of any length."""
+
+    name: str
+    kind: str
+    shape: tuple[int | None, ...]
+
+    @classmethod
+    def all_of(cls, tensors: Iterable[Any]) -> tuple[Self, ...]:
+        return tuple(
+            cls(
+                name=tensor.name, kind=tensor.type,
+                shape=tuple(side if isinstance(side, int) else None for side in tensor.shape),
+            )
+            for tensor in tensors
+        )
+
+    def __str__(self) -> str:
+        return reprlib.repr(self.name)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Model:
+    """The runtime, and its session with a model."""
+
+    runtime: Any
+    session: Any
+    inputs: tuple[_Tensor, ...]
+    outputs: tuple[_Tensor, ...]
+
+
+def _open(path: Path, data: bytes) -> _Model:
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _FATAL
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.add_session_config_entry('session.load_model_format', 'ONNX')
+    # Further files would be looked for in the working folder. In what is no folder are none.
+    options.add_session_config_entry(
+        'session.model_external_initializers_file_folder_path', os.devnull)
+    try:
+        session = onnxruntime.InferenceSession(
+            data, options, providers=['CPUExecutionProvider'], enable_fallback=0)
+        return _Model(
+            runtime=onnxruntime, session=session,
+            inputs=_Tensor.all_of(session.get_inputs()),
+            outputs=_Tensor.all_of(session.get_outputs()),
+        )
+    except Exception as error:  # onnxruntime's have no other base
+        if 'external data' in str(error).lower():
+            raise bad(path, 'keeps weights in further files, which are not read; export it in one '
+                            'file') from None
+        raise bad(path, f'is no model that onnxruntime {onnxruntime.__version__} can run '
+                        f'({_reason(error)}); copy or export it again') from None
+
+
+def _read(path: Path, most: int) -> bytes:
+    try:
+        if not path.exists():
+            beside = '' if path.suffix == ONNX_SUFFIX else (
+                '; an ONNX network needs its description beside it, see docs/onnx.md')
+            raise bad(path, f'no such file{beside}')
+        if not path.is_file():
+            raise bad(path, 'is no file; name the file itself')
+        if path.stat().st_size > most:
+            raise bad(path, f'has more than {most >> 10} KiB; is it the right file?')
+        data = path.read_bytes()
+    except OSError as error:
+        raise bad(path, f'cannot be read ({error.strerror})') from error
+    if not data:
+        raise bad(path, 'is empty; copy it again')
+    if data.startswith(b'version https://git-lfs'):
+        raise bad(path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull')
+    return data
+
+
+def _reason(error: Exception) -> str:
+    """What onnxruntime says, in one line, without its code numbers."""
+    return ' '.join(str(error).split()).rpartition(' : ')[2][:160]

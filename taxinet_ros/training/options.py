@@ -1,0 +1,143 @@
+"""What a training is asked to do, checked before any work goes into it."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.weights import SUFFIX, card_path
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    'images': (1, 1_000_000),
+    'validation': (1, 1_000_000),
+    'epochs': (1, 10_000),
+    'batch': (1, 65_536),
+    'learning_rate': (1e-8, 1.0),
+    'patience': (0, 10_000),
+    'seed': (0, 2**63 - 1),
+    'workers': (1, 256),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainOptions:
+    """What to train on, how, and where the result goes; numbers are checked on construction.
+
+    Attributes:
+        out: weights file to write, ``NAME.safetensors``; its card becomes ``NAME.json``, its
+            learning curves ``NAME.png`` and ``NAME.csv``.
+        program: word of a shipped Scenic program or path of one, or None to train on ``data``.
+        data: folders of labelled images, or none to train on ``program``.
+        validation_data: folder of the validation images; None to hold some of the others back.
+        images: pictures to train on, one per scene of the program.
+        validation: further scenes of the program, or rows of the data, held back to choose the
+            epoch and to measure the errors on.
+        varied: whether the look of the rendered world varies.
+        augment: whether every picture is changed a little each time it is seen.
+        epochs: times that every picture is seen.
+        batch: pictures per step.
+        learning_rate: the highest of the one-cycle schedule.
+        patience: epochs without a better validation loss after which to stop; 0 is never.
+        seed: of everything random.
+        workers: processes that render, or threads that read; the result does not depend on them.
+        overwrite: whether existing files may be replaced.
+
+    Raises:
+        UsageError: a number is out of range, or options do not go together.
+    """
+
+    out: Path
+    program: str | None = None
+    data: tuple[Path, ...] = ()
+    validation_data: Path | None = None
+    images: int = 12_000
+    validation: int = 1_500
+    varied: bool = False
+    augment: bool = False
+    epochs: int = 20
+    batch: int = 64
+    learning_rate: float = 3e-3
+    patience: int = 0
+    seed: int = 1
+    workers: int = 2
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise UsageError(f'train: {name} is {value:g}, outside {low:g}..{high:g}')
+        if (self.program is None) == (not self.data):
+            both = self.program is not None
+            raise UsageError(
+                f'train: {"both" if both else "neither"} a program {"and" if both else "nor"} '
+                '--data given; name one of them to train on'
+            )
+        if self.program is None:
+            self._check_data()
+        elif self.validation_data is not None:
+            raise UsageError('train: --validation-data goes with --data, not with a program')
+        elif self.batch > self.images:
+            raise UsageError(f'train: a batch of {self.batch} is more than {self.images} images')
+
+    def _check_data(self) -> None:
+        if self.varied:
+            raise UsageError('train: --varied is for rendered scenes; leave it out with --data')
+        folders = [*self.data, *([self.validation_data] if self.validation_data else [])]
+        seen: set[Path] = set()
+        for folder in folders:
+            if folder.resolve() in seen:
+                raise UsageError(f'train: folder {folder} is given twice; name it once')
+            seen.add(folder.resolve())
+
+    @property
+    def command_line(self) -> str:
+        """The command that trains these weights, with every option that matters."""
+        words = ['taxinet', 'train', *([] if self.program is None else [self.program])]
+        for folder in self.data:
+            words += ['--data', str(folder)]
+        if self.validation_data is not None:
+            words += ['--validation-data', str(self.validation_data)]
+        words += ['--varied'] * self.varied + ['--augment'] * self.augment
+        for name in self._numbers():
+            words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
+        return shlex.join([*words, '--out', self.out.name])
+
+    def _numbers(self) -> list[str]:
+        names = ['images'] if self.program is not None else []
+        names += ['validation'] if self.validation_data is None else []
+        names += ['epochs', 'batch', 'learning_rate']
+        return [*names, *(['patience'] if self.patience else []), 'seed']
+
+    @property
+    def curves_path(self) -> Path:
+        """The picture of the learning curves."""
+        return self.out.with_suffix('.png')
+
+    @property
+    def history_path(self) -> Path:
+        """The numbers of the learning curves."""
+        return self.out.with_suffix('.csv')
+
+    def check_out(self) -> None:
+        """See that the result can be written, before hours go into it.
+
+        Raises:
+            UsageError: wrong suffix, no such folder, not writable, or there already.
+        """
+        out = self.out
+        if out.suffix != SUFFIX:
+            raise UsageError(f'train: --out {out}: has to end in {SUFFIX}')
+        if not out.parent.is_dir():
+            raise UsageError(f'train: --out {out}: {out.parent} is no folder; make it first')
+        if not os.access(out.parent, os.W_OK | os.X_OK):
+            raise UsageError(f'train: --out {out}: {out.parent} cannot be written to')
+        for path in (out, card_path(out), self.curves_path, self.history_path):
+            if path.is_dir() or (path.exists() and not self.overwrite):
+                raise UsageError(
+                    f'train: --out {path}: exists; name another file or say --overwrite'
+                )

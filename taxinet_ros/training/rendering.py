@@ -1,0 +1,143 @@
+"""Photographs of many scenes, by several processes; how many does not show in the result."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.connection import wait
+from multiprocessing.synchronize import Event
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.training.photograph import GROUND_BLOCK, photograph
+
+_CHUNK = 16
+"""Scenes handed to a worker process at a time."""
+
+_AHEAD = 2
+"""Chunks per worker that are under way at once; their frames have to fit into the memory."""
+
+T = TypeVar('T')
+
+Numbered = tuple[int, Scenario]
+"""A scene and its number in the dataset."""
+
+Develop = Callable[[int, NDArray[np.uint8], TrackingError], T]
+"""Makes of number, frame (200, 360, 3) uint8 RGB and true error what is wanted of a photograph.
+
+It is called in the process that took the photograph, so a module must hold it under its name.
+"""
+
+
+def photographs(
+    scenes: Iterable[Numbered], develop: Develop[T], *, varied: bool, seed: int, workers: int
+) -> Generator[T, None, None]:
+    """Photograph scenes and develop what is seen, in the order of the scenes.
+
+    Closing it early ends the worker processes.
+
+    Args:
+        scenes: with their numbers, ascending.
+        develop: what is kept of each photograph.
+        varied: whether the look of the world varies.
+        seed: of what is drawn for that.
+        workers: processes to do it in; 1 is this one.
+
+    Raises:
+        InfraError: a worker process died, or the simulator failed.
+    """
+    take = partial(_take, develop, varied, seed)
+    if workers == 1:
+        for scene in scenes:
+            yield take(scene)
+        return
+    # A process that is given a whole block of neighbours makes their common ground only once.
+    blocks = _blocks(scenes, GROUND_BLOCK if varied else _CHUNK)
+    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of torch badly
+    stop = context.Event()
+    with ProcessPoolExecutor(workers, context, _start_worker, (stop,)) as pool:
+        try:
+            yield from _in_order(pool, partial(_take_all, take), blocks, _AHEAD * workers)
+        except BrokenProcessPool as error:
+            raise InfraError('died', 'rendering worker', -1, 'see the messages above') from error
+        finally:
+            stop.set()  # whoever has had enough should not wait for whole blocks
+            pool.shutdown(cancel_futures=True)
+
+
+def _take(develop: Develop[T], varied: bool, seed: int, numbered: Numbered) -> T:
+    index, scene = numbered
+    image, truth = photograph(scene, varied=varied, seed=seed, index=index)
+    return develop(index, image, truth)
+
+
+def _take_all(take: Callable[[Numbered], T], block: list[Numbered]) -> list[T]:
+    return [take(scene) for scene in block if not _asked_to_stop()]
+
+
+def _blocks(scenes: Iterable[Numbered], size: int) -> Iterator[list[Numbered]]:
+    for _, block in itertools.groupby(scenes, key=lambda numbered: numbered[0] // size):
+        yield list(block)
+
+
+def _in_order(
+    pool: ProcessPoolExecutor,
+    work: Callable[[list[Numbered]], list[T]],
+    blocks: Iterable[list[Numbered]],
+    ahead: int,
+) -> Iterator[T]:
+    under_way: deque[Future[list[T]]] = deque()
+    for block in blocks:
+        with _interrupts_blocked():
+            under_way.append(pool.submit(work, block))
+        if len(under_way) == ahead:
+            yield from under_way.popleft().result()
+    while under_way:
+        yield from under_way.popleft().result()
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Let Ctrl-C wait: a process that starts now never hears of it, for its parent will end it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_stop: list[Event] = []
+"""In a worker process: what its parent sets when it wants no more."""
+
+
+def _asked_to_stop() -> bool:
+    return any(stop.is_set() for stop in _stop)
+
+
+def _start_worker(stop: Event) -> None:
+    _stop.append(stop)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """End this process once its parent is gone: a killed one cannot tell its workers to stop."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,119 @@
+"""``taxinet dataset``, ``train`` and ``evaluate`` as people type them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from taxinet_ros.cli.main import _exit_code, app
+
+TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """Exit code, standard output and error of a command, without the wait for a new process."""
+    capsys.readouterr()
+    code = _exit_code(lambda: app(list(words), standalone_mode=False))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    words = ['dataset', 'nominal', '--count', '8', '--seed', '3', '--workers', '1', '--out', 'set']
+    assert call(capsys, *words) == (
+        0, '8 images in set, 8 of them rendered now; labels: set/labels.parquet\n', ''
+    )
+    assert call(capsys, *words, '--resume')[1].startswith('8 images in set, 0 of them')
+    table = pd.read_parquet('set/labels.parquet')
+    assert len(table) == len(list(Path('set/images').iterdir())) == 8
+
+    code, out, err = call(
+        capsys, 'train', '--data', 'set', '--validation', '3', '--epochs', '2', '--batch', '2',
+        '--augment', '--out', 'net.safetensors',
+    )
+    assert (code, err) == (0, '')
+    assert out.splitlines()[-1].startswith('weights: net.safetensors (epoch ')
+    assert sorted(path.suffix for path in tmp_path.glob('net.*')) == [
+        '.csv', '.json', '.png', '.safetensors'
+    ]
+
+    words = ['evaluate', '--data', 'set', '--perception', 'net.safetensors']
+    facts = json.loads(call(capsys, *words, '--json')[1])
+    (whole,) = facts['slices']
+    assert (whole['name'], whole['images'], whole['without_estimate']) == ('all', 8, 0)
+    assert facts['fingerprint'] == json.loads(Path('net.json').read_text())['weights_sha256']
+    assert whole['half_widths']['cte_m'] > 0
+    code, out, err = call(capsys, *words)
+    assert (code, err) == (0, '')
+    row = next(line.split() for line in out.splitlines() if line.startswith('all '))
+    assert row[1:3] == ['8', '0']
+    assert float(row[3]) == pytest.approx(whole['errors']['cte_m']['mae'], abs=6e-4)
+
+
+def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(tmp_path):
+    out = tmp_path / 'set'
+    words = ['dataset', 'nominal', '--count', '400', '--out', str(out)]
+    running = subprocess.Popen([*TAXINET, *words], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 90
+    while not (out / 'images' / '000002.png').exists():
+        assert running.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert errors == f'interrupted; what is in {out} stays, continue with --resume\n'
+    images = [path for path in (out / 'images').iterdir() if not path.name.startswith('.')]
+    assert 3 <= len(images) < 400
+    assert all(path.read_bytes().endswith(b'IEND\xaeB`\x82') for path in images)
+    assert (out / 'finished.jsonl').exists()
+    assert not (out / 'dataset.json').exists()
+
+
+BAD = {
+    'unknown program': (['dataset', 'no_such', '--count', '1', '--out', 'd'], 'known: nominal'),
+    'unknown sampler': (
+        ['dataset', 'nominal', '--count', '1', '--sampler', 'dice', '--out', 'd'], 'known: random',
+    ),
+    'no images': (['dataset', 'nominal', '--count', '0', '--out', 'd'], 'count is 0'),
+    'nothing to resume': (
+        ['dataset', 'nominal', '--count', '1', '--out', 'd', '--resume'], 'leave --resume out',
+    ),
+    'folder that cannot be made': (
+        ['dataset', 'nominal', '--count', '1', '--out', '/proc/nope/d'], 'cannot be written',
+    ),
+    'training on nothing': (['train', '--out', 'n.safetensors'], 'neither a program nor --data'),
+    'training on both': (
+        ['train', 'nominal', '--data', 'd', '--out', 'n.safetensors'], 'both a program and --data',
+    ),
+    'training on no folder': (
+        ['train', '--data', 'd', '--out', 'n.safetensors'], 'd: no such folder',
+    ),
+    'measuring nothing': (['evaluate'], 'either a program or --data'),
+    'measuring the truth': (
+        ['evaluate', 'nominal', '--perception', 'truth'], 'does not look at images',
+    ),
+}
+
+
+@pytest.mark.parametrize('case', BAD)
+def test_given_a_mistake_then_one_line_says_so_and_nothing_is_left_behind(
+    case, tmp_path, monkeypatch, capsys
+):
+    words, expected = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, *words)
+    assert (code, out) == (2, ''), err
+    assert expected in err
+    assert err.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
