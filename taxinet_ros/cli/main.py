@@ -192,6 +192,26 @@ def evaluate(
     )
 
 
+@app.command()
+def bench(
+    subjects: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar='[SUBJECT]...', help='camera, inference, physics, monitor, loop or all'
+        ),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+    compare: Annotated[
+        Path | None, typer.Option(metavar='OLD.json', help='a report to print ratios to')
+    ] = None,
+) -> None:
+    """Measure how long everything takes on this machine, on one core."""
+    from taxinet_ros.cli.bench import run_bench
+
+    run_bench(subjects or (), repeats=repeats, as_json=as_json, old=compare)
+
+
 @app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})
 def node(
     context: typer.Context,

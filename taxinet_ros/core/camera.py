@@ -161,7 +161,10 @@ class Camera:
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
         casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
         self._shadow = (
-            OwnShadow(self._light.sun, self._intrinsics, IMAGE_HEIGHT, IMAGE_WIDTH)
+            OwnShadow(
+                self._light.sun, self._light.sun_width_rad, self._intrinsics, IMAGE_HEIGHT,
+                IMAGE_WIDTH,
+            )
             if casts
             else None
         )
@@ -174,7 +177,7 @@ class Camera:
         Args:
             state: the aircraft's true state.
             stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
-            mark: told the name of a stage, of :data:`STAGES`, whenever a part of it is done.
+            mark: is told the name of every stage that there was, of :data:`STAGES`, at its end.
 
         Returns:
             (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
@@ -185,12 +188,13 @@ class Camera:
         body, to_optical, camera = pose(state)
         rays = to_optical.T @ self._to_ray
         colour = self._ground.render(rays, camera, mark)
-        self._clouds.shade(colour, rays, camera)
-        mark('cloud shade')
+        if self._clouds.casts:
+            self._clouds.shade(colour, rays, camera)
+            mark('cloud shade')
         if self._shadow is not None:
             place = np.array([state.x_m, state.y_m, state.z_m])
             self._shade(colour, self._shadow.mask(body, place, to_optical, camera), state)
-        mark('own shadow')
+            mark('own shadow')
         picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
         cv2.LUT(colour, self._curve, dst=picture)
         mark('light table')
@@ -198,7 +202,7 @@ class Camera:
         mark('atmosphere')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
-        mark('rain')
+            mark('rain')
         self._airframe.lay_over(picture, state.yaw_rad)
         mark('airframe')
         return picture

@@ -35,6 +35,11 @@ class CloudShade:
         self._middle = np.stack([np.full_like(rows, (width - 1) / 2), rows, np.ones_like(rows)])
         self._factor = RowColours(height, width)
 
+    @property
+    def casts(self) -> bool:
+        """Whether there are single clouds, and a sun that they hide."""
+        return self._beam is not None
+
     def sun_share(self, x_m: float, y_m: float) -> float:
         """Share (0..1) of the beam that reaches the ground at a place in ``map``."""
         if self._beam is None:

@@ -69,13 +69,13 @@ def _field(grid: Grid, style: GroundStyle, seed: int) -> NDArray[np.uint8]:
     value = _dry_texture(grid, seed)
     _, y = grid.centres(slice(0, 1))
     grass = np.clip((np.abs(y[0]) - 55) / 40, 0, 1)[:, None]
-    near, far = np.float32(style.near_tint), np.float32(style.far_tint)
+    near, far = (np.array(t, np.float32) for t in (style.near_tint, style.far_tint))
     tint = near + (far - near) * grass
     colour = value[:, :, None] * tint[None]
     for first in (3300, 4000):  # around the crossing only, in two halves
         rows = slice(first, first + 700)
         surface, share = crossing_surface(*grid.centres(rows), COARSE_M, style)
-        tinted = surface[:, :, None] * np.float32(style.asphalt_tint)
+        tinted = surface[:, :, None] * np.array(style.asphalt_tint, np.float32)
         colour[rows] += share[:, :, None] * (tinted - colour[rows])
     codes: NDArray[np.uint8] = np.clip(colour, 0, 255).astype(np.uint8)
     return codes
@@ -103,7 +103,8 @@ def _shoulders(base: NDArray[np.uint8], fine: Grid, style: GroundStyle) -> None:
         noise = white_noise(seed, (fine.rows, count)) * np.float32(0.02)
         noise += smooth_noise(seed + 10, noise.shape, (10, 6)) * np.float32(0.02)
         noise += np.float32(1.0)
-        colour = np.clip(noise[:, :, None] * np.float32(style.near_tint), 0, 255).astype(np.uint8)
+        tinted = noise[:, :, None] * np.array(style.near_tint, np.float32)
+        colour = np.clip(tinted, 0, 255).astype(np.uint8)
         middle = COLUMNS // 2
         edge = middle + side * (first - fine.columns // 2)
         columns = slice(edge, edge + count) if side > 0 else slice(edge - count, edge)

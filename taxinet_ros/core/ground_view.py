@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -191,6 +192,7 @@ class GroundView:
         cv2.addWeighted(uw, linear[0], w, linear[1], linear[2], dst=out)
 
 
+@cache
 def _dither(height: int, width: int) -> Floats:
     """Factor of half an octave up and down, well mixed over the picture.
 

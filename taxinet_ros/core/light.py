@@ -33,13 +33,17 @@ _SHOULDER = 0.8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Cloud:
-    """Photometry of a cloud kind: shares of the clear sky's light, tint, and how far one sees."""
+    """Photometry of a cloud kind: shares of the clear sky's light, tint, and how far one sees.
+
+    The sun is half a degree wide; thin cloud before it scatters its light forwards, into a glow.
+    """
 
     beam: float
     clear_diffuse: float
     cloud_diffuse: float
     tint: tuple[float, float, float]
     visibility_m: float
+    sun_width_deg: float = 0.53
 
 
 _CLOUDS = {
@@ -47,13 +51,15 @@ _CLOUDS = {
         beam=1.0, clear_diffuse=1.0, cloud_diffuse=0.0, tint=(1, 1, 1), visibility_m=22e3
     ),
     'cirrus': _Cloud(
-        beam=0.60, clear_diffuse=0.8, cloud_diffuse=0.16, tint=(0.99, 1.0, 1.03), visibility_m=16e3
+        beam=0.60, clear_diffuse=0.8, cloud_diffuse=0.16, tint=(0.99, 1.0, 1.03), visibility_m=16e3,
+        sun_width_deg=2.5,
     ),
     'scattered': _Cloud(
         beam=0.95, clear_diffuse=0.75, cloud_diffuse=0.07, tint=(1.0, 1.0, 1.0), visibility_m=18e3
     ),
     'broken': _Cloud(
-        beam=0.50, clear_diffuse=0.4, cloud_diffuse=0.22, tint=(0.98, 1.0, 1.03), visibility_m=12e3
+        beam=0.50, clear_diffuse=0.4, cloud_diffuse=0.22, tint=(0.98, 1.0, 1.03), visibility_m=12e3,
+        sun_width_deg=4.0,
     ),
     'overcast': _Cloud(
         beam=0.0, clear_diffuse=0.0, cloud_diffuse=0.21, tint=(0.97, 1.0, 1.04), visibility_m=7e3
@@ -74,6 +80,7 @@ class Light:
         direct: irradiance from the sun's disc on level ground, RGB, after exposure.
         diffuse: irradiance from the sky on level ground, RGB, after exposure.
         sky_low, sky_high: display colour 0..255 of the sky at the horizon and 15 deg up.
+        sun_width_rad: how wide the sun looks, with its glow in the clouds [rad].
         visibility_m: distance at which haze leaves 1/e of a contrast [m].
         wetness: 0 dry .. 1 under water film.
         rain: intensity 0..1.
@@ -86,6 +93,7 @@ class Light:
     diffuse: Colour
     sky_low: Colour
     sky_high: Colour
+    sun_width_rad: float
     visibility_m: float
     wetness: float
     rain: float
@@ -129,6 +137,7 @@ def scenario_light(scenario: Scenario) -> Light:
         diffuse=diffuse * gain,
         sky_low=low,
         sky_high=high,
+        sun_width_rad=math.radians(cloud.sun_width_deg),
         visibility_m=1 / (1 / cloud.visibility_m + scenario.rain / 500.0),
         wetness=0.0 if scenario.rain <= 0 else min(1.0, 0.45 + 0.55 * scenario.rain),
         rain=scenario.rain,

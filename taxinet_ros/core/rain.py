@@ -34,8 +34,10 @@ class RainSheet:
     def __init__(self, light: Light, height: int, width: int) -> None:
         """Prepare the streaks; ``height`` and ``width`` are the picture's [px]."""
         brightness = 0.16 * light.sky_low * (0.4 + 0.6 * light.rain)
-        sheet = _streaks(round(light.rain * 20))[:, :, None] * (brightness / 255)
-        self._sheet = np.clip(np.rint(sheet), 0, 255).astype(np.uint8)
+        shares = np.arange(256)[:, None] * (brightness / 255)
+        table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
+        streaks = _streaks(round(light.rain * 20))
+        self._sheet = np.asarray(cv2.LUT(cv2.merge([streaks] * 3), table), np.uint8)
         self._size = (height, width)
 
     def at(self, stamp_ns: int) -> NDArray[np.uint8]:

@@ -22,7 +22,9 @@ LOWEST_SUN_RAD = math.radians(1.0)
 
 _NEAREST_M = 0.2
 _INSIDE = np.array([0.0, 0.0, 0.0, 0.0, _NEAREST_M])
-_PENUMBRA_PX = 3
+_THROW = 0.5
+"""How far a shadow falls, as a share of its distance from the camera: a typical value."""
+
 _FARTHEST_PX = 4000
 _SHIFT = 4
 """OpenCV draws in whole numbers: of sixteenths of a pixel."""
@@ -84,16 +86,20 @@ _PARTS = [
 class OwnShadow:
     """Where the aircraft's shadow lies in pictures, for one place of the sun."""
 
-    def __init__(self, sun: Vectors, intrinsics: Vectors, height: int, width: int) -> None:
+    def __init__(
+        self, sun: Vectors, sun_width_rad: float, intrinsics: Vectors, height: int, width: int
+    ) -> None:
         """Prepare for pictures of ``height`` by ``width`` pixels.
 
         Args:
             sun: unit vector towards the sun in ``map``; its z is positive.
+            sun_width_rad: how wide the sun looks; it sets the width of the penumbra [rad].
             intrinsics: camera matrix (3, 3).
             height: of the pictures [px].
             width: of the pictures [px].
         """
         self._size = (height, width)
+        self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
         self._intrinsics = intrinsics.T
         self._flatten = np.eye(3)
         self._flatten[:, 2] -= sun / sun[2]
@@ -121,10 +127,10 @@ class OwnShadow:
         for polygon in polygons:
             cv2.fillConvexPoly(mask, polygon, (255,), lineType=cv2.LINE_AA, shift=_SHIFT)
         left, top, width, height = cv2.boundingRect(np.concatenate(polygons) >> _SHIFT)
-        margin = _PENUMBRA_PX
+        margin = self._penumbra_px
         rows = slice(max(top - margin, 0), min(top + height + margin, self._size[0]))
         columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
-        soft = cv2.blur(mask[rows, columns], (_PENUMBRA_PX, _PENUMBRA_PX))
+        soft = cv2.blur(mask[rows, columns], (margin, margin))
         return rows, columns, np.asarray(soft, np.uint8)
 
     def _polygons_in_view(self, optical: Vectors) -> list[NDArray[np.int32]]:

@@ -30,7 +30,7 @@ class Dataset:
     """Pictures and what a perfect network would say to them.
 
     Attributes:
-        pictures: what the network sees, (N, 64, 128) uint8.
+        pictures: what the network sees, (N, 64, 192) uint8.
         cte_m, he_rad: true errors there, (N,) [m] and [rad].
     """
 

@@ -14,6 +14,7 @@ from torch.nn.functional import smooth_l1_loss
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import Architecture, normalise, scaled, unscaled
 from taxinet_ros.training.augment import augment
+from taxinet_ros.training.batch_norm import build_normed, folded
 from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.history import Epoch
 
@@ -110,7 +111,7 @@ class _Trainer:
     def __init__(
         self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe
     ) -> None:
-        network = architecture.build()
+        network = build_normed(architecture)
         self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training
         self._targets = torch.from_numpy(scaled(training.cte_m, training.he_rad))
@@ -147,9 +148,8 @@ class _Trainer:
         )
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """A copy of the weights as they are now."""
-        state = self._network.state_dict()
-        return {name: np.array(value.contiguous().numpy()) for name, value in state.items()}
+        """The weights as they are now, for the plain architecture."""
+        return folded(self._network)
 
     def _batches(self) -> Iterator[NDArray[np.int64]]:
         kept = self._steps * self._recipe.batch

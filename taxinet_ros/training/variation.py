@@ -50,7 +50,7 @@ class Variation:
     patches: int
 
     def misplaced(self, state: AircraftState) -> AircraftState:
-        """A state from which the standard camera sees what the misplaced one sees from ``state``."""
+        """Where the standard camera sees what the misplaced one sees from ``state``."""
         cos, sin = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
         return replace(
             state,

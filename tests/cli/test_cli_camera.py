@@ -12,6 +12,7 @@ from PIL import Image
 
 from taxinet_ros.analysis.camera_sheet import scene_picture
 from taxinet_ros.cli.main import main
+from taxinet_ros.core.perception import make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 
 Output = tuple[int, str, str]
@@ -118,9 +119,11 @@ def test_given_json_when_compared_then_stdout_is_one_object_and_stderr_names_the
     assert (values['frame_count'], values['without_estimate']) == (3, 0)
     assert [frame['image'] for frame in values['frames']] == ['0.png', '1.png', '2.png']
     assert [frame['cte_m'] for frame in values['frames']] == [-3, 0, 4]
+    seen = make_perception('taxinet').estimate(picture_of(str(drive / '0.png')), None)
+    assert values['frames'][0]['cte_estimate_m'] == pytest.approx(seen.cte_m)
     errors = [abs(frame['cte_estimate_m'] - frame['cte_m']) for frame in values['frames']]
     assert values['cte_mae_m'] == pytest.approx(np.mean(errors))
-    assert 0 < values['cte_mae_m'] < 0.5 * values['mean_predictor_cte_mae_m']
+    assert values['mean_predictor_cte_mae_m'] == pytest.approx(22 / 9)
     low, high = values['heading_error_mae_deg_95']
     assert low <= values['heading_error_mae_deg'] <= high
     assert len(values['weights_sha256']) == 64

@@ -7,10 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import onnx
 import yaml
+from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, helper, numpy_helper
+
+from taxinet_ros.core.network import INPUT_SHAPE, normalise
 
 HEIGHT, WIDTH = 4, 6
 
@@ -87,3 +91,20 @@ def save(
     path.write_bytes(data)
     path.with_suffix('.yaml').write_text(yaml.safe_dump(described(changes)))
     return path
+
+
+def our_scaling() -> dict[str, Any]:
+    """Changes that give a network the size and the scaling of our own one's pictures."""
+    # A level v becomes (v / 255 - mean) / std, whatever mean and deviation are at present.
+    black, white = normalise(np.array([[[0, 255]]], np.uint8)).ravel().astype(float)
+    std = float(1 / (white - black))
+    return {
+        'input.height': INPUT_SHAPE[0], 'input.width': INPUT_SHAPE[1],
+        'scaling.mean': [float(-black) * std], 'scaling.std': [std],
+    }
+
+
+def shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A frame as a grey picture of our own network's size, all of it at one scale."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.resize(grey, INPUT_SHAPE[::-1], interpolation=cv2.INTER_AREA), np.uint8)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,11 +18,14 @@ from taxinet_ros.core import runway
 from taxinet_ros.core.camera import (
     IMAGE_HEIGHT,
     IMAGE_WIDTH,
+    STAGES,
     Camera,
     intrinsics,
     pose,
     project,
+    shared_curve,
 )
+from taxinet_ros.core.light import ground_table, scenario_light
 from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
 from taxinet_ros.core.sun import sun_direction, sun_position
 from taxinet_ros.core.types import AircraftState
@@ -307,3 +311,54 @@ def test_given_a_pose_that_is_not_finite_when_rendered_then_it_is_refused(name: 
 def test_given_a_camera_under_the_ground_when_rendered_then_it_is_refused() -> None:
     with pytest.raises(ValueError, match='above ground'):
         Camera(Scenario()).render(dataclasses.replace(at(), z_m=-1.0), 0)
+
+
+@pytest.mark.parametrize(
+    ('hour', 'clouds', 'rain'),
+    [(7.0, 'clear', 0.0), (12.0, 'cirrus', 0.0), (17.0, 'broken', 0.5), (9.0, 'stratus', 1.0)],
+)
+def test_given_a_light_table_when_split_then_gain_and_curve_give_it_back(
+    hour: float, clouds: str, rain: float
+) -> None:
+    light = scenario_light(Scenario(time_of_day_s=hour * 3600, clouds=clouds, rain=rain))
+    table = ground_table(light)
+    curve, gain = shared_curve(table)
+    codes = np.arange(256)
+
+    assert gain.max() == 1
+    for channel in range(3):
+        found = np.interp(codes * gain[channel], codes, curve)
+        assert np.abs(found - table[0, :, channel]).max() < 1.2
+
+
+def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture_is_the_same() -> (
+    None
+):
+    heard: list[str] = []
+    wet, state = Camera(Scenario(clouds='broken', rain=0.3, time_of_day_s=15 * 3600.0)), at()
+    with_marks = wet.render(state, 5, heard.append)
+    assert tuple(heard) == STAGES
+    np.testing.assert_array_equal(with_marks, wet.render(state, 5))
+
+    heard.clear()
+    Camera(Scenario(shadows=False)).render(state, 0, heard.append)
+    assert heard == [s for s in STAGES if s not in ('cloud shade', 'own shadow', 'rain')]
+
+
+def test_given_a_full_turn_when_photographed_then_the_skyline_has_no_seam() -> None:
+    camera = Camera(Scenario(shadows=False))
+    up = -4.0
+    left, right = (camera.render(at(heading_deg=h, pitch_deg=up), 0) for h in (179.999, -179.999))
+    assert np.abs(left.astype(int) - right)[:20].mean() < 1
+
+
+@pytest.mark.parametrize('threads', [2, 5])
+def test_given_any_number_of_threads_when_rendered_then_the_bytes_are_equal(threads: int) -> None:
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        alone = shot(at(700.0, -2.0), 15.5)
+        cv2.setNumThreads(threads)
+        np.testing.assert_array_equal(shot(at(700.0, -2.0), 15.5), alone)
+    finally:
+        cv2.setNumThreads(before)

@@ -8,9 +8,9 @@ import pytest
 import yaml
 from network_samples import frame
 from numpy.typing import NDArray
-from onnx_samples import described
+from onnx_samples import described, our_scaling, shrunk
 
-from taxinet_ros.core.network import INPUT_SHAPE, normalise, shrink
+from taxinet_ros.core.network import normalise
 from taxinet_ros.core.onnx_picture import prepare
 from taxinet_ros.core.onnx_sidecar import parse_sidecar
 
@@ -29,18 +29,11 @@ def smooth() -> NDArray[np.uint8]:
     return np.stack([rows, columns / 2, 255 - rows], axis=2).astype(np.uint8)
 
 
-def test_given_our_own_networks_description_when_prepared_then_its_input_is_ours() -> None:
-    # normalise maps a level v to (v / 255 - mean) / std, whatever its mean and deviation are.
-    shades = normalise(np.array([[[0, 255]]], np.uint8)).ravel().astype(float)
-    std = 1 / (shades[1] - shades[0])
-    height, width = INPUT_SHAPE
+def test_given_our_own_networks_scaling_when_prepared_then_its_input_is_ours() -> None:
     for image in (frame(), smooth()):
-        ours = normalise(shrink(image)[np.newaxis])
-        theirs = prepared(image, {
-            'input.height': height, 'input.width': width,
-            'scaling.mean': [float(-shades[0] * std)], 'scaling.std': [float(std)],
-        })
-        assert theirs.shape == ours.shape == (1, 1, 64, 128)
+        ours = normalise(shrunk(image)[np.newaxis])
+        theirs = prepared(image, our_scaling())
+        assert theirs.shape == ours.shape
         assert ours.std() > 0.05
         np.testing.assert_allclose(theirs, ours, atol=1e-5)
 

@@ -149,3 +149,17 @@ def test_given_thicker_clouds_when_photographed_then_the_shadow_fades_until_ther
     assert min(first - second for first, second in pairwise(fading)) > 0.03
     assert contrast['broken'] > 0.1
     assert contrast['overcast'] == contrast['stratus'] == 0
+
+
+def test_given_cloud_before_the_sun_when_photographed_then_the_penumbra_is_wider() -> None:
+    state, widths = at(1200.0), {}
+    for clouds in ('clear', 'scattered', 'cirrus', 'broken'):
+        lit, dark = (luminance(shot(state, 15.0, clouds, on))[:, OPEN] for on in (False, True))
+        share = (lit - dark) / lit
+        full = np.percentile(share, 99)
+        partly = (share > 0.2 * full) & (share < 0.8 * full)
+        outline = cv2.Canny((255 * (share > full / 2)).astype(np.uint8), 50, 100) > 0
+        widths[clouds] = partly.sum() / outline.sum()
+    assert widths['scattered'] == pytest.approx(widths['clear'], rel=0.25)
+    assert widths['cirrus'] > 1.5 * widths['clear']
+    assert widths['broken'] > 1.2 * widths['cirrus']

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.ripmap import build_ripmap, shrink_factor, to_atlas
+from taxinet_ros.core.ripmap import build_ripmap, whole_power_of_two
 
 BASE = np.random.default_rng(3).integers(0, 256, (64, 32, 3), dtype=np.uint8)
 
@@ -25,19 +25,18 @@ def test_given_a_texture_when_built_then_each_level_holds_its_block_means() -> N
 
 
 @given(st.floats(2**-10, 2**20, width=32))
-def test_given_a_footprint_when_choosing_a_level_then_its_texel_is_the_largest_not_above(
-    footprint: float,
+def test_given_a_number_when_reduced_to_a_power_of_two_then_it_is_the_largest_not_above(
+    number: float,
 ) -> None:
-    shrink = shrink_factor(np.array([footprint], np.float32), 6)
-    level = min(max(math.floor(math.log2(footprint)), 0), 5)
-    assert shrink[0] == 2.0**-level
+    power = whole_power_of_two(np.array([number], np.float32))
+    assert power[0] == 2.0 ** math.floor(math.log2(number))
 
 
 @given(st.integers(0, 4), st.integers(0, 3))
-def test_given_a_level_when_a_texels_middle_is_looked_up_then_it_is_the_level_texels_middle(
+def test_given_a_level_when_the_layouts_law_is_applied_then_a_texels_middle_is_where_it_lies(
     level: int, place: int
 ) -> None:
-    width = 1 << level
-    texel = np.array([(place + 0.5) * width], np.float32)
-    at = to_atlas(texel, np.array([1 / width], np.float32), 64)
-    assert at[0] == (128 - 128 / width) + place
+    rows, scale = len(BASE), 2.0**-level
+    middle = (place + 0.5) / scale
+    row = 2 * rows + scale * (middle - 2 * rows) - 0.5
+    assert row == 2 * rows - 2 * (rows >> level) + place

@@ -1,0 +1,138 @@
+"""Measures times so that they can be compared: warm, many times, and all subjects in turns.
+
+A machine's speed drifts with its load and its temperature. So the subjects take turns: whatever
+happens, happens to all of them. Medians and quartiles, for times have long tails; the minimum is
+what the machine can do when nothing disturbs it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Clock = Callable[[], int]
+"""Nanoseconds since some moment."""
+
+Progress = Callable[[int, int], None]
+"""Is told the turns done and their number."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Subject:
+    """Something to be measured.
+
+    Attributes:
+        name: of its figure, words between slashes.
+        run: does it once. It answers None, or the parts that it has taken the time of itself [ns];
+            then there is a figure of each part, by the subject's name and its own, and none of the
+            whole.
+        before: is called before every run, unmeasured.
+        calls: how often ``run`` does the thing; figures are per call.
+        warm_ups: unmeasured runs at the beginning.
+        most: most runs, for what takes seconds; None for as many as were asked for.
+        simulated_s: simulated time that passes in one call [s], where some does.
+    """
+
+    name: str
+    run: Callable[[], Mapping[str, int] | None]
+    before: Callable[[], object] | None = None
+    calls: int = 1
+    warm_ups: int = 2
+    most: int | None = None
+    simulated_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Figure:
+    """What was measured of one subject, per call.
+
+    Attributes:
+        median_s, q1_s, q3_s, min_s: wall time [s]: median, quartiles, least.
+        cpu_s: median of the processor time of all threads [s]; None for parts.
+        repeats: number of runs.
+        real_time_factor: simulated time per median wall time, where time is simulated.
+    """
+
+    median_s: float
+    q1_s: float
+    q3_s: float
+    min_s: float
+    cpu_s: float | None
+    repeats: int
+    real_time_factor: float | None = None
+
+
+class _Samples:
+    """Times of one figure, in nanoseconds."""
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject = subject
+        self.wall: list[int] = []
+        self.cpu: list[int] = []
+
+    def figure(self) -> Figure:
+        per_call = 1e9 * self._subject.calls
+        wall = np.array(self.wall) / per_call
+        q1, median, q3 = (float(q) for q in np.quantile(wall, (0.25, 0.5, 0.75)))
+        simulated = self._subject.simulated_s
+        return Figure(
+            median_s=median,
+            q1_s=q1,
+            q3_s=q3,
+            min_s=float(wall.min()),
+            cpu_s=float(np.median(self.cpu)) / per_call if self.cpu else None,
+            repeats=len(wall),
+            real_time_factor=simulated / median if simulated and median > 0 else None,
+        )
+
+
+def measure(
+    subjects: Sequence[Subject],
+    repeats: int,
+    progress: Progress = lambda done, total: None,
+    *,
+    wall: Clock = time.perf_counter_ns,
+    cpu: Clock = time.process_time_ns,
+) -> dict[str, Figure]:
+    """Measure all subjects in turns.
+
+    Args:
+        subjects: what to measure; the names differ.
+        repeats: turns, each with one run of every subject that still has some left.
+        progress: is told how far it is.
+        wall: clock on the wall [ns].
+        cpu: clock of the process's processor time [ns].
+
+    Returns:
+        Figures by name, in the order of the subjects and of their parts.
+    """
+    for subject in subjects:
+        for _ in range(subject.warm_ups):
+            subject.run()
+    samples: dict[str, _Samples] = {}
+    for turn in range(repeats):
+        progress(turn, repeats)
+        for subject in subjects:
+            if subject.most is None or turn < subject.most:
+                _take(subject, samples, wall, cpu)
+    progress(repeats, repeats)
+    return {name: taken.figure() for name, taken in samples.items()}
+
+
+def _take(subject: Subject, samples: dict[str, _Samples], wall: Clock, cpu: Clock) -> None:
+    """Run a subject once and keep its times."""
+    if subject.before is not None:
+        subject.before()
+    start_cpu, start = cpu(), wall()
+    parts = subject.run()
+    elapsed, elapsed_cpu = wall() - start, cpu() - start_cpu
+    if parts is None:
+        whole = samples.setdefault(subject.name, _Samples(subject))
+        whole.wall.append(elapsed)
+        whole.cpu.append(elapsed_cpu)
+        return
+    for part, taken in parts.items():
+        samples.setdefault(f'{subject.name}/{part}', _Samples(subject)).wall.append(taken)
