@@ -87,11 +87,13 @@ class Architecture:
 
 
 ARCHITECTURES = {
-    'cnn4-64x192': Architecture(channels=(16, 32, 64, 64), kernels=(5, 3, 3, 3), hidden=64),
+    'cnn5-64x192': Architecture(
+        channels=(16, 32, 64, 96, 96), kernels=(5, 3, 3, 3, 3), hidden=64
+    ),
 }
 """Architectures by the word that a model card names them with."""
 
-DEFAULT_ARCHITECTURE = 'cnn4-64x192'
+DEFAULT_ARCHITECTURE = 'cnn5-64x192'
 
 
 def is_frame(image: object) -> bool:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,7 +37,11 @@ def test_given_a_number_when_reduced_to_a_power_of_two_then_it_is_the_largest_no
 def test_given_a_level_when_the_layouts_law_is_applied_then_a_texels_middle_is_where_it_lies(
     level: int, place: int
 ) -> None:
-    rows, scale = len(BASE), 2.0**-level
+    ramp = np.repeat(np.arange(0, 256, 4, dtype=np.uint8), 32 * 3).reshape(64, 32, 3)
+    scale = 2.0**-level
     middle = (place + 0.5) / scale
-    row = 2 * rows + scale * (middle - 2 * rows) - 0.5
-    assert row == 2 * rows - 2 * (rows >> level) + place
+    row = 2 * 64 + scale * (middle - 2 * 64) - 0.5
+
+    found = build_ripmap(ramp, 5, 1)[round(row), 0, 0]
+    assert row == round(row)
+    assert found == pytest.approx(4 * (middle - 0.5), abs=0.5 * level)

@@ -1,0 +1,70 @@
+"""``taxinet bench`` as people type it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+
+from taxinet_ros.cli.main import _exit_code, app
+
+
+@pytest.fixture(autouse=True)
+def threads():
+    before = cv2.getNumThreads()
+    yield
+    cv2.setNumThreads(before)
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    code = _exit_code(lambda: app(['bench', *words], standalone_mode=False))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_given_json_when_asked_for_then_it_is_all_there_is_and_can_be_compared_with(
+    tmp_path: Path, capsys
+) -> None:
+    code, out, err = call(capsys, 'monitor', '--repeats', '2', '--json')
+    assert (code, err) == (0, '')
+    old = json.loads(out)
+    assert set(old) == {'machine', 'figures'}
+    assert len(old['figures']) == 3
+
+    old['figures']['monitor/on_runway sample']['median_s'] = 1e3
+    old['machine']['processor'] = 'another one'
+    path = tmp_path / 'old.json'
+    path.write_text(json.dumps(old), encoding='utf-8')
+    words = ['monitor', 'physics', '--repeats', '2', '--compare', str(path)]
+    new = json.loads(call(capsys, *words, '--json')[1])
+    assert set(new['compared']['ratios']) == set(old['figures'])
+    assert new['compared']['ratios']['monitor/on_runway sample'] < 1e-3
+    assert list(new['compared']['differences']) == ['processor']
+
+    code, out, err = call(capsys, *words)
+    assert (code, err) == (0, '')
+    lines = {line.split('  ')[0]: line.split() for line in out.splitlines()}
+    assert lines['monitor/on_runway sample'][-1] == '0.00'
+    assert lines['physics/new'][-1] == '-'
+    assert 'not the same machine: processor was another one, is ' in out
+
+
+@pytest.mark.parametrize(
+    ('words', 'message'),
+    [
+        (['graphs'], "bench: 'graphs' is unknown; known: camera, "),
+        (['monitor', '--repeats', '0'], 'bench: --repeats is 0, needs to be 1 or more'),
+        (['monitor', '--compare', 'nowhere.json'], 'bench: cannot read nowhere.json: '),
+    ],
+)
+def test_given_bad_words_when_typed_then_one_line_says_so(
+    words: list[str], message: str, capsys, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, *words)
+    assert (code, out) == (2, '')
+    assert err.startswith(f'taxinet: error: {message}')
+    assert err.count('\n') == 1
