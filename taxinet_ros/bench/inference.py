@@ -19,7 +19,7 @@ def subjects() -> list[Subject]:
     scene = SCENES['noon']
     image = Camera(scene.scenario).render(scene.state, 0)
     perception = make_perception('taxinet')
-    model = load_model(SHIPPED)
+    model = load_model(SHIPPED['taxinet'])
     network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
     reduced = shrink(image)[None]
 

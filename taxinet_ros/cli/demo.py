@@ -1,4 +1,4 @@
-"""``taxinet demo``: the same scenes with the network and with the truth, and pictures of both."""
+"""``taxinet demo``: the same scenes with both networks and with the truth, and pictures of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.types import NS_PER_S
 
 PROGRAM = 's_falsif'
-PERCEPTIONS = ('taxinet', 'truth')
+PERCEPTIONS = ('original', 'taxinet', 'truth')
 _SHEET_TIMES_S = (0, 3, 10)
 
 
@@ -59,7 +59,7 @@ def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
             contact_sheet(frames(rows, options), len(_SHEET_TIMES_S), sheet)
         print()
     picture = out / 'trajectories.png'
-    plot_trajectories(columns, picture, f'{PROGRAM}, seed {seed}: the same scenes twice')
+    plot_trajectories(columns, picture, f'{PROGRAM}, seed {seed}: the same scenes thrice')
     print(f'pictures: {picture}, {sheet}')
     return codes['truth']
 

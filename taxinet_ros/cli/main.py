@@ -35,7 +35,10 @@ RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw a
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
 PerceptionOption = Annotated[
-    str, typer.Option(help='truth, taxinet, a .safetensors weights file, or an .onnx network')
+    str,
+    typer.Option(
+        help='truth, taxinet, original, a .safetensors weights file, or an .onnx network'
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,

@@ -105,10 +105,11 @@ class Atmosphere:
 
     def _skyline(self, picture: NDArray[np.uint8], rays: NDArray[np.float64]) -> None:
         """Replace everything above the end of the ground by the panorama."""
-        ends = rays[2, 0] * np.array([0.0, picture.shape[1] - 1]) + rays[2, 2]
+        f0, f1, f2 = rays[2].tolist()
         # Row at which the ray's fall reaches the end of the ground, at both sides of the picture.
-        last = ((-sky.GROUND_END_TAN - ends) / rays[2, 1]).max()
-        rows = min(math.floor(float(last)) + 1, picture.shape[0])
+        ends = f2, f0 * (picture.shape[1] - 1) + f2
+        last = max((-sky.GROUND_END_TAN - end) / f1 for end in ends)
+        rows = min(math.floor(last) + 1, picture.shape[0])
         if rows <= 0:
             return
         across, up = self._directions(rays, rows)

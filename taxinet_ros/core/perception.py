@@ -1,13 +1,12 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
-One word chooses: ``truth``, ``taxinet`` (the shipped network), or a file: weights that ``taxinet
-train`` has written, or anybody's network in ONNX. A word that is not known is an error, for a test
+One word chooses: ``truth``, one of the shipped networks ``taxinet`` and ``original``, or a file:
+weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not known is an error, for a test
 of the network that silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -28,7 +27,7 @@ class Perception(Protocol):
     """Estimates the tracking error once per control step, from nothing but its arguments.
 
     Attributes:
-        word: ``truth``, ``taxinet`` for a network of ours, ``onnx`` for one from elsewhere.
+        word: ``truth``, ``taxinet`` or ``original``; for a file ``weights`` or ``onnx``.
         fingerprint: SHA-256 of the weights file, or of the ONNX file with its description after
             it; empty for the truth.
         needs_image: whether it looks at camera frames.
@@ -97,10 +96,10 @@ class NetworkPerception:
         return seen if seen.usable else NO_ESTIMATE
 
 
-def _taxinet(model: Model) -> Perception:
+def _taxinet(word: str, model: Model) -> Perception:
     """A network of ours; the first one in a process imports torch."""
     network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
-    return NetworkPerception(network, word='taxinet', fingerprint=model.card.weights_sha256)
+    return NetworkPerception(network, word=word, fingerprint=model.card.weights_sha256)
 
 
 def _onnx(path: Path) -> Perception:
@@ -108,11 +107,8 @@ def _onnx(path: Path) -> Perception:
     return NetworkPerception(network, word='onnx', fingerprint=network.fingerprint)
 
 
-PERCEPTION: dict[str, Callable[[], Perception]] = {
-    'truth': GroundTruth,
-    'taxinet': lambda: _taxinet(load_model(SHIPPED)),
-}
-"""Perceptions by the word that chooses them."""
+PERCEPTION = ('truth', *SHIPPED)
+"""The words that choose a perception."""
 
 
 def make_perception(word_or_file: str) -> Perception:
@@ -125,10 +121,12 @@ def make_perception(word_or_file: str) -> Perception:
     Raises:
         UsageError: unknown word (the known ones are listed), or a file that cannot be used.
     """
-    if word_or_file in PERCEPTION:
-        return PERCEPTION[word_or_file]()
+    if word_or_file == 'truth':
+        return GroundTruth()
     path = _network_file(word_or_file)
-    return _onnx(path) if path.suffix == ONNX_SUFFIX else _taxinet(load_model(path))
+    if path.suffix == ONNX_SUFFIX:
+        return _onnx(path)
+    return _taxinet(word_or_file if word_or_file in SHIPPED else 'weights', load_model(path))
 
 
 def check_perception(word_or_file: str) -> None:
@@ -137,17 +135,18 @@ def check_perception(word_or_file: str) -> None:
     Raises:
         UsageError: as :func:`make_perception`.
     """
-    if word_or_file == 'taxinet':
-        load_model(SHIPPED)
-    elif word_or_file not in PERCEPTION:
-        path = _network_file(word_or_file)
-        if path.suffix == ONNX_SUFFIX:
-            _onnx(path)
-        else:
-            load_model(path)
+    if word_or_file == 'truth':
+        return
+    path = _network_file(word_or_file)
+    if path.suffix == ONNX_SUFFIX:
+        _onnx(path)
+    else:
+        load_model(path)
 
 
 def _network_file(text: str) -> Path:
+    if text in SHIPPED:
+        return SHIPPED[text]
     path = Path(text)
     if path.suffix not in (SUFFIX, ONNX_SUFFIX):
         words = ', '.join(PERCEPTION)

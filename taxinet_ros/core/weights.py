@@ -26,8 +26,11 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES
 
 SUFFIX = '.safetensors'
-SHIPPED = Path(__file__).parent / 'weights' / f'taxinet{SUFFIX}'
-"""The weights that the word ``taxinet`` stands for."""
+SHIPPED = {
+    word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}' for word in ('taxinet', 'original')
+}
+"""Weights by the word that chooses them: ``taxinet`` has learned in all of S_falsif's world,
+``original`` in the part of it that the paper's network may have been trained in."""
 
 MAX_BYTES = 64 << 20
 """Largest file that is read; the shipped one is below 1 MiB."""

@@ -84,7 +84,7 @@ def test_given_separate_processes_then_the_table_is_the_same_but_for_the_clock(t
 BAD = {
     'unknown program': (['run', 'no_such'], 'no shipped program; known: nominal'),
     'missing program file': (['run', 'no/such.scenic'], 'no/such.scenic'),
-    'unknown perception': (['run', 'nominal', '--perception', 'trth'], 'known: truth, taxinet'),
+    'unknown perception': (['run', 'nominal', '--perception', 'trth'], 'known: truth, taxinet, original'),
     'missing weights': (['run', 'nominal', '--perception', 'x.safetensors'], 'no such file'),
     'unknown key': (['run', 'nominal', '--set', 'cloud=clear'], "unknown key 'cloud'; known:"),
     'no value': (['run', 'nominal', '--set', 'clouds'], 'expected key=value'),
@@ -165,18 +165,19 @@ def test_given_an_interrupt_then_the_run_ends_in_order_and_its_bag_is_whole(tmp_
     assert read_info(bag).complete
 
 
-def test_given_the_demo_then_there_are_two_campaigns_and_two_pictures(tmp_path):
+def test_given_the_demo_then_there_are_three_campaigns_and_two_pictures(tmp_path):
     done = taxinet('demo', '--runs', '1', '--seed', '2', '--out', str(tmp_path / 'demo'))
     assert (done.returncode, done.stderr) == (0, '')
     scenes = []
-    for perception in ('taxinet', 'truth'):
+    for perception in ('original', 'taxinet', 'truth'):
         table = pd.read_parquet(tmp_path / 'demo' / perception / 'runs.parquet')
         assert list(table['perception']) == [perception]
         scenes.append(table[['cross_track', 'distance', 'heading', 'time_of_day', 'clouds']])
         trace = read_trace(tmp_path / 'demo' / perception / table['bag'][0])
         wrong = abs(trace['est_cte_m'] - trace['cte_m']).max()
         assert wrong == 0 if perception == 'truth' else wrong > 0.001
-    pd.testing.assert_frame_equal(*scenes)
+    for others in scenes[1:]:
+        pd.testing.assert_frame_equal(scenes[0], others)
     for picture in ('frames.png', 'trajectories.png'):
         assert (tmp_path / 'demo' / picture).read_bytes().startswith(b'\x89PNG')
 

@@ -173,15 +173,18 @@ def test_given_saved_weights_when_saved_again_then_the_new_pair_replaces_the_old
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_card_is_complete() -> (
-    None
-):
-    model = load_model(SHIPPED)
-    assert SHIPPED.stat().st_size < 2_000_000
+@pytest.mark.parametrize(
+    ('word', 'program'), [('taxinet', 'training_full'), ('original', 'training_original')]
+)
+def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_card_is_complete(
+    word: str, program: str
+) -> None:
+    model = load_model(SHIPPED[word])
+    assert SHIPPED[word].stat().st_size < 2_000_000
     assert model.weights.keys() == ARCHITECTURES[model.card.architecture].shapes().keys()
     assert [(data.kind, data.name) for data in model.card.training_data] == [
-        ('program', 'training_original')
+        ('program', program)
     ]
-    assert model.card.command_line.startswith('taxinet train training_original ')
+    assert model.card.command_line.startswith(f'taxinet train {program} ')
     assert model.card.errors['cte_m']['mae'] <= 0.4
     assert model.card.errors['he_deg']['mae'] <= 1.5
