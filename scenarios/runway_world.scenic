@@ -7,6 +7,10 @@ heading keep their sign. A plane 3 m left of the centreline is therefore written
 
 A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
 date ('YYYY-MM-DD'), shadows (True or False), aircraft (a word), duration [s].
+
+A search varies every random choice of a program. To let it vary some only, write these with
+Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are
+then drawn at random. The words work here without the package VerifAI.
 """
 
 # From clear sky to dark stratus, as in X-Plane 11.

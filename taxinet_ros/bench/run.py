@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import cv2
 
-from taxinet_ros.bench import camera, inference, loop, monitor, physics
+from taxinet_ros.bench import camera, inference, loop, monitor, physics, samplers
 from taxinet_ros.bench.compare import Report, make_report
 from taxinet_ros.bench.machine import machine_facts
 from taxinet_ros.bench.measure import Progress, Subject, measure
@@ -19,6 +19,7 @@ SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
     'inference': inference.subjects,
     'physics': physics.subjects,
     'monitor': monitor.subjects,
+    'samplers': samplers.subjects,
     'loop': loop.subjects,
 }
 """What can be measured, by the word that chooses it."""

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -18,6 +18,8 @@ from typing import Any, Self
 import taxinet_ros
 from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
 from taxinet_ros.campaign.programs import find_program, shipped_folder
+from taxinet_ros.campaign.samplers.space import Space
+from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import Scenario
 
@@ -41,11 +43,13 @@ class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
 
     Attributes:
         index: number of the scene.
-        iterations: draws that were tried.
+        iterations: draws that were tried; 1 for a scene at a point.
     """
 
     def __init__(self, program: str, index: int, iterations: int) -> None:
         super().__init__(
+            f'{program}: scene {index}: the point does not meet the requirements'
+            if iterations == 1 else
             f'{program}: scene {index}: no draw met the requirements in {iterations} tries'
         )
         self.index = index
@@ -55,8 +59,9 @@ class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
 class SceneSource:
     """The scenes of one program and seed; a context manager that owns the child process.
 
-    Scene ``i`` depends on the program's text, the seed and ``i`` only: any number of workers, in
-    any order, after any interruption, draw the same scenes. Not for use by several threads at once.
+    Scene ``i`` depends on the program's text, the seed, ``i`` and the point, if any, only: any
+    number of workers, in any order, after any interruption, draw the same scenes. Not for use by
+    several threads at once.
     """
 
     def __init__(
@@ -84,6 +89,7 @@ class SceneSource:
         self._child: subprocess.Popen[bytes] | None = None
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
+        self._space: SearchSpace | None = None
 
     def __enter__(self) -> Self:
         """Start the child, compile, and look ahead for overrides that contradict the program.
@@ -108,14 +114,40 @@ class SceneSource:
         """End the child."""
         self._stop()
 
-    def scene(self, index: int) -> Scenario:
-        """Scene ``index`` (from 0) with the overrides laid over it.
+    def search_space(self) -> SearchSpace:
+        """The program's random choices, and which of them a point decides.
 
         Raises:
-            Rejected: no draw met the program's requirements.
-            UsageError: the program failed, hung or died, or its values are no scenario.
+            UsageError: the program failed, hung or died.
         """
-        answer = self._ask({'op': 'scene', 'index': index})
+        if self._space is None:
+            self._space = SearchSpace.from_json(self._ask({'op': 'space'}), self._overrides)
+        return self._space
+
+    def space(self) -> Space:
+        """The dimensions of a point.
+
+        Raises:
+            UsageError: as :meth:`search_space`, or there is nothing to search.
+        """
+        return self.search_space().dimensions
+
+    def scene(self, index: int, point: Sequence[float] | None = None) -> Scenario:
+        """Scene ``index`` (from 0) with the overrides laid over it.
+
+        Args:
+            index: decides, with the seed, all that the point does not.
+            point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space`.
+
+        Raises:
+            Rejected: no draw met the program's requirements, or this point does not.
+            UsageError: the program failed, hung or died, or its values are no scenario.
+            ValueError: the point is none of this space.
+        """
+        request: dict[str, Any] = {'op': 'scene', 'index': index}
+        if point is not None:
+            request['point'] = self.search_space().spread(point)
+        answer = self._ask(request)
         if 'rejected' in answer:
             raise Rejected(self.program.name, index, answer['rejected'])
         where = f'{self.program.name}: scene {index}'

@@ -8,10 +8,12 @@ Requests come in and answers go out as JSON lines over two pipes that are not st
 a program may print what it likes (it appears on stderr). The first line out says that Scenic is
 imported. Then each request has one answer:
 
-=====================================  ============================================
-``{"op": "compile", "program": ...}``   ``{}``
-``{"op": "scene", "index": i}``         ``{"values": {...}}`` or ``{"rejected": n}``
-=====================================  ============================================
+==========================================  ============================================
+``{"op": "compile", "program": ...}``        ``{}``
+``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...]}``
+``{"op": "scene", "index": i}``              ``{"values": {...}}`` or ``{"rejected": n}``
+``{"op": "scene", "index": i, "point": u}``  the same, with choice k at quantile ``u[k]``
+==========================================  ============================================
 
 or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
 the units people type.
@@ -30,28 +32,21 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 import numpy as np
 
+from taxinet_ros.campaign.scene_values import ProgramError, scene_values
+
 MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
-
-_OWN_PARAMETERS = ('verifai', 'externalSampler')
-"""Beginnings of the names of parameters that speak to Scenic's samplers, not of the scenario."""
-
-_EGO_VALUES = {'cross_track': 'cross_track', 'distance': 'distance', 'heading': 'heading_deg'}
 
 
 class OutOfTime(BaseException):
     """A request took longer than allowed; no ``except Exception`` of a program may swallow it."""
-
-
-class ProgramError(Exception):
-    """The program compiles, but does not say what the test bench needs."""
 
 
 class Programs:
@@ -61,32 +56,58 @@ class Programs:
         """``shipped``: the folder where a program that lies elsewhere finds the world model."""
         import scenic
 
+        from taxinet_ros.campaign import scenic_choices, search_words
+
+        search_words.install()
         sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
         self._compile = scenic.scenarioFromFile
+        self._find_choices = scenic_choices.Choices
         self._seed = seed
         self._scenario: Any = None
+        self._choices: Any = None
 
     def compile(self, program: str) -> dict[str, Any]:
         """Compile ``program``; nothing is drawn yet."""
         self._reseed(0)  # a program may draw while it is compiled
+        self._choices = None
         self._scenario = self._compile(program)
         if self._scenario.externalSampler is not None:
             raise ProgramError(
-                'external parameters (Verifai...) need an active sampler; use Range, Uniform or '
-                'Options instead'
+                'external parameters of its own making cannot be searched; mark choices with '
+                'VerifaiRange or VerifaiOptions instead'
             )
         return {}
 
-    def scene(self, index: int) -> dict[str, Any]:
-        """Draw scene ``index``: a function of the program, the seed and the index alone."""
+    def space(self) -> dict[str, Any]:
+        """The random choices of the program that can be put at a quantile."""
+        return self._found().describe()
+
+    def scene(self, index: int, point: Sequence[float | None] | None = None) -> dict[str, Any]:
+        """Draw scene ``index``: a function of the program, the seed, the index and the point.
+
+        Without a point it is drawn anew until it meets the requirements. At a point there is one
+        try: another would be a scene that the sampler did not ask for, and accepting every point
+        would change the prior.
+        """
+        self._reseed(index)
+        if point is None:
+            return self._generate(MAX_ITERATIONS)
+        with self._found().placed(point):
+            return self._generate(1)
+
+    def _generate(self, iterations: int) -> dict[str, Any]:
         from scenic.core.distributions import RejectionException
 
-        self._reseed(index)
         try:
-            scene, _ = self._scenario.generate(maxIterations=MAX_ITERATIONS)
+            scene, _ = self._scenario.generate(maxIterations=iterations)
         except RejectionException:
-            return {'rejected': MAX_ITERATIONS}
-        return {'values': _values(scene)}
+            return {'rejected': iterations}
+        return {'values': scene_values(scene)}
+
+    def _found(self) -> Any:
+        if self._choices is None:
+            self._choices = self._find_choices(self._scenario)
+        return self._choices
 
     def _reseed(self, index: int) -> None:
         # Scenic draws from Python's generator and from NumPy's. Seeding both anew for every scene
@@ -94,31 +115,6 @@ class Programs:
         words = np.random.SeedSequence([self._seed, index]).generate_state(8)
         random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
         np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
-
-
-def _values(scene: Any) -> dict[str, Any]:
-    ego = scene.egoObject
-    if ego is None or not all(hasattr(ego, name) for name in _EGO_VALUES.values()):
-        raise ProgramError(
-            'no plane to start from; write "model runway_world" and "ego = new Plane at (x, y)"'
-        )
-    values = {key: getattr(ego, name) for key, name in _EGO_VALUES.items()}
-    for name, value in scene.params.items():
-        if name in values:
-            raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
-        if not name.startswith(_OWN_PARAMETERS):
-            values[name] = value
-    return {name: _plain(name, value) for name, value in values.items()}
-
-
-def _plain(name: str, value: Any) -> float | str | bool:
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, str):
-        return str(value)
-    if isinstance(value, (int, float, np.integer, np.floating)):
-        return float(value)
-    raise ProgramError(f'{name} is a {type(value).__name__}; it has to be a number or a word')
 
 
 def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
@@ -135,7 +131,7 @@ def _message(error: BaseException, allowed_s: float) -> str:
         return 'the program calls exit(); it has to run to its end'
     if isinstance(error, MemoryError):
         return 'the program needs more memory than it may have'
-    if type(error).__module__.startswith(('scenic.', __name__)):
+    if isinstance(error, ProgramError) or type(error).__module__.startswith('scenic.'):
         return text
     return f'{type(error).__name__}: {text}'
 
@@ -218,7 +214,7 @@ def _serve(
     programs: Programs, requests: queue.SimpleQueue[bytes], args: argparse.Namespace
 ) -> None:
     operations: dict[str, Callable[..., dict[str, Any]]] = {
-        'compile': programs.compile, 'scene': programs.scene,
+        'compile': programs.compile, 'space': programs.space, 'scene': programs.scene,
     }
     program = ''
     while True:

@@ -9,7 +9,7 @@ import typer
 
 camera_app = typer.Typer(
     rich_markup_mode=None,
-    help='Look through the wing camera, and compare it with frames from elsewhere.',
+    help='Look through the wing camera, compare its frames.',
 )
 
 SetOption = Annotated[

@@ -72,7 +72,10 @@ def run(
     out: OutOption = None,
     processes: ProcessesOption = False,
 ) -> None:
-    """Draw scenes from a Scenic program and run each through the whole graph into a bag."""
+    """Run a Scenic program's scenes through the graph.
+
+    Every run ends in a bag of its own, and in a row of the campaign's table.
+    """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.cli.campaign import run_campaign
 
@@ -89,7 +92,10 @@ def demo(
     runs: RunsOption = 10,
     seed: SeedOption = 1,
 ) -> None:
-    """Run the same scenes of S_falsif with the network and with the truth, and picture both."""
+    """Run ten scenes with both networks and with the truth.
+
+    Draws their paths and their camera frames.
+    """
     from taxinet_ros.cli.demo import run_demo
 
     raise typer.Exit(run_demo(out, runs=runs, seed=seed))
@@ -130,7 +136,7 @@ def train(
     workers: Annotated[int, typer.Option(help='processes that render')] = 2,
     overwrite: Annotated[bool, typer.Option('--overwrite', help='replace what is there')] = False,
 ) -> None:
-    """Train TaxiNet on a program's rendered scenes or on labelled images.
+    """Train TaxiNet on rendered scenes or labelled images.
 
     Writes weights, model card and learning curves.
     """
@@ -160,7 +166,7 @@ def dataset(
         bool, typer.Option('--resume', help='continue what was interrupted')
     ] = False,
 ) -> None:
-    """Render a labelled image of each scene of a program into a folder to train on."""
+    """Render labelled images of scenes, to train on."""
     from taxinet_ros.cli.dataset import run_dataset
     from taxinet_ros.training.folder import DatasetOptions
 
@@ -186,7 +192,10 @@ def evaluate(
     workers: Annotated[int, typer.Option(help='processes that render')] = 2,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
-    """Measure how well a network sees: rendered scenes by kind, or labelled images."""
+    """Measure a network's errors on single frames.
+
+    On rendered scenes by light and place, or on a folder of labelled images.
+    """
     from taxinet_ros.cli.evaluate import run_evaluate
 
     run_evaluate(
@@ -209,7 +218,7 @@ def bench(
         Path | None, typer.Option(metavar='OLD.json', help='a report to print ratios to')
     ] = None,
 ) -> None:
-    """Measure how long everything takes on this machine, on one core."""
+    """Measure how long everything takes, on one core."""
     from taxinet_ros.cli.bench import run_bench
 
     run_bench(subjects or (), repeats=repeats, as_json=as_json, old=compare)
@@ -220,7 +229,10 @@ def node(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help='simulator, taxinet_perception, …')],
 ) -> None:
-    """Start one node, as `ros2 run taxinet_ros NAME` does; the rest goes to it (--ros-args …)."""
+    """Start one node, as `ros2 run taxinet_ros NAME` does.
+
+    What follows NAME goes to the node (--ros-args …).
+    """
     from taxinet_ros.cli.node import start_node
 
     start_node(name, context.args)

@@ -8,6 +8,7 @@ import pytest
 from taxinet_ros.bench.camera import SUM
 from taxinet_ros.bench.run import SUBJECTS, run_subjects
 from taxinet_ros.bench.scenes import SCENES
+from taxinet_ros.campaign.samplers.make import SAMPLERS
 from taxinet_ros.core.camera import STAGES
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import SHIPPED
@@ -63,6 +64,13 @@ def test_given_network_and_loop_when_measured_then_there_are_halves_and_real_tim
         30 / found['loop/truth']['median_s']
     )
     assert found['loop/network']['median_s'] > found['loop/truth']['median_s']
+
+
+def test_given_the_samplers_when_measured_then_each_has_its_figure() -> None:
+    found = figures('samplers', repeats=1)
+
+    assert list(found) == [f'samplers/{word}' for word in SAMPLERS]
+    assert all(figure['median_s'] > 0 for figure in found.values())
 
 
 def test_given_no_word_when_measured_then_every_subject_is_asked(monkeypatch) -> None:

@@ -156,7 +156,7 @@ def test_given_no_checkout_when_a_word_is_sought_then_the_installed_copies_are_l
 def test_given_an_unknown_word_when_sought_then_the_known_ones_are_listed(word: str) -> None:
     with pytest.raises(UsageError) as caught:
         find_program(word)
-    assert 'known: nominal, runway_position, s_falsif, training_original' in str(caught.value)
+    assert 'known: crossing, halton_time_of_day, nominal, runway_position' in str(caught.value)
     assert '\n' not in str(caught.value)
 
 
@@ -180,4 +180,7 @@ def test_given_a_program_when_its_text_is_taken_then_all_it_imports_is_in_it(
 
 
 def test_given_the_shipped_folder_when_listed_then_every_program_is_known() -> None:
-    assert known_programs() == ('nominal', 'runway_position', 's_falsif', 'training_original')
+    assert known_programs() == (
+        'crossing', 'halton_time_of_day', 'nominal', 'runway_position', 's_falsif', 's_falsif_ce',
+        'training_full', 'training_original',
+    )

@@ -2,54 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import pytest
 
-from taxinet_ros.campaign.programs import shipped_folder
-
-ROOT = Path(__file__).parents[2]
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
 LAZY = 'from scenic.core.distributions import distributionFunction\n@distributionFunction\n'
 
 
-class Client:
-    """Speaks the child's protocol."""
-
-    def __init__(self, requests: TextIO, answers: TextIO) -> None:
-        self._requests, self._answers = requests, answers
-        assert json.loads(answers.readline()) == {}, 'the first line says that Scenic is there'
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        print(json.dumps(request), file=self._requests, flush=True)
-        answer: dict[str, Any] = json.loads(self._answers.readline())
-        return answer
-
-
 @pytest.fixture(scope='module')
-def client() -> Iterator[Client]:
+def client(scenic_child: Any) -> Iterator[Any]:
     """One child for all: importing Scenic takes a second."""
-    request_read, request_write = os.pipe()
-    answer_read, answer_write = os.pipe()
-    arguments = {'request-fd': request_read, 'response-fd': answer_write, 'seed': 1,
-                 'memory-bytes': 4 << 30, 'timeout-s': 1, 'shipped': shipped_folder()}
-    child = subprocess.Popen(
-        [sys.executable, '-m', 'taxinet_ros.campaign.scenic_child',
-         *(f'--{name}={value}' for name, value in arguments.items())],
-        pass_fds=(request_read, answer_write), stdout=subprocess.DEVNULL, cwd=ROOT,
-    )
-    os.close(request_read)
-    os.close(answer_write)
-    with child, open(request_write, 'w') as requests, open(answer_read) as answers:
-        yield Client(requests, answers)
-        requests.close()
-        assert child.wait(30) == 0, 'the child has to end when its parent hangs up'
+    with scenic_child(timeout_s=1) as started:
+        yield started
 
 
 @pytest.mark.parametrize(('text', 'line', 'message'), [
@@ -65,7 +32,7 @@ def client() -> Iterator[Client]:
     ('model nowhere\n', 0, 'could not import world model nowhere'),
 ])
 def test_given_a_program_that_does_not_compile_when_compiled_then_its_line_is_named(
-    client: Client, tmp_path: Path, text: str, line: int, message: str,
+    client: Any, tmp_path: Path, text: str, line: int, message: str,
 ) -> None:
     path = tmp_path / 'mine.scenic'
     path.write_text(text)
@@ -84,7 +51,7 @@ def test_given_a_program_that_does_not_compile_when_compiled_then_its_line_is_na
      'ZeroDivisionError'),
 ])
 def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
-    client: Client, tmp_path: Path, text: str, line: int, message: str,
+    client: Any, tmp_path: Path, text: str, line: int, message: str,
 ) -> None:
     path = tmp_path / 'mine.scenic'
     path.write_text(text)
@@ -95,7 +62,7 @@ def test_given_a_program_that_cannot_be_drawn_when_drawn_then_it_is_told_why(
 
 
 def test_given_values_of_every_kind_when_drawn_then_they_come_out_plain(
-    client: Client, tmp_path: Path,
+    client: Any, tmp_path: Path,
 ) -> None:
     path = tmp_path / 'mine.scenic'
     path.write_text(

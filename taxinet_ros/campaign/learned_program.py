@@ -1,0 +1,237 @@
+"""Writes what a search has learned back as a Scenic program that draws from it.
+
+The text of the searched program is kept, with its comments and requirements; only the calls that
+make the choices are replaced, as a person would have made Figure 8 of the paper out of S_falsif::
+
+    Range(0, 2000)   ->   Options({Range(0, 200): 0.05, …, Range(1400, 1600): 0.79})
+    Uniform(*KINDS)  ->   Options({'clear': 0.6, 'cirrus': 0.4})
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from taxinet_ros.campaign.search_space import Choice, Piece, Place, SearchSpace
+from taxinet_ros.core.errors import UsageError
+
+_WIDTH = 100
+_CALL = re.compile(
+    r'(Range|Uniform|Options|Discrete|DiscreteRange|Verifai(Range|Options|DiscreteRange))\s*\('
+)
+_DOCSTRING = re.compile(r'\A(?:[ \t]*(?:#[^\n]*)?\n)*("""|\'\'\')(.*?)\1[ \t]*\n?', re.DOTALL)
+
+
+def learned_program(
+    program: Path, space: SearchSpace, probabilities: Mapping[str, Sequence[float]], origin: str
+) -> str:
+    """Text of a program that draws each choice with the given probabilities.
+
+    Args:
+        program: the program that was searched.
+        space: its search space, from :meth:`~.scene_source.SceneSource.search_space`.
+        probabilities: by name of a dimension, one number of 0 or more for each of its bins
+            (categories, or equal slices of the prior); they need not add up to 1. Choices without
+            any stay as they are written.
+        origin: where the probabilities come from, for the head of the text: a sentence or more.
+
+    Returns:
+        The text. It is found to compile where the program's imports are found.
+
+    Raises:
+        UsageError: a choice is made in a way that cannot be rewritten, or the probabilities do not
+            fit; one line says which.
+    """
+    try:
+        source = program.read_bytes().decode()  # with its own line ends
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f'{program}: cannot be read: {error}') from error
+    text = _Text(program=program, source=source)
+    unknown = set(probabilities) - {choice.dimension.name for choice in space.choices}
+    if unknown:
+        raise UsageError(f'{program.name}: has no choice named {sorted(unknown)[0]}')
+    edits = [text.edit(choice, probabilities) for choice in space.choices
+             if choice.dimension.name in probabilities]
+    _refuse_shared(text, edits, space)
+    start = _end_of_docstring(source)
+    return _head(program, source, origin) + text.rewrite(start, len(source), edits)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Edit:
+    """The stretch of a text in which a choice is made, and what it is to become."""
+
+    start: int
+    end: int
+    choice: Choice
+    weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Text:
+    """A program, and what may be wrong with writing it anew."""
+
+    program: Path
+    source: str
+
+    def edit(self, choice: Choice, probabilities: Mapping[str, Sequence[float]]) -> _Edit:
+        name = choice.dimension.name
+        weights = tuple(float(weight) for weight in probabilities[name])
+        bins = len(choice.dimension.prior)
+        if len(weights) != bins:
+            raise self._refusal(f'{name} has {bins} bins, got {len(weights)} probabilities')
+        if not all(math.isfinite(weight) and weight >= 0 for weight in weights) or not sum(weights):
+            raise self._refusal(f'{name}: probabilities have to be 0 or more, and one above 0')
+        start, end = self._span(choice)
+        total = math.fsum(weights)
+        return _Edit(start=start, end=end, choice=choice,
+                     weights=tuple(weight / total for weight in weights))
+
+    def rewrite(self, start: int, end: int, edits: Sequence[_Edit]) -> str:
+        """The text from ``start`` to ``end``, with every edit that lies within."""
+        parts, at = [], start
+        for edit in sorted(edits, key=lambda edit: (edit.start, -edit.end)):
+            if at <= edit.start and edit.end <= end:
+                parts += [self.source[at:edit.start], self._call(edit, edits)]
+                at = edit.end
+        return ''.join([*parts, self.source[at:end]])
+
+    def _call(self, edit: _Edit, edits: Sequence[_Edit]) -> str:
+        """The new call; choices that are made inside it are rewritten too."""
+        items = [f'{text}: {weight:.4g}' for text, weight in self._weighted(edit, edits)]
+        line_start = self.source.rfind('\n', 0, edit.start) + 1
+        line = self.source[line_start:edit.start]
+        call = f'Options({{{", ".join(items)}}})'
+        if '\n' not in call and len(line + call) <= _WIDTH:
+            return call
+        indent = line[:len(line) - len(line.lstrip())]
+        body = ''.join(f'{indent}    {item},\n' for item in items)
+        return f'Options({{\n{body}{indent}}})'
+
+    def _weighted(self, edit: _Edit, edits: Sequence[_Edit]) -> list[tuple[str, float]]:
+        choice = edit.choice
+        if choice.pieces:
+            bins = zip(itertools.pairwise(choice.dimension.edges), edit.weights, strict=True)
+            items = [item for (start, end), weight in bins
+                     for item in _ranges(choice.pieces, start, end, weight)]
+        elif choice.options:
+            items = [(repr(option), weight)
+                     for option, weight in zip(choice.options, edit.weights, strict=True)]
+        else:
+            items = list(zip(self._written_options(edit, edits), edit.weights, strict=True))
+        if len({text for text, _ in items}) < len(items):
+            raise self._refusal(f'{choice.dimension.name} has the same option twice', choice.place)
+        return [(text, weight) for text, weight in items if weight > 0]
+
+    def _written_options(self, edit: _Edit, edits: Sequence[_Edit]) -> list[str]:
+        """Options that are choices themselves, as they stand in the text."""
+        name, place = edit.choice.dimension.name, edit.choice.place
+        try:
+            call = ast.parse(self.source[edit.start:edit.end], mode='eval').body
+        except SyntaxError:
+            call = None
+        options = _option_nodes(call)
+        if len(options) != len(edit.weights):
+            raise self._refusal(f'the options of {name} do not stand there one by one', place)
+        inner = [other for other in edits if other is not edit]
+        spans = [_offsets(self.source[edit.start:edit.end], option) for option in options]
+        return [
+            self.rewrite(edit.start + start, edit.start + end, inner) for start, end in spans
+        ]
+
+    def _span(self, choice: Choice) -> tuple[int, int]:
+        name, place = choice.dimension.name, choice.place
+        if place is None or Path(place.file).resolve() != self.program.resolve():
+            raise self._refusal(f'{name} is not made in this file')
+        if not (choice.pieces or choice.dimension.discrete):
+            raise self._refusal(f'{name} is not uniform between fixed ends', place)
+        lines = _line_starts(self.source)
+        start = lines[place.line - 1] + place.column
+        end = lines[place.end_line - 1] + place.end_column
+        if not _CALL.match(self.source, start) or self.source[end - 1:end] != ')':
+            raise self._refusal(f'{name} is not made by Range, Uniform or Options', place)
+        return start, end
+
+    def _refusal(self, why: str, place: Place | None = None) -> UsageError:
+        line = f':{place.line}' if place else ''
+        return UsageError(f'{self.program.name}{line}: cannot be written back: {why}')
+
+
+def _refuse_shared(text: _Text, edits: Sequence[_Edit], space: SearchSpace) -> None:
+    made = Counter(choice.place for choice in space.choices)
+    for edit in edits:
+        if made[edit.choice.place] > 1:
+            name = edit.choice.dimension.name
+            raise text._refusal(f'{name} is not the only choice made there', edit.choice.place)
+
+
+def _ranges(
+    pieces: Sequence[Piece], start: float, end: float, weight: float
+) -> list[tuple[str, float]]:
+    """A bin's share of the pieces: uniform parts, and the probability of each."""
+    items = []
+    for piece in pieces:
+        first, last = max(start, piece.start), min(end, piece.end)
+        # Edges that differ by a rounding error are one.
+        if last - first > 1e-9:
+            scale = (piece.high - piece.low) / (piece.end - piece.start)
+            low, high = (piece.low + scale * (edge - piece.start) for edge in (first, last))
+            items.append((f'Range({_number(low)}, {_number(high)})',
+                          weight * (last - first) / (end - start)))
+    return items
+
+
+def _number(value: float) -> str:
+    # Twelve digits: what a person would have typed, 1400 and not 1400.0000000000002.
+    return f'{value:.12g}'
+
+
+def _option_nodes(call: ast.expr | None) -> list[ast.expr]:
+    if not isinstance(call, ast.Call) or call.keywords:
+        return []
+    if getattr(call.func, 'id', '') == 'Uniform':
+        options = call.args
+    elif len(call.args) == 1 and isinstance(call.args[0], ast.Dict):
+        options = [key for key in call.args[0].keys if key is not None]
+    elif len(call.args) == 1 and isinstance(call.args[0], (ast.List, ast.Tuple)):
+        options = call.args[0].elts
+    else:
+        options = []
+    return [option for option in options if not isinstance(option, ast.Starred)]
+
+
+def _offsets(call: str, node: ast.expr) -> tuple[int, int]:
+    """Where an expression of ``call`` starts and ends; Python counts columns in bytes."""
+    lines = _line_starts(call)
+
+    def offset(line: int, column: int) -> int:
+        return lines[line - 1] + len(call[lines[line - 1]:].encode()[:column].decode())
+
+    assert node.end_lineno is not None
+    assert node.end_col_offset is not None
+    return offset(node.lineno, node.col_offset), offset(node.end_lineno, node.end_col_offset)
+
+
+def _line_starts(text: str) -> list[int]:
+    return [0, *(match.end() for match in re.finditer('\n', text))]
+
+
+def _end_of_docstring(source: str) -> int:
+    match = _DOCSTRING.match(source)
+    return match.end() if match else 0
+
+
+def _head(program: Path, source: str, origin: str) -> str:
+    """The new docstring: where this comes from, then what the old one says."""
+    match = _DOCSTRING.match(source)
+    quoted = match[2].strip() if match else ''
+    about = f'Learned from {program.name}' + (', which says of itself:' if quoted else '.')
+    words = [origin.strip().replace('\\', '\\\\'), about, quoted]
+    text = '\n\n'.join(part for part in words if part).replace('"""', "'''")
+    return f'"""{text}\n"""\n'

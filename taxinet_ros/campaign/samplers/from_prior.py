@@ -1,0 +1,73 @@
+"""Samplers that follow the prior and learn nothing: plain draws, Halton's and Sobol's points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from scipy.stats import qmc
+
+from taxinet_ros.campaign.samplers.draws import as_point, prior_point
+from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.space import Point, Space
+
+BLOCK = 256
+"""Points that are computed at once; a power of two, as Sobol's wants."""
+
+
+class FromPrior:
+    """What is the same for all of them: every weight is 1, and results change nothing."""
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Nothing is learned."""
+
+    def weight(self, index: int) -> float:
+        """1: the point is distributed as the prior says."""
+        return 1.0
+
+    def learned(self) -> Probabilities:
+        """Nothing."""
+        return {}
+
+
+class Random(FromPrior):
+    """Independent draws: run i's point depends on the seed and i only."""
+
+    def __init__(self, space: Space, seed: int) -> None:
+        self._dimensions = len(space)
+        self._seed = seed
+        self._asked = 0
+
+    def ask(self) -> Point:
+        """The next point."""
+        point = prior_point(self._dimensions, self._seed, self._asked)
+        self._asked += 1
+        return point
+
+
+class QuasiRandom(FromPrior):
+    """Points that leave smaller gaps than independent ones, each by itself uniform."""
+
+    def __init__(self, engine: qmc.QMCEngine) -> None:
+        self._points = _points(engine)
+
+    def ask(self) -> Point:
+        """The next point."""
+        return next(self._points)
+
+
+def halton(space: Space, seed: int) -> QuasiRandom:
+    """Halton's sequence, its digits permuted at random (Owen, arXiv:1706.02808)."""
+    return QuasiRandom(qmc.Halton(len(space), scramble=True, rng=seed))
+
+
+def sobol(space: Space, seed: int) -> QuasiRandom:
+    """Sobol's sequence, scrambled (Owen, Journal of Complexity 14, 1998).
+
+    It is best balanced after a number of runs that is a power of two: take 1024 rather than 1000.
+    """
+    return QuasiRandom(qmc.Sobol(len(space), scramble=True, rng=seed))
+
+
+def _points(engine: qmc.QMCEngine) -> Iterator[Point]:
+    while True:
+        yield from map(as_point, engine.random(BLOCK))

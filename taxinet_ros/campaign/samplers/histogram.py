@@ -1,0 +1,76 @@
+"""What the samplers that propose by histograms have in common: the asking, and exact weights."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+
+from taxinet_ros.campaign.samplers.draws import as_point, generator
+from taxinet_ros.campaign.samplers.product import Floats, Product
+from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.space import Point, Space
+
+
+class HistogramSampler(ABC):
+    """Draws from ``floor * prior + (1 - floor) * product of histograms``.
+
+    The prior's share bounds every weight by ``1 / floor`` (defensive importance sampling;
+    Hesterberg, Technometrics 37, 1995).
+    """
+
+    def __init__(self, space: Space, seed: int, floor: float) -> None:
+        """Know nothing yet.
+
+        Args:
+            space: what to search.
+            seed: of the campaign.
+            floor: share of the runs drawn from the prior, 0..1.
+        """
+        self._space = space
+        self._seed = seed
+        self._floor = floor
+        self._bins: list[tuple[int, ...]] = []
+        self._weights: list[float] = []
+
+    def ask(self) -> Point:
+        """The next point."""
+        *uniform, mixing = generator(self._seed, len(self._bins)).random(len(self._space) + 1)
+        proposal = self._proposal()
+        point = as_point(uniform) if mixing < self._floor else proposal.point(uniform)
+        bins = tuple(
+            dimension.bin(quantile)
+            for dimension, quantile in zip(self._space, point, strict=True)
+        )
+        density = self._floor + (1 - self._floor) * proposal.density(bins)
+        self._bins.append(bins)
+        self._weights.append(1 / density)
+        return point
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Learn from a result."""
+        if rho is not None:
+            self._learn(index, rho)
+
+    def weight(self, index: int) -> float:
+        """Density of the prior over that of the proposal as it was when asked."""
+        return self._weights[index]
+
+    def learned(self) -> Probabilities:
+        """The histograms, without the prior's share."""
+        return by_name(self._space, self._proposal().probabilities)
+
+    @abstractmethod
+    def _proposal(self) -> Product:
+        """What to draw the next point from, but for the prior's share."""
+
+    @abstractmethod
+    def _learn(self, index: int, rho: float) -> None:
+        """Take a result in."""
+
+
+def by_name(space: Space, probabilities: Iterable[Floats]) -> Probabilities:
+    """Histograms in the order of the dimensions, as plain numbers by name."""
+    return {
+        dimension.name: tuple(float(each) for each in histogram)
+        for dimension, histogram in zip(space, probabilities, strict=True)
+    }

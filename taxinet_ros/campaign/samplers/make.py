@@ -1,0 +1,162 @@
+"""The table of samplers, and the one function that makes one by its word."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from taxinet_ros.campaign.samplers import from_prior
+from taxinet_ros.campaign.samplers.bandit import Bandit
+from taxinet_ros.campaign.samplers.bayes import Bayes
+from taxinet_ros.campaign.samplers.cross_entropy import CrossEntropy
+from taxinet_ros.campaign.samplers.grid import Grid
+from taxinet_ros.campaign.samplers.lagged import Lagged
+from taxinet_ros.campaign.samplers.option import Option, parse_options
+from taxinet_ros.campaign.samplers.optuna_study import cmaes, tpe
+from taxinet_ros.campaign.samplers.sampler import Sampler
+from taxinet_ros.campaign.samplers.space import Space, make_space
+from taxinet_ros.campaign.samplers.verifai_rule import VerifaiRule
+from taxinet_ros.core.errors import UsageError
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Kind:
+    """A sampler of the table.
+
+    Attributes:
+        meaning: what it does, in a line.
+        make: makes one from space, seed, number of runs and the values of its options.
+        options: by name.
+    """
+
+    meaning: str
+    make: Callable[[Space, int, int, Values], Sampler]
+    options: Mapping[str, Option] = field(default_factory=dict)
+
+
+_STARTUP = Option(
+    meaning='results before the model is used; plain draws until then',
+    default=10, low=2, high=1e6, whole=True,
+)
+
+SAMPLERS: Mapping[str, Kind] = {
+    'random': Kind(
+        meaning='independent draws from the program',
+        make=lambda space, seed, runs, values: from_prior.Random(space, seed),
+    ),
+    'halton': Kind(
+        meaning='evenly spread draws (Halton, scrambled)',
+        make=lambda space, seed, runs, values: from_prior.halton(space, seed),
+    ),
+    'sobol': Kind(
+        meaning='evenly spread draws (Sobol, scrambled); best with 2^n runs',
+        make=lambda space, seed, runs, values: from_prior.sobol(space, seed),
+    ),
+    'grid': Kind(
+        meaning='all combinations of even steps and categories, widely spaced ones first',
+        make=lambda space, seed, runs, values: Grid(
+            space, seed, runs, points=int(values['points'])
+        ),
+        options={
+            'points': Option(
+                meaning='steps of each continuous dimension; 0: as many as fit into the runs',
+                default=0, low=0, high=1e6, whole=True,
+            ),
+        },
+    ),
+    'ce': Kind(
+        meaning='cross-entropy with importance weights: learns where failures are',
+        make=lambda space, seed, runs, values: CrossEntropy(
+            space, seed, floor=values['floor'], every=int(values['every'])
+        ),
+        options={
+            'floor': Option(
+                meaning='share of the runs drawn from the program', default=0.3, low=0.01, high=1.0,
+            ),
+            'every': Option(
+                meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
+            ),
+        },
+    ),
+    'ce-verifai': Kind(
+        meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
+        make=lambda space, seed, runs, values: VerifaiRule(space, seed, alpha=values['alpha']),
+        options={
+            'alpha': Option(
+                meaning='what a failure leaves of the old histograms',
+                default=0.995, low=0.5, high=0.99999,
+            ),
+        },
+    ),
+    'mab': Kind(
+        meaning='multi-armed bandit over buckets (upper confidence bound)',
+        make=lambda space, seed, runs, values: Bandit(
+            space, seed, floor=values['floor'], explore=values['explore']
+        ),
+        options={
+            'floor': Option(
+                meaning='share of the runs drawn from the program', default=0.1, low=0.01, high=1.0,
+            ),
+            'explore': Option(
+                meaning='how much little-tried buckets are favoured', default=0.3, low=0, high=100,
+            ),
+        },
+    ),
+    'bo': Kind(
+        meaning='Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
+        make=lambda space, seed, runs, values: Bayes(
+            space, seed, startup=int(values['startup']), window=int(values['window'])
+        ),
+        options={
+            'startup': _STARTUP,
+            'window': Option(
+                meaning='most results it is fitted to', default=100, low=10, high=1000, whole=True,
+            ),
+        },
+    ),
+    'tpe': Kind(
+        meaning='tree-structured Parzen estimator: towards a minimum, cheaply',
+        make=lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
+        options={'startup': _STARTUP},
+    ),
+    'cmaes': Kind(
+        meaning='evolution strategy CMA-ES: into one minimum',
+        make=lambda space, seed, runs, values: cmaes(
+            space, seed, population=int(values['population'])
+        ),
+        options={
+            'population': Option(
+                meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
+                default=0, low=0, high=1e5, whole=True,
+            ),
+        },
+    ),
+}
+"""Every sampler by its word."""
+
+
+def make_sampler(
+    name: str, space: Space, seed: int, runs: int, **options: str | float
+) -> Lagged:
+    """The sampler of a campaign.
+
+    Args:
+        name: word of :data:`SAMPLERS`.
+        space: what to search.
+        seed: of the campaign, 0 or more.
+        runs: number of runs planned, which the grid is laid out for; more may be asked for.
+        options: of the sampler, numbers or their text.
+
+    Raises:
+        UsageError: unknown word or option (the known ones are listed), a value that is not allowed,
+            a negative seed, or a space with no dimension or with two of one name.
+    """
+    kind = SAMPLERS.get(name)
+    if kind is None:
+        raise UsageError(f'sampler {name!r} is unknown; known: {", ".join(SAMPLERS)}')
+    if seed < 0:
+        raise UsageError(f'seed is {seed}; it has to be 0 or more')
+    values = parse_options(name, kind.options, options)
+    return Lagged(kind.make(make_space(space), seed, runs, values))

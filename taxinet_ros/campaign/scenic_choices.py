@@ -1,0 +1,218 @@
+"""The random choices of a compiled Scenic scenario as a search space, and scenes at its points.
+
+Each choice takes the value at a quantile of its own prior, by the inverse distribution function.
+Only the Scenic child may import this module.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from statistics import NormalDist
+from typing import Any
+
+from scenic.core.distributions import (
+    DiscreteRange,
+    Normal,
+    Options,
+    Range,
+    RejectionException,
+    TruncatedNormal,
+    needsSampling,
+    supportInterval,
+)
+
+from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
+from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
+
+MAX_CATEGORIES = 100
+"""More whole numbers than this are a continuous dimension."""
+
+_STANDARD = NormalDist()
+_SHOWN_SIGMAS = 4.0
+"""A normal's shown range, either side of its mean; it has no ends."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Choice:
+    """A choice found, and the dimension that it is."""
+
+    found: Found
+    dimension: Dimension
+
+    def describe(self) -> dict[str, Any]:
+        """What the parent needs to know, for JSON."""
+        node = self.found.node
+        return {
+            'dimension': asdict(self.dimension), 'feeds': sorted(self.found.feeds),
+            'place': place_of(node.index if type(node) is Options else node),
+            'pieces': _pieces(node), 'options': _constants(self),
+        }
+
+
+class Choices:
+    """The choices of one scenario that a sampler may make, and the names of the others."""
+
+    def __init__(self, scenario: Any) -> None:
+        """If any choice is marked for search, the unmarked ones stay with the prior."""
+        found, others = find_choices(scenario)
+        marked = any(buckets_of(choice.node) is not None for choice in found)
+        self._choices: list[Choice] = []
+        self._unsearched = others
+        for choice in found:
+            if not choice.feeds:
+                self._unsearched.append(f'{choice.name} (without effect)')
+            elif marked and buckets_of(choice.node) is None:
+                self._unsearched.append(f'{choice.name} (not marked for search)')
+            else:
+                self._choices.append(Choice(found=choice, dimension=_dimension(choice)))
+
+    def describe(self) -> dict[str, Any]:
+        """The search space, for JSON."""
+        return {
+            'choices': [choice.describe() for choice in self._choices],
+            'unsearched': self._unsearched,
+        }
+
+    @contextlib.contextmanager
+    def placed(self, point: Sequence[float | None]) -> Iterator[None]:
+        """While this lasts, each choice with a quantile in ``point`` takes the value there.
+
+        The others draw as ever. What Scenic compiled is left as it was found.
+        """
+        placed = [
+            (choice, quantile) for choice, quantile in zip(self._choices, point, strict=True)
+            if quantile is not None
+        ]
+        for choice, quantile in placed:
+            choice.found.node.sampleGiven = partial(_value, choice, quantile)
+        try:
+            yield
+        finally:
+            for choice, _ in placed:
+                del choice.found.node.sampleGiven
+
+
+def _dimension(found: Found) -> Dimension:
+    node = found.node
+    buckets = buckets_of(node) or Dimension(name='').buckets
+    weights = _weights(node)
+    low, high = _shown_range(node)
+    return Dimension(name=found.name, weights=weights, low=low, high=high, buckets=buckets)
+
+
+def _weights(node: Any) -> tuple[float, ...]:
+    if type(node) is not DiscreteRange or needsSampling(node.low) or needsSampling(node.high):
+        return ()
+    if node.weights:
+        return tuple(float(weight) for weight in node.weights)
+    number = math.floor(node.high) - math.ceil(node.low) + 1
+    return (1.0,) * number if 0 < number <= MAX_CATEGORIES else ()
+
+
+def _shown_range(node: Any) -> tuple[float, float]:
+    if pieces := _pieces(node):
+        return pieces[0][2], pieces[-1][3]
+    if type(node) is Normal:
+        ends = [_ends(node.mean, side) + side * _SHOWN_SIGMAS * _ends(node.stddev, 1)
+                for side in (-1, 1)]
+    else:
+        ends = [_ends(node.low, -1), _ends(node.high, 1)]
+    return ends[0], ends[1]
+
+
+def _ends(value: Any, side: int) -> float:
+    """The least (-1) or greatest (1) that a constant or random value can be; NaN if not known."""
+    end = supportInterval(value)[0 if side < 0 else 1]
+    return math.nan if end is None else float(end)
+
+
+def _pieces(node: Any) -> list[list[float]]:
+    """Where the value runs straight with the quantile: quantiles from, to; values from, to.
+
+    Empty for whatever is not made of such pieces, or depends on other choices.
+    """
+    if type(node) is Options:
+        return _mixture_pieces(node)
+    if is_fixed_range(node):
+        return pieces_of(node) or [[0.0, 1.0, float(node.low), float(node.high)]]
+    return []
+
+
+def _mixture_pieces(node: Any) -> list[list[float]]:
+    """Those of Options of ranges, from left to right, so that values grow with the quantile."""
+    weights = _weights(node.index)
+    parts = sorted(
+        (float(part._conditioned.low), float(part._conditioned.high), weight)
+        for part, weight in zip(node.options, weights, strict=True)
+    )
+    edges = Dimension(name='', weights=tuple(weight for *_, weight in parts)).edges
+    return [
+        [*quantiles, low, high]
+        for quantiles, (low, high, _) in zip(itertools.pairwise(edges), parts, strict=True)
+    ]
+
+
+def _constants(choice: Choice) -> list[Any] | None:
+    """What a discrete choice selects among, if those are all plain values."""
+    if not choice.dimension.discrete:
+        return None
+    options = choice.found.options
+    if options is None:
+        first = math.ceil(choice.found.node.low)
+        return list(range(first, first + len(choice.dimension.weights)))
+    plain = all(isinstance(option, (bool, int, float, str)) for option in options)
+    return list(options) if plain else None
+
+
+def _value(choice: Choice, quantile: float, given: Mapping[Any, Any]) -> float:
+    """What stands in for ``sampleGiven``: the value at a quantile, ``given`` what it rests on."""
+    node = choice.found.node
+    if choice.dimension.discrete:
+        return math.ceil(given[node.low]) + choice.dimension.bin(quantile)
+    return _INVERSES[type(node)](node, quantile, given)
+
+
+def _range(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
+    low, high = given[node.low], given[node.high]
+    return low + (high - low) * quantile
+
+
+def _mixture(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
+    pieces = _mixture_pieces(node)
+    start, end, low, high = next(piece for piece in pieces if quantile < piece[1])
+    return low + (high - low) * (quantile - start) / (end - start)
+
+
+def _whole_number(node: Any, quantile: float, given: Mapping[Any, Any]) -> int:
+    low, high = math.ceil(given[node.low]), math.floor(given[node.high])
+    if high < low:
+        raise RejectionException(node.emptyMessage)
+    return min(low + int(quantile * (high - low + 1)), high)
+
+
+def _normal(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
+    return given[node.mean] + given[node.stddev] * _sigmas(quantile)
+
+
+def _truncated(node: Any, quantile: float, given: Mapping[Any, Any]) -> float:
+    mean, stddev = given[node.mean], given[node.stddev]
+    below, above = (_STANDARD.cdf((end - mean) / stddev) for end in (node.low, node.high))
+    value = mean + stddev * _sigmas(below + quantile * (above - below))
+    return min(max(value, node.low), node.high)
+
+
+def _sigmas(quantile: float) -> float:
+    # Quantile 0 is a possible coordinate of a point; a normal has no value there.
+    return _STANDARD.inv_cdf(min(max(quantile, 2.0**-54), 1 - 2.0**-53))
+
+
+_INVERSES: dict[type, Callable[[Any, float, Mapping[Any, Any]], float]] = {
+    Range: _range, Options: _mixture, DiscreteRange: _whole_number, Normal: _normal,
+    TruncatedNormal: _truncated,
+}

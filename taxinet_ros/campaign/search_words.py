@@ -1,0 +1,144 @@
+"""Scenic's words for choices that an outside sampler searches, without VerifAI.
+
+A program marks them with ``VerifaiRange``, ``VerifaiDiscreteRange``, ``VerifaiOptions`` or
+``VerifaiParameter.withPrior``. Scenic's own classes of these names need the package VerifAI, whose
+last version (2.2.0) wants pandas < 3 and cannot be installed beside this one. So the Scenic child
+puts functions in their place, whether or not VerifAI is there: each makes an ordinary choice with
+the same prior, and marks it. Programs written for VerifAI compile unchanged, keep the weights of
+their options under every sampler, and are searched by the samplers here; the parameters
+``verifaiSamplerType`` and ``verifaiSamplerParams`` are not looked at.
+
+The child also notes where in a program's text each choice is made (:func:`place_of`), for the
+search to write a learned distribution back. Only the Scenic child may import this module.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import scenic
+from scenic.core import distributions, external_params
+from scenic.syntax import veneer
+
+from taxinet_ros.campaign.samplers.space import Dimension
+
+_MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
+_NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
+_DEFAULT_BUCKETS = Dimension(name='').buckets
+
+
+def install() -> None:
+    """Put the words in place of Scenic's, and have choices remember where they were made."""
+    words = {
+        'VerifaiRange': verifai_range, 'VerifaiDiscreteRange': verifai_discrete_range,
+        'VerifaiOptions': verifai_options, 'VerifaiParameter': VerifaiParameter,
+    }
+    for module in (veneer, external_params):
+        for name, word in words.items():
+            setattr(module, name, word)
+    for kind in (distributions.Range, distributions.Normal, distributions.DiscreteRange):
+        kind.__init__ = _remembering(kind.__init__)
+
+
+def buckets_of(choice: Any) -> int | None:
+    """Buckets of a choice that is marked for search; None for any other."""
+    buckets: int | None = vars(choice).get(_MARK)
+    return buckets
+
+
+def pieces_of(choice: Any) -> list[list[float]]:
+    """Of a ``VerifaiRange`` with weights, its parts: quantiles from and to, values from and to."""
+    pieces: list[list[float]] = vars(choice).get(_PIECES, [])
+    return pieces
+
+
+def place_of(choice: Any) -> list[Any] | None:
+    """File, line, column, last line and end column (characters) of the call that made a choice."""
+    place: list[Any] | None = vars(choice).get(_PLACE)
+    return place
+
+
+def verifai_range(
+    low: Any, high: Any, buckets: int | None = None, weights: Iterable[float] | None = None
+) -> Any:
+    """``VerifaiRange``: a real interval, with ``weights`` for equal parts of it."""
+    if weights is None:
+        return _marked(distributions.Range(low, high), buckets)
+    weights = tuple(weights)
+    if buckets not in (None, len(weights)):
+        raise ValueError(f'VerifaiRange has {len(weights)} weights, but {buckets} buckets')
+    sums = np.array([0.0, *itertools.accumulate(weights)])
+    quantiles, values = sums / sums[-1], np.linspace(low, high, len(sums))
+    unit = _marked(distributions.Range(0, 1), len(weights))
+    ends = (quantiles[:-1], quantiles[1:], values[:-1], values[1:])
+    setattr(unit, _PIECES, np.transpose(ends).tolist())
+
+    def value_at(quantile: float) -> float:
+        return float(np.interp(quantile, quantiles, values))
+
+    return distributions.distributionFunction(value_at, valueType=float)(unit)
+
+
+def verifai_discrete_range(
+    low: int, high: int, weights: Iterable[float] | None = None
+) -> Any:
+    """``VerifaiDiscreteRange``: an integer interval, its ends included."""
+    return _marked(distributions.DiscreteRange(low, high, weights and tuple(weights)), None)
+
+
+def verifai_options(options: Mapping[Any, float] | Iterable[Any]) -> Any:
+    """``VerifaiOptions``: one of several values, with weights where it is a dict."""
+    chosen = distributions.Options(options)
+    _marked(chosen.index, None)
+    return chosen
+
+
+class VerifaiParameter:
+    """The one use that programs make of Scenic's class of this name."""
+
+    @staticmethod
+    def withPrior(prior: Any, buckets: Any = None) -> Any:  # noqa: N802 (Scenic's name)
+        """A choice with any prior: a range, a normal or options. It is not approximated.
+
+        ``buckets`` may be a list of their ends; the search here has none but equal ones.
+        """
+        number = buckets if isinstance(buckets, int) else None
+        _marked(prior.index if _is_options(prior) else prior, number)
+        return prior
+
+
+def _is_options(prior: Any) -> bool:
+    return isinstance(prior, distributions.MultiplexerDistribution)
+
+
+def _marked(choice: Any, buckets: int | None) -> Any:
+    setattr(choice, _MARK, buckets or _DEFAULT_BUCKETS)
+    return choice
+
+
+def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
+    @functools.wraps(initialise)
+    def init(self: Any, *args: Any, **kwargs: Any) -> None:
+        initialise(self, *args, **kwargs)
+        frame: FrameType | None = sys._getframe(1)
+        while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
+            frame = frame.f_back
+        if frame is not None:
+            setattr(self, _PLACE, _place(frame))
+
+    return init
+
+
+def _place(frame: FrameType) -> list[Any] | None:
+    positions = itertools.islice(frame.f_code.co_positions(), frame.f_lasti // 2, None)
+    line, end_line, column, end_column = next(positions)
+    if None in (line, end_line, column, end_column):
+        return None
+    return [frame.f_code.co_filename, line, column, end_line, end_column]

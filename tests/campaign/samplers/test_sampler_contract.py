@@ -1,0 +1,124 @@
+"""What every sampler of the table has to do, and what making one refuses."""
+
+from __future__ import annotations
+
+import pytest
+
+from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.option import split_options
+from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.core.errors import UsageError
+
+SPACE = (
+    Dimension(name='x'),
+    Dimension(name='weather', weights=(2, 0, 1)),
+    Dimension(name='y', buckets=3),
+)
+RUNS = 19
+WEIGHTED = ('random', 'halton', 'sobol', 'grid', 'ce', 'ce-verifai', 'mab')
+HISTOGRAMS = ('ce', 'ce-verifai', 'mab')
+
+
+def bowl(point: Point) -> float:
+    return sum((quantile - 0.2) ** 2 for quantile in point) - 0.1
+
+
+def run(name: str, seed: int, rho=bowl, **options: str | float) -> list[Point]:
+    sampler = make_sampler(name, SPACE, seed, RUNS, **options)
+    points = []
+    for _ in range(RUNS):
+        index, point = sampler.next()
+        points.append(point)
+        sampler.tell(index, rho(point))
+    return points
+
+
+@pytest.mark.parametrize('name', SAMPLERS)
+def test_given_a_sampler_when_run_then_its_points_are_quantiles_and_follow_from_the_seed(
+    name: str,
+) -> None:
+    points = run(name, 1)
+    assert len(points) == RUNS
+    for point in points:
+        assert len(point) == len(SPACE)
+        assert all(type(each) is float and 0 <= each < 1 for each in point)
+        assert SPACE[1].bin(point[1]) in (0, 2)
+    assert run(name, 1) == points
+    assert run(name, 2) != points
+
+
+@pytest.mark.parametrize('name', SAMPLERS)
+def test_given_a_sampler_when_asked_for_weights_then_only_known_densities_have_one(
+    name: str,
+) -> None:
+    sampler = make_sampler(name, SPACE, (1 << 63) - 1, RUNS)
+    tickets = [sampler.next() for _ in range(5)]
+    weights = [sampler.weight(index) for index, _ in tickets]
+    if name in WEIGHTED:
+        assert all(weight is not None and 0 < weight < 12 for weight in weights)
+    else:
+        assert weights == [None] * 5
+
+
+@pytest.mark.parametrize('name', SAMPLERS)
+def test_given_a_sampler_when_asked_what_it_learned_then_histograms_are_probabilities(
+    name: str,
+) -> None:
+    learned = make_sampler(name, SPACE, 1, RUNS).learned()
+    if name not in HISTOGRAMS:
+        assert learned == {}
+        return
+    assert list(learned) == [dimension.name for dimension in SPACE]
+    assert learned['weather'] == pytest.approx((2 / 3, 0, 1 / 3))
+    assert len(learned['x']) == 10
+
+
+@pytest.mark.parametrize('name', sorted({*SAMPLERS} - {'grid', 'mab'}))
+def test_given_runs_without_results_when_told_then_nothing_is_learned_of_them(name: str) -> None:
+    """As good as only told of runs that all end alike: none is a failure, none better."""
+    points = run(name, 1, rho=lambda point: None)
+    assert points[:2] == run(name, 1)[:2]
+    if name == 'cmaes':
+        assert 0.3 < sum(point[0] for point in points) / RUNS < 0.7
+    else:
+        assert points == run(name, 1, rho=lambda point: None)
+    if name in ('ce', 'ce-verifai', 'bo'):
+        assert points == pytest.approx(run('random', 1, rho=lambda point: None))
+
+
+@pytest.mark.parametrize(
+    ('name', 'seed', 'options', 'message'),
+    [
+        ('cma', 0, {}, r"sampler 'cma' is unknown; known: random, halton, .*, cmaes$"),
+        ('ce', -1, {}, r'seed is -1'),
+        ('ce', 0, {'flor': '0.3'}, r'sampler ce: unknown option flor; known: floor, every$'),
+        ('random', 0, {'floor': '0.3'}, r'unknown option floor; known: none$'),
+        ('ce', 0, {'floor': 'a'}, r"sampler ce: floor=a: 'a' is no number"),
+        ('ce', 0, {'floor': '0'}, r'sampler ce: floor=0: needs to be within 0.01..1'),
+        ('ce', 0, {'floor': 'nan'}, r'floor=nan: needs to be within'),
+        ('ce-verifai', 0, {'alpha': '1'}, r'alpha=1: needs to be within 0.5..0.99999'),
+        ('bo', 0, {'window': '12.5'}, r'window=12.5: needs to be a whole number'),
+    ],
+)
+def test_given_a_bad_word_or_option_when_made_then_one_line_says_what_is_known(
+    name: str, seed: int, options, message: str
+) -> None:
+    with pytest.raises(UsageError, match=message) as caught:
+        make_sampler(name, SPACE, seed, RUNS, **options)
+    assert '\n' not in str(caught.value)
+
+
+def test_given_options_as_text_or_numbers_when_made_then_they_act() -> None:
+    assert run('ce', 1, floor='1') == run('random', 1)
+    assert run('ce', 1, floor=1.0) == run('random', 1)
+    assert run('ce', 1, every='2') != run('ce', 1)
+
+
+def test_given_key_value_texts_when_split_then_they_are_checked() -> None:
+    assert split_options(['floor=0.1', ' every = 5 ']) == {'floor': '0.1', 'every': '5'}
+    assert split_options([]) == {}
+    for text in ('floor', '=1', 'floor='):
+        with pytest.raises(UsageError, match='expected key=value'):
+            split_options([text])
+    with pytest.raises(UsageError, match='floor is given twice'):
+        split_options(['floor=1', 'floor=1'])

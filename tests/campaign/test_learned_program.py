@@ -1,0 +1,175 @@
+"""Learned probabilities as a Scenic program: it compiles, and it draws in these proportions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from taxinet_ros.campaign.learned_program import learned_program
+from taxinet_ros.campaign.programs import shipped_folder
+from taxinet_ros.campaign.search_space import SearchSpace
+from taxinet_ros.core.errors import UsageError
+
+WORLD = 'model runway_world\n'
+N = 2000
+Learn = Callable[..., str]
+
+
+@pytest.fixture(scope='module')
+def client(scenic_child: Any) -> Iterator[Any]:
+    with scenic_child(timeout_s=30) as started:
+        yield started
+
+
+@pytest.fixture
+def learn(client: Any, tmp_path: Path) -> Learn:
+    """Compiles a text, and writes it anew with probabilities."""
+    def learn_text(text: str, probabilities: dict[str, list[float]], origin: str = 'Me.') -> str:
+        path = tmp_path / 'mine.scenic'
+        path.write_text(text)
+        assert client.ask(op='compile', program=str(path)) == {}
+        space = SearchSpace.from_json(client.ask(op='space'))
+        return learned_program(path, space, probabilities, origin)
+
+    return learn_text
+
+
+@pytest.fixture
+def draw(client: Any, tmp_path: Path) -> Callable[..., list[dict[str, Any]]]:
+    """Compiles a text and draws scenes of it."""
+    def draw_text(text: str, n: int = N) -> list[dict[str, Any]]:
+        path = tmp_path / 'learned.scenic'
+        path.write_text(text)
+        assert client.ask(op='compile', program=str(path)) == {}
+        return [client.ask(op='scene', index=index)['values'] for index in range(n)]
+
+    return draw_text
+
+
+def assert_shares(counts: list[int], shares: list[float]) -> None:
+    assert sum(counts) == N, 'a value lies outside'
+    expected = np.array(shares) / sum(shares) * N
+    assert [count for count, share in zip(counts, expected, strict=True) if not share] == \
+        [0] * int(np.sum(expected == 0))
+    seen = expected > 0
+    assert chisquare(np.array(counts)[seen], expected[seen]).pvalue > 1e-4
+
+
+def test_given_a_learned_s_falsif_when_drawn_then_its_histograms_are_the_learned_ones(
+    learn: Learn, draw: Callable[..., list[dict[str, Any]]],
+) -> None:
+    paper = [.05, 0, 0, 0, 0, 0, .16, .78, .005, .005]  # as in section 3.4, 200 m each
+    clouds, rain = [3.0, 1, 0, 0, 1, 1], [1.0] * 9 + [11]
+    text = learn((shipped_folder() / 's_falsif.scenic').read_text(), {
+        'ego.position.y': paper, 'weather': [.25, .75], 'weather[0].clouds': clouds,
+        'weather[1].rain': rain, 'ego.heading': [4, 1] * 5, 'time_of_day': [0] * 9 + [1],
+    })
+    scenes = draw(text)
+    distances = [scene['distance'] for scene in scenes]
+    assert_shares(np.histogram(distances, 10, (0, 2000))[0].tolist(), paper)
+    headings = [scene['heading'] for scene in scenes]
+    assert_shares(np.histogram(headings, 10, (-30, 30))[0].tolist(), [4, 1] * 5)
+    dry = Counter(scene['clouds'] for scene in scenes if scene['rain'] == 0)
+    kinds = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
+    wet = np.histogram([s['rain'] for s in scenes if s['rain'] > 0], 10, (25, 100))[0].tolist()
+    assert_shares([*(dry[kind] for kind in kinds), *wet],
+                  [*(.25 * share / 6 for share in clouds), *(.75 * share / 20 for share in rain)])
+    assert all(16.8 <= scene['time_of_day'] <= 18 for scene in scenes)
+    assert_shares(np.histogram([s['cross_track'] for s in scenes], 8, (-8, 8))[0].tolist(), [1] * 8)
+
+
+def test_given_a_learned_program_when_read_then_it_is_the_old_one_with_other_numbers(
+    learn: Learn,
+) -> None:
+    source = (shipped_folder() / 's_falsif.scenic').read_text()
+    text = learn(source, {'ego.position.y': [1, 0, 0, 0, 0, 0, 0, 0, 0, 3]},
+                 'Cross-entropy, 1200 runs.')
+    head, _, rest = text.partition('\n"""\n')
+    assert head.startswith('"""Cross-entropy, 1200 runs.\n\nLearned from mine.scenic, which says')
+    assert 'The generic falsification scenario' in head
+    old = source.partition('\n"""\n')[2]
+    new = 'Options({Range(0, 200): 0.25, Range(1800, 2000): 0.75})'
+    assert rest == old.replace('Range(0, 2000)', new)
+
+
+def test_given_a_learned_program_when_learned_from_again_then_its_choices_have_their_names(
+    client: Any, learn: Learn, draw: Callable[..., list[dict[str, Any]]],
+) -> None:
+    source = (shipped_folder() / 'runway_position.scenic').read_text()
+    draw(learn(source, {'distance': [0, 1] * 5, 'time_of_day': [1, 2] * 5}), 1)
+    again = [choice['dimension']['name'] for choice in client.ask(op='space')['choices']]
+    learn(source, {})
+    assert again == [choice['dimension']['name'] for choice in client.ask(op='space')['choices']]
+    assert 'distance' in again
+
+
+def test_given_weighted_ranges_when_learned_then_the_slices_of_the_prior_are_kept_apart(
+    learn: Learn,
+) -> None:
+    # Quantile 0.5 lies in the middle of the second range; its two halves get different shares.
+    text = learn(
+        WORLD + 'y = Options({Range(0, 100): 1, Range(200, 400): 2, Range(500, 600): 1})\n'
+        'ego = new Plane at (0, y)\n', {'y': [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]},
+    )
+    assert 'y = Options({Range(0, 40): 1})\n' in text
+    text = learn(WORLD + 'ego = new Plane at (0, VerifaiRange(0, 90, weights=[2, 1, 1]))\n',
+                 {'ego.position.y': [1, 0, 3]})
+    learned = 'Options({Range(0, 20): 0.25, Range(50, 60): 0.1875, Range(60, 90): 0.5625})'
+    assert text.endswith(f'ego = new Plane at (0, {learned})\n')
+
+
+@pytest.mark.parametrize(('text', 'probabilities', 'message'), [
+    ('param rain = Normal(3, 1)', {'rain': [1] * 10},
+     'mine.scenic:3: cannot be written back: rain is not uniform between fixed ends'),
+    ('r = Range(0, 1)\nparam rain = Range(0, r)', {'rain': [1] * 10}, 'mine.scenic:4: '),
+    ('def f(): return Range(0, 1)\nparam rain = f() + f()', {'rain': [1] * 10},
+     'mine.scenic:3: cannot be written back: rain is not the only choice made there'),
+    ('w = Range\nparam rain = w(0, 1)', {'rain': [1] * 10},
+     'mine.scenic:4: cannot be written back: rain is not made by Range, Uniform or Options'),
+    ('param rain = Uniform(1, 1)', {'rain': [1, 2]},
+     'mine.scenic:3: cannot be written back: rain has the same option twice'),
+    ('x = [(Range(0, 1), 1), (2, 3)]\nparam rain = Uniform(*x)[0]', {'rain': [1, 2]},
+     'mine.scenic:4: cannot be written back: the options of rain do not stand there one by one'),
+    ('param rain = Range(0, 1)', {'rain': [1, 2]},
+     'mine.scenic: cannot be written back: rain has 10 bins, got 2 probabilities'),
+    ('param rain = Range(0, 1)', {'rain': [0] * 10},
+     'mine.scenic: cannot be written back: rain: probabilities have to be 0 or more, and one'),
+    ('param rain = Range(0, 1)', {'snow': [1]}, 'mine.scenic: has no choice named snow'),
+], ids=lambda case: case.splitlines()[-1] if isinstance(case, str) else '')
+def test_given_a_choice_that_cannot_be_written_back_when_learned_then_one_line_says_which(
+    learn: Learn, text: str, probabilities: dict[str, list[float]], message: str,
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        learn(f'{WORLD}ego = new Plane at (0, 400)\n{text}\n', probabilities)
+    assert str(caught.value).startswith(message)
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_choice_of_an_imported_file_when_learned_then_it_is_refused(
+    learn: Learn, tmp_path: Path,
+) -> None:
+    (tmp_path / 'wet.scenic').write_text('soaked = Range(0, 1)\n')
+    with pytest.raises(UsageError, match='rain is not made in this file'):
+        learn(f'from wet import soaked\n{WORLD}ego = new Plane at (0, 400)\nparam rain = soaked\n',
+              {'rain': [1] * 10})
+
+
+def test_given_no_docstring_and_signs_beyond_ascii_when_learned_then_the_columns_still_fit(
+    learn: Learn, draw: Callable[..., list[dict[str, Any]]],
+) -> None:
+    text = learn(
+        f'{WORLD}x = Uniform(("Ä", Uniform("Ö", "Ü")), ("é", 1))\nparam clouds = x[0]\n'
+        'y = "Ä"; z = Range(-1, 1)  # ±1 m\nego = new Plane at (z, 4)\n',
+        {'x': [3, 1], 'x[0][1]': [1, 0], 'z': [1, *[0] * 9]}, r'From a\b "here".',
+    )
+    assert text.endswith(
+        "x = Options({(\"Ä\", Options({'Ö': 1})): 0.75, (\"é\", 1): 0.25})\nparam clouds = x[0]\n"
+        'y = "Ä"; z = Options({Range(-1, -0.8): 1})  # ±1 m\nego = new Plane at (z, 4)\n'
+    )
+    assert 0.8 <= draw(text, 1)[0]['cross_track'] <= 1
