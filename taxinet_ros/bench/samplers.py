@@ -39,7 +39,7 @@ def _first_filled(word: str) -> Callable[[], None]:
     """Runs of a sampler that has made :data:`RUNS` before."""
     # Before its start a Gaussian process costs nothing, then its window is full at once.
     options = {'startup': RUNS} if word == 'bo' else {}
-    sampler = make_sampler(word, SPACE, seed=0, runs=RUNS, **options)
+    sampler = make_sampler(word, SPACE, 0, RUNS, **options)
     _runs(sampler, RUNS + 10)
     return partial(_runs, sampler, _CALLS.get(word, _OFTEN))
 

@@ -8,25 +8,20 @@ folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``run
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from taxinet_ros import __version__
+from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder
 from taxinet_ros.campaign.ledger import Ledger
-from taxinet_ros.campaign.options import CampaignOptions, check_new
-from taxinet_ros.campaign.programs import program_digest, program_text
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource
 from taxinet_ros.campaign.table import write_tables
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.world import last_step
 
 PATIENCE = 2
@@ -72,9 +67,9 @@ class Campaign:
         self._source.__enter__()
         try:
             self._first_scene()
-            facts = self._facts()
-            self._make_folder(facts)
-            self._ledger = Ledger(self.options.out / 'ledger.jsonl')
+            facts = campaign_facts(self.options, self._source.program)
+            make_folder(self.options.out, facts)
+            self._ledger = Ledger(self.options.out / LEDGER_NAME)
             self._ledger.campaign(facts)
         except BaseException:
             self._source.__exit__(None, None, None)
@@ -103,19 +98,17 @@ class Campaign:
             index = self._next
             self._next += 1
             try:
-                request = self._request(index, self._source.scene(index))
+                scenario = self._source.scene(index)
             except Rejected as error:
-                self._keep(self._rejected(index, str(error)))
+                self._keep(rejected_row(self.options, index, str(error)))
                 continue
+            request = run_request(self.options, index, scenario, self._participants)
             self._ledger.intent(index, request.run_id)
             yield request
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
         """Keep one answer; False where the graph should be given up."""
-        bag = request.run_id if (self.options.out / request.run_id).is_dir() else ''
-        sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
-        perception = self.options.perception or result.perception
-        self._keep(RunRow.of_run(request, result, perception=perception, sim_s=sim_s, bag=bag))
+        self._keep(finished_row(self.options, request, result))
         infra = result.outcome is Outcome.INFRA_ERROR
         self._broken = self._broken + 1 if infra else 0
         self._interrupted = result.outcome is Outcome.INTERRUPTED
@@ -126,56 +119,9 @@ class Campaign:
         self.rows.append(row)
         self._on_row(row)
 
-    def _rejected(self, index: int, detail: str) -> RunRow:
-        return RunRow(
-            run_id=self._run_id(index), index=index, program=self._source.program.stem,
-            seed=self.options.seed, perception=self.options.perception,
-            outcome=Outcome.REJECTED, detail=detail,
-        )
-
-    def _run_id(self, index: int) -> str:
-        return f'{self._source.program.stem}-s{self.options.seed}-{index:05d}'
-
-    def _request(self, index: int, scenario: Scenario) -> RunRequest:
-        return RunRequest(
-            run_id=self._run_id(index),
-            index=index,
-            program=self._source.program.stem,
-            seed=self.options.seed,
-            scenario=scenario,
-            specs=self.options.specs,
-            participants=self._participants,
-        )
-
     def _first_scene(self) -> None:
         with contextlib.suppress(Rejected):
             last_step(self._source.scene(0))
-
-    def _make_folder(self, facts: dict[str, object]) -> None:
-        out = self.options.out
-        check_new(out)
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            (out / 'campaign.json').write_text(json.dumps(facts, indent=2) + '\n')
-        except OSError as error:
-            raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
-
-    def _facts(self) -> dict[str, object]:
-        path: Path = self._source.program
-        options = self.options
-        return {
-            'taxinet_ros_version': __version__,
-            'program': path.name,
-            'program_sha256': program_digest(path),
-            'program_text': program_text(path),
-            'runs': options.runs,
-            'seed': options.seed,
-            'perception': options.perception,
-            'overrides': dict(options.overrides),
-            'gains': dict(options.gains),
-            'specs': {spec.name: str(spec.formula) for spec in self._specs},
-            'processes': options.processes,
-        }
 
 
 def exit_code(rows: list[RunRow]) -> int:

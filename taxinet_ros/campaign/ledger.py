@@ -73,9 +73,10 @@ class Ledger:
         """Record what the campaign is: program, digest, seed, overrides, perception."""
         self._append({'event': 'campaign', 'campaign': dict(values)})
 
-    def intent(self, index: int, run_id: str) -> None:
+    def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Record that run ``index`` is about to begin."""
-        self._append({'event': 'intent', 'index': index, 'run_id': run_id})
+        event = {'event': 'intent', 'index': index, 'run_id': run_id}
+        self._append(event | ({'scenario_sha256': scenario_sha256} if scenario_sha256 else {}))
 
     def result(self, row: RunRow) -> None:
         """Record how a run ended."""

@@ -14,6 +14,7 @@ from taxinet_ros.core.steering import SteeringGains
 
 DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_ROOT = Path('bags')
+IMAGES = ('all', 'none')
 _GAIN_PREFIX = 'steering.'
 
 
@@ -32,6 +33,7 @@ class CampaignOptions:
         specs: formulas as text; the first is the headline.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
+        images: ``all`` or ``none`` of the camera frames go into the bags.
     """
 
     program: str
@@ -43,11 +45,13 @@ class CampaignOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     specs: tuple[str, ...] = DEFAULT_SPECS
     processes: bool = False
+    images: str = 'all'
 
 
 def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
-    specs: Iterable[str], out: Path | None, processes: bool,
+    specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
+    resume: bool = False,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -60,6 +64,8 @@ def make_options(
         specs: formulas as text; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.
         processes: every node a process of its own.
+        images: ``all`` or ``none`` of the camera frames go into the bags.
+        resume: ``out`` holds a campaign that is to be continued.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -71,14 +77,20 @@ def make_options(
     _check_specs(chosen)
     if perception:
         check_perception(perception)
+    if images not in IMAGES:
+        raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
+    if resume and out is None:
+        raise UsageError('--resume: say with --out which campaign to continue')
     if out is None:
         words = (Path(program).stem, Path(perception).stem, f'seed{seed}')
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
-    check_new(out)
+    if not resume:
+        check_new(out)
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, specs=chosen, processes=processes,
+        images=images,
     )
 
 

@@ -19,6 +19,9 @@ class RunRow:
     Attributes:
         run_id, index: unique name, and number within the campaign from 0.
         program, seed: what the scenario was drawn from.
+        sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
+        point: the quantile that it chose for each dimension, by name.
+        weight: density of the program's distribution over that of the sampler's, if known.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, aircraft,
             duration: the scenario in human units (m left, m, degrees nose left, word, percent, h,
@@ -28,6 +31,7 @@ class RunRow:
         left_runway, max_cross_track_m: of the true path; judged runs only.
         steps: control steps that were run.
         sim_s: simulated time that passed [s].
+        retries: how often the run was begun anew because the bench broke.
         bag: the run's bag, relative to the campaign's folder, or ''.
         wall_s: wall-clock time that the run took [s].
     """
@@ -38,6 +42,9 @@ class RunRow:
     seed: int
     perception: str
     outcome: Outcome
+    sampler: str = ''
+    point: Mapping[str, float] = field(default_factory=dict)
+    weight: float | None = None
     perception_fingerprint: str = ''
     cross_track: float | None = None
     distance: float | None = None
@@ -57,6 +64,7 @@ class RunRow:
     max_cross_track_m: float | None = None
     steps: int = 0
     sim_s: float = 0.0
+    retries: int = 0
     bag: str = ''
     wall_s: float = 0.0
 
@@ -92,6 +100,14 @@ class RunRow:
             left_runway=result.left_runway if judged else None,
             max_cross_track_m=result.max_cross_track_m if judged else None,
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, wall_s=result.wall_s,
+        )
+
+    def chosen(
+        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int
+    ) -> Self:
+        """The row with how its scene was chosen, and how often it was begun anew."""
+        return dataclasses.replace(
+            self, sampler=sampler, point=point, weight=weight, retries=retries
         )
 
     def to_json(self) -> dict[str, Any]:

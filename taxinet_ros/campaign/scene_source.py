@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
-import taxinet_ros
+from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Space
@@ -173,7 +173,7 @@ class SceneSource:
         command += [f'--{name}={value}' for name, value in arguments.items()]
         try:
             self._child = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=2, env=_environment(),
+                command, stdin=subprocess.DEVNULL, stdout=2, env=child_environment(),
                 pass_fds=(request_read, response_write), start_new_session=True,
             )
         finally:
@@ -248,14 +248,6 @@ def sample_scenarios(
     """
     with SceneSource(program, seed=seed, overrides=overrides) as source:
         return [source.scene(index) for index in range(n)]
-
-
-def _environment() -> dict[str, str]:
-    """The child's: this very package, the same hash order every time, and no idle BLAS threads."""
-    here = str(Path(taxinet_ros.__file__).resolve().parents[1])
-    path = os.pathsep.join(part for part in (here, os.environ.get('PYTHONPATH', '')) if part)
-    fixed = {'PYTHONPATH': path, 'PYTHONHASHSEED': '0'}
-    return {**os.environ, **fixed, 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
 def _shown(path: Path) -> str:

@@ -23,8 +23,14 @@ PARQUET_NAME = 'runs.parquet'
 WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
 """The last columns: all others are equal if the campaign is run again."""
 
-_BEFORE_RHO = {
+_POINT = 'u_'
+_RHO = 'rho_'
+
+_BEFORE_POINT = {
     'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
+    'sampler': 'string', 'weight': 'float64',
+}
+_BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string',
     'cross_track': 'float64', 'distance': 'float64', 'heading': 'float64', 'clouds': 'string',
     'rain': 'float64', 'time_of_day': 'float64', 'date': 'string', 'shadows': 'boolean',
@@ -33,7 +39,7 @@ _BEFORE_RHO = {
 }
 _AFTER_RHO = {
     'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'steps': 'int64', 'sim_s': 'float64',
-    'bag': 'string', 'wall_s': 'float64', 'real_time_factor': 'float64',
+    'retries': 'int64', 'bag': 'string', 'wall_s': 'float64', 'real_time_factor': 'float64',
 }
 
 
@@ -44,11 +50,14 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
         rows: of one campaign.
         specs: names of its formulas, headline first: each has a column ``rho_<name>``, and ``rho``
             repeats the first. Where empty, those found in the rows.
+
+    A run's point has one column ``u_<dimension>`` for each dimension that any row has.
     """
     ordered = sorted(rows, key=lambda row: row.index)
     names = list(specs) or list(dict.fromkeys(name for row in ordered for name in row.rho))
-    kinds = _kinds(names)
-    lines = [_line(row, names) for row in ordered]
+    dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
+    kinds = _kinds(names, dimensions)
+    lines = [_line(row, names, dimensions) for row in ordered]
     columns: dict[str, pd.Series[Any]] = {
         name: pd.Series([line[name] for line in lines], dtype=kind)
         for name, kind in kinds.items()
@@ -83,19 +92,29 @@ def read_table(folder: Path) -> pd.DataFrame:
     except (OSError, ValueError) as error:
         raise UsageError(f'{path}: damaged ({str(error).splitlines()[0]})') from error
     names = [str(name) for name in frame.columns]
-    specs = [name.removeprefix('rho_') for name in names if name.startswith('rho_')]
-    return frame.astype(_kinds(specs))
+    specs, dimensions = (
+        [name.removeprefix(start) for name in names if name.startswith(start)]
+        for start in (_RHO, _POINT)
+    )
+    return frame.astype(_kinds(specs, dimensions))
 
 
-def _kinds(specs: Iterable[str]) -> dict[str, str]:
-    return {**_BEFORE_RHO, **{f'rho_{name}': 'float64' for name in specs}, **_AFTER_RHO}
+def _kinds(specs: Iterable[str], dimensions: Iterable[str]) -> dict[str, str]:
+    return {
+        **_BEFORE_POINT, **{f'{_POINT}{name}': 'float64' for name in dimensions},
+        **_BEFORE_RHO, **{f'{_RHO}{name}': 'float64' for name in specs},
+        **_AFTER_RHO,
+    }
 
 
-def _line(row: RunRow, specs: Sequence[str]) -> dict[str, Any]:
-    values = {name: getattr(row, name) for name in (*_BEFORE_RHO, *_AFTER_RHO)}
+def _line(row: RunRow, specs: Sequence[str], dimensions: Sequence[str]) -> dict[str, Any]:
+    values = {
+        name: getattr(row, name) for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
+    }
     values['outcome'] = row.outcome.value
-    rho = {f'rho_{name}': row.rho.get(name) for name in specs}
-    return {**values, **rho, 'rho': row.rho.get(specs[0]) if specs else None}
+    point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}
+    rho = {f'{_RHO}{name}': row.rho.get(name) for name in specs}
+    return {**values, **point, **rho, 'rho': row.rho.get(specs[0]) if specs else None}
 
 
 def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:

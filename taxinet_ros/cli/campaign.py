@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
-from collections.abc import Iterator
-from types import FrameType
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -14,6 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.cli.interrupts import interrupts
 from taxinet_ros.cli.lines import heading, row_line, summary
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -40,19 +37,22 @@ def campaign_rows(options: CampaignOptions) -> list[RunRow]:
             progress.console.print(row_line(row), soft_wrap=True)
             progress.advance(bar)
 
-        with Campaign(options, PARTICIPANTS, show) as campaign, _interrupts() as interrupts:
+        at_hand = _AtHand()
+        with Campaign(options, PARTICIPANTS, show) as campaign, interrupts(at_hand.interrupt):
             progress.console.print(heading(options), soft_wrap=True)
-            while campaign.unfinished and not interrupts.asked:
+            while campaign.unfinished and not at_hand.interrupted:
                 with _graph(options) as graph:
-                    interrupts.graph = graph
+                    at_hand.graph = graph
                     graph.run(campaign.requests(), campaign.take)
-                    interrupts.graph = None
+                    at_hand.graph = None
     console.print(summary(campaign.rows, options), soft_wrap=True)
     return campaign.rows
 
 
 def _graph(options: CampaignOptions) -> contextlib.AbstractContextManager[Graph]:
-    graph = GraphOptions(perception=options.perception, out=options.out, gains=options.gains)
+    graph = GraphOptions(
+        perception=options.perception, out=options.out, images=options.images, gains=options.gains
+    )
     if options.processes:
         return process_graph(graph, options.out / 'logs')
     return composed_graph(graph)
@@ -70,27 +70,14 @@ def _progress(console: Console) -> Progress:
     )
 
 
-class _Interrupts:
-    """Ctrl-C and SIGTERM: once ends the run at hand in order, twice ends everything now."""
+class _AtHand:
+    """The graph that is to end its run in order when somebody interrupts."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.interrupted = False
         self.graph: Graph | None = None
 
-    def __call__(self, number: int, frame: FrameType | None) -> Any:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
+    def interrupt(self) -> None:
+        self.interrupted = True
         if self.graph is not None:
             self.graph.interrupt()
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[_Interrupts]:
-    handler = _Interrupts()
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield handler
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)

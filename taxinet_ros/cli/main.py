@@ -59,6 +59,9 @@ SpecOption = Annotated[
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='every node a process of its own, same results')
 ]
+ImagesOption = Annotated[
+    str, typer.Option(help='camera frames that go into the bags: all (35 MB a run) or none')
+]
 
 
 @app.command()
@@ -71,6 +74,7 @@ def run(
     spec: SpecOption = None,
     out: OutOption = None,
     processes: ProcessesOption = False,
+    images: ImagesOption = 'all',
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
@@ -82,8 +86,65 @@ def run(
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=perception,
         settings=settings or (), specs=spec or (), out=out, processes=processes,
+        images=images,
     )
     raise typer.Exit(run_campaign(options))
+
+
+@app.command()
+def falsify(
+    scenario: ScenarioArgument,
+    runs: Annotated[int, typer.Option(min=1, help='most runs; with --resume, in all')] = 100,
+    sampler: Annotated[
+        str,
+        typer.Option(
+            help='how scenes are chosen: random, halton, sobol, grid, ce, ce-verifai, mab, bo, '
+            'tpe or cmaes'
+        ),
+    ] = 'ce',
+    sampler_option: Annotated[
+        list[str] | None,
+        typer.Option(metavar='KEY=VALUE', help='option of the sampler; repeatable'),
+    ] = None,
+    workers: Annotated[int, typer.Option(help='graphs that run at once; same results')] = 1,
+    out: OutOption = None,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue what was interrupted in --out')
+    ] = False,
+    seed: SeedOption = 0,
+    perception: PerceptionOption = 'taxinet',
+    settings: SetOption = None,
+    spec: SpecOption = None,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            metavar='RULE',
+            help='stop early: failures=K, or half-width=W of the interval of the failure rate',
+        ),
+    ] = None,
+    budget: Annotated[
+        float | None, typer.Option(metavar='MINUTES', help='begin no run after so long')
+    ] = None,
+    images: ImagesOption = 'none',
+    quiet: Annotated[bool, typer.Option('--quiet', help='print the summary only')] = False,
+) -> None:
+    """Search a Scenic program for scenes that violate the specification.
+
+    The worse a run, the more like it the sampler may choose. Survives Ctrl-C and power cuts.
+    """
+    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.search_options import make_search_options
+    from taxinet_ros.cli.falsify import run_falsify
+
+    campaign = make_options(
+        program=scenario, runs=runs, seed=seed, perception=perception, settings=settings or (),
+        specs=spec or (), out=out, processes=False, images=images, resume=resume,
+    )
+    options = make_search_options(
+        campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
+        resume=resume, until=until, budget_min=budget,
+    )
+    raise typer.Exit(run_falsify(options, quiet=quiet))
 
 
 @app.command()

@@ -129,19 +129,21 @@ def make_perception(word_or_file: str) -> Perception:
     return _taxinet(word_or_file if word_or_file in SHIPPED else 'weights', load_model(path))
 
 
-def check_perception(word_or_file: str) -> None:
+def check_perception(word_or_file: str) -> str:
     """See that :func:`make_perception` will work, without waiting for torch.
+
+    Returns:
+        The fingerprint that the perception will have.
 
     Raises:
         UsageError: as :func:`make_perception`.
     """
     if word_or_file == 'truth':
-        return
+        return GroundTruth.fingerprint
     path = _network_file(word_or_file)
     if path.suffix == ONNX_SUFFIX:
-        _onnx(path)
-    else:
-        load_model(path)
+        return _onnx(path).fingerprint
+    return load_model(path).card.weights_sha256
 
 
 def _network_file(text: str) -> Path:

@@ -41,12 +41,14 @@ class GraphOptions:
     Attributes:
         perception: ``truth``, ``taxinet``, or a network's file.
         out: folder that takes one bag folder per run.
+        images: ``all`` or ``none`` of the camera frames go into the bags.
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
     """
 
     perception: str
     out: Path
+    images: str = 'all'
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
 
@@ -61,7 +63,7 @@ class GraphOptions:
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
             interface.MTL_MONITOR: (MtlMonitor, {}),
-            interface.RECORDER: (Recorder, {'out': str(self.out)}),
+            interface.RECORDER: (Recorder, {'out': str(self.out), 'images': self.images}),
         }
 
 
@@ -105,7 +107,7 @@ def _reserved() -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def composed_graph(options: GraphOptions) -> Iterator[Graph]:
+def composed_graph(options: GraphOptions) -> Iterator[SampledGraph]:
     """Every node in this process, on one executor; they still talk only over topics."""
     with own_domain() as domain:
         context = Context()
@@ -142,6 +144,11 @@ class SampledGraph:
         self._executor = EventsExecutor(context=context)
         self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
+
+    @property
+    def seq(self) -> int:
+        """The control step that the run at hand has reached, as far as the sampler has heard."""
+        return self._sampler.seq if self._sampler is not None else -1
 
     def add(self, node: Any) -> None:
         """Spin a node too, and close it with the graph."""

@@ -20,7 +20,9 @@ from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
 from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.world import last_step
@@ -43,8 +45,12 @@ def bag_name(topic: Topic) -> str:
 
 
 @functools.cache
-def bag_topics() -> tuple[TopicInfo, ...]:
-    """The recorded topics of the graph, as a bag describes them."""
+def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
+    """The recorded topics of the graph, as a bag describes them.
+
+    Args:
+        images: whether camera frames are among them.
+    """
     return tuple(
         describe_topic(
             name=bag_name(topic),
@@ -57,7 +63,7 @@ def bag_topics() -> tuple[TopicInfo, ...]:
             ),
         )
         for topic in interface.TOPICS
-        if topic.recorded
+        if topic.recorded and (images or topic is not interface.IMAGE)
     )
 
 
@@ -70,12 +76,20 @@ class Recorder(Participant):
         self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
         text = 'free space below which no bag is begun [MB]'
         self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
+        text = 'which camera frames go into the bags: all or none'
+        images = declare(self, 'images', 'all', text)
         refuse_unknown(self)
-        self._canonical = Canonical(bag_topics())
+        if images not in IMAGES:
+            raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
+        self._topics = bag_topics(images == 'all')
+        self._stepped = tuple(
+            topic for topic in _STEPPED if images == 'all' or topic is not interface.IMAGE
+        )
+        self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
-        for topic in _STEPPED:
+        for topic in self._stepped:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
@@ -87,7 +101,7 @@ class Recorder(Participant):
         self._scenario_message = scenario
         self._expected = {
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
-            for topic in _STEPPED
+            for topic in self._stepped
         }
         self._steps = StepCollector(self._expected)
         self._held: list[tuple[int, dict[str, list[bytes]]]] = []
@@ -97,7 +111,7 @@ class Recorder(Participant):
         self._last_seq = last_step(scenario_of(scenario))
         self._writer = BagWriter(
             self._out / scenario.run_id,
-            bag_topics(),
+            self._topics,
             metadata=self._facts(scenario),
             attachments={'scenario.json': _scenario_json(scenario)},
             min_free_bytes=self._min_free,
@@ -171,7 +185,7 @@ class Recorder(Participant):
 
     def _write_step(self, seq: int, messages: dict[str, list[bytes]]) -> None:
         assert self._writer is not None
-        for topic in _STEPPED:
+        for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
         self._writer.flush()

@@ -138,7 +138,7 @@ SAMPLERS: Mapping[str, Kind] = {
 
 
 def make_sampler(
-    name: str, space: Space, seed: int, runs: int, **options: str | float
+    name: str, space: Space, seed: int, runs: int, /, **options: str | float
 ) -> Lagged:
     """The sampler of a campaign.
 

@@ -1,0 +1,81 @@
+"""What an interrupted search left behind, and whether it is the same search."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+
+_FREE = frozenset({'runs', 'processes', 'program_text'})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Earlier:
+    """The part of a search that is done.
+
+    Attributes:
+        rows: results by index, without those of interrupted runs, which are run again.
+        begun: number of runs that were begun or done, counted from run 0.
+    """
+
+    rows: dict[int, RunRow] = field(default_factory=dict)
+    begun: int = 0
+
+
+def check_resumable(out: Path) -> None:
+    """See that there is a search in ``out`` to be continued.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not (out / LEDGER_NAME).is_file():
+        raise UsageError(
+            f'--resume: {out / LEDGER_NAME}: no such file, so nothing was begun; leave --resume out'
+        )
+
+
+def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
+    """Read what was done, which :class:`.ledger.Ledger` has locked and mended.
+
+    Args:
+        out: the campaign's folder.
+        facts: of the search that is to go on.
+
+    Raises:
+        UsageError: another search was begun there, the ledger is damaged, or more runs were begun
+            than are asked for now.
+    """
+    content = read_ledger(out / LEDGER_NAME)
+    if content.campaign:
+        _check_same(out, content.campaign, facts)
+    rows = {row.index: row for row in content.rows if row.outcome is not Outcome.INTERRUPTED}
+    begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
+    if begun > facts['runs']:
+        raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
+    return Earlier(rows=rows, begun=begun)
+
+
+def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    now = json.loads(json.dumps(now))
+    if 'sampler' not in before:
+        raise UsageError(f'--resume: {out / FACTS_NAME}: not written by taxinet falsify')
+    for name in now:
+        if name not in _FREE and before.get(name) != now[name]:
+            raise UsageError(
+                f'--resume: {out} was begun with {name} {_short(before.get(name))}, not '
+                f'{_short(now[name])}; repeat its options, or name another --out'
+            )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 80 else text[:79] + '…'

@@ -1,0 +1,47 @@
+"""Numbers, names and rows of a campaign's runs: the same for a plain campaign and a search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S
+
+
+def run_request(
+    options: CampaignOptions, index: int, scenario: Scenario, participants: Sequence[str]
+) -> RunRequest:
+    """What run ``index`` of a campaign asks of the graph."""
+    return RunRequest(
+        run_id=_run_id(options, index), index=index, program=_stem(options), seed=options.seed,
+        scenario=scenario, specs=options.specs, participants=tuple(participants),
+    )
+
+
+def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
+    """The row of a run that the graph has answered."""
+    bag = request.run_id if (options.out / request.run_id).is_dir() else ''
+    sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
+    perception = options.perception or result.perception
+    return RunRow.of_run(request, result, perception=perception, sim_s=sim_s, bag=bag)
+
+
+def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:
+    """The row of a scene that the program's requirements refuse."""
+    return RunRow(
+        run_id=_run_id(options, index), index=index, program=_stem(options), seed=options.seed,
+        perception=options.perception, outcome=Outcome.REJECTED, detail=detail,
+    )
+
+
+def _run_id(options: CampaignOptions, index: int) -> str:
+    return f'{_stem(options)}-s{options.seed}-{index:05d}'
+
+
+def _stem(options: CampaignOptions) -> str:
+    return Path(options.program).stem

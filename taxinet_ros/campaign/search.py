@@ -1,0 +1,264 @@
+"""A search on disk: a sampler chooses scenes, learns from their results, and may be interrupted.
+
+A search's folder is a campaign's (:mod:`.campaign`). The runs may be under way at once and end in
+any order; the sequence of scenes depends on neither, nor on how often the search was resumed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from taxinet_ros.campaign.earlier import Earlier, check_resumable, read_earlier
+from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder, write_facts
+from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.put_aside import put_aside
+from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.space import Point
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.search_space import SearchSpace
+from taxinet_ros.campaign.stop_rule import HALF_WIDTH
+from taxinet_ros.campaign.table import write_tables
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.world import last_step
+
+PATIENCE = 3
+"""After so many infrastructure errors in a row the bench is broken, not the run."""
+
+
+class Search:
+    """Asks for runs and takes their answers. A context manager that owns the Scenic child.
+
+    Attributes:
+        options: what to do.
+        rows: one row per run that is done, in the order in which they were.
+        stopped: which rule ended the search before all its runs were done; '' where none did.
+        interrupted: whether :meth:`interrupt` was called.
+    """
+
+    def __init__(
+        self, options: SearchOptions, participants: tuple[str, ...],
+        on_row: Callable[[RunRow], None] = lambda row: None,
+    ) -> None:
+        """Nothing is started or written before the ``with``.
+
+        Args:
+            options: what to do.
+            participants: node names that take part in every run.
+            on_row: called with each new row as soon as it is on disk; not with those of before.
+        """
+        self.options = options
+        self.rows: list[RunRow] = []
+        self.stopped = ''
+        self.interrupted = False
+        self._campaign = options.campaign
+        self._participants = participants
+        self._on_row = on_row
+        self._source = SceneSource(
+            self._campaign.program, seed=self._campaign.seed, overrides=self._campaign.overrides
+        )
+        self._specs = tuple(parse_spec(text) for text in self._campaign.specs)
+        self._points: dict[int, Point] = {}
+        self._again: list[RunRequest] = []
+        self._retried: set[int] = set()
+        self._earlier = Earlier()
+        self._asked = 0
+        self._broken = 0
+
+    def __enter__(self) -> Self:
+        """Compile the program, draw the first scene, and only then touch the folder.
+
+        Raises:
+            UsageError: the program does not compile or makes no choices, there is no such sampler,
+                the folder cannot be used, or what it holds is another search.
+        """
+        out = self._campaign.out
+        if self.options.resume:
+            check_resumable(out)
+        self._source.__enter__()
+        try:
+            self._prepare()
+            facts = self._facts()
+            if not self.options.resume:
+                make_folder(out, facts)
+            self._ledger = Ledger(out / LEDGER_NAME)
+            try:
+                self._earlier = read_earlier(out, facts)
+                write_facts(out, facts)
+                self._ledger.campaign(facts)
+            except BaseException:
+                self._ledger.__exit__(None, None, None)
+                raise
+        except BaseException:
+            self._source.__exit__(None, None, None)
+            raise
+        self._begun = time.monotonic()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write the table of what there is, whatever happened."""
+        self._source.__exit__(None, None, None)
+        self._ledger.__exit__(None, None, None)
+        rows = {**self._earlier.rows, **{row.index: row for row in self.rows}}
+        write_tables(rows.values(), self._campaign.out, [spec.name for spec in self._specs])
+
+    @property
+    def space(self) -> SearchSpace:
+        """What is searched; only within the ``with``."""
+        return self._source.search_space()
+
+    def next(self) -> RunRequest | None:
+        """A run to begin now; None where there is none before another run has ended, or at all.
+
+        Raises:
+            UsageError: the program failed.
+        """
+        if self._again and not self.interrupted:
+            return self._again.pop()
+        while self._more() and self._sampler.ready:
+            index, point = self._sampler.next()
+            self._asked, self._points[index] = index + 1, point
+            if self._replayed(index):
+                continue
+            request = self._drawn(index, point)
+            if request is not None:
+                return request
+        return None
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        """Keep one answer. A run that the bench broke gets a second chance before that counts."""
+        if result.outcome is Outcome.INFRA_ERROR and request.index not in self._retried:
+            self._retried.add(request.index)
+            put_aside(self._campaign.out / request.run_id)
+            self._ledger.intent(request.index, request.run_id)
+            self._again.append(request)
+            return
+        retries = int(request.index in self._retried)
+        self._keep(finished_row(self._campaign, request, result), retries=retries)
+
+    def interrupt(self) -> None:
+        """Ask for no more runs, not for second chances either. A signal handler may call it."""
+        self.interrupted = True
+
+    def learned(self) -> Probabilities:
+        """Where the sampler has found failures; empty where it has no idea."""
+        return self._sampler.learned()
+
+    # Asking ------------------------------------------------------------------------------------
+
+    def _more(self) -> bool:
+        """Whether one more run is wanted. What was begun before is always finished first."""
+        if self._asked >= self._campaign.runs or self.interrupted:
+            return False
+        if self._asked >= self._earlier.begun:
+            self.stopped = self.stopped or self._reason()
+        return not self.stopped
+
+    def _reason(self) -> str:
+        options = self.options
+        if self._broken >= PATIENCE:
+            return f'{self._broken} runs in a row were broken by the bench'
+        if options.stop is not None and options.stop.met(self.rows):
+            return f'{options.stop} reached'
+        if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
+            return f'the budget of {options.budget_s / 60:g} min is spent'
+        return ''
+
+    def _replayed(self, index: int) -> bool:
+        row = self._earlier.rows.get(index)
+        if row is None:
+            return False
+        if list(row.point.values()) != list(self._points[index]):
+            raise UsageError(
+                f'--resume: the sampler chose another point for run {index} than before; was a '
+                'library updated meanwhile? Name another --out'
+            )
+        self._remember(row)
+        return True
+
+    def _drawn(self, index: int, point: Point) -> RunRequest | None:
+        try:
+            scenario = self._source.scene(index, point)
+        except Rejected as error:
+            self._keep(rejected_row(self._campaign, index, str(error)))
+            return None
+        request = run_request(self._campaign, index, scenario, self._participants)
+        put_aside(self._campaign.out / request.run_id)
+        self._ledger.intent(index, request.run_id, _digest(scenario))
+        return request
+
+    # Answers -----------------------------------------------------------------------------------
+
+    def _keep(self, row: RunRow, *, retries: int = 0) -> None:
+        names = [choice.dimension.name for choice in self.space.searched]
+        row = row.chosen(
+            sampler=self.options.sampler,
+            point=dict(zip(names, self._points[row.index], strict=True)),
+            weight=self._sampler.weight(row.index), retries=retries,
+        )
+        self._ledger.result(row)
+        self._remember(row)
+        self._on_row(row)
+
+    def _remember(self, row: RunRow) -> None:
+        self.rows.append(row)
+        if row.outcome is Outcome.INTERRUPTED:
+            return
+        infra = row.outcome is Outcome.INFRA_ERROR
+        self._broken = self._broken + 1 if infra else 0
+        rho = row.rho.get(self._specs[0].name, math.nan)
+        self._sampler.tell(row.index, None if math.isnan(rho) else rho)
+
+    # Beginning ---------------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        options, campaign = self.options, self._campaign
+        space = self._source.space()
+        names: dict[str, Any] = dict(options.sampler_options)
+        self._sampler = make_sampler(
+            options.sampler, space, campaign.seed, campaign.runs, **names
+        )
+        if options.stop is not None and options.stop.kind == HALF_WIDTH:
+            trial = make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
+            if trial.weight(trial.next()[0]) is None:
+                raise UsageError(
+                    f'--until {options.stop}: with {options.sampler} no rate is known; '
+                    'use failures=K'
+                )
+        with contextlib.suppress(Rejected):
+            last_step(self._source.scene(0))
+
+    def _facts(self) -> dict[str, Any]:
+        campaign = self._campaign
+        return {
+            **campaign_facts(campaign, self._source.program),
+            'perception_sha256': check_perception(campaign.perception),
+            'sampler': self.options.sampler,
+            'sampler_options': dict(self.options.sampler_options),
+            'sampler_lag': LAG,
+            'dimensions': [dimension.name for dimension in self._source.space()],
+            # Only the grid is laid out for a number of runs; the others may be asked for more.
+            'grid_runs': campaign.runs if self.options.sampler == 'grid' else None,
+        }
+
+
+def _digest(scenario: Scenario) -> str:
+    return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()

@@ -1,0 +1,64 @@
+"""What a search is asked to do: a campaign, a sampler, workers, and when to stop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.samplers.option import split_options
+from taxinet_ros.campaign.stop_rule import StopRule, parse_stop_rule
+from taxinet_ros.core.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """One search.
+
+    Attributes:
+        campaign: scenes of which program, judged how, with which perception, and where to.
+        sampler: word of the sampler that chooses the scenes.
+        sampler_options: its options as text, by name.
+        workers: graphs that run at once.
+        resume: continue what was interrupted.
+        stop: stop before all runs are done, or None.
+        budget_s: begin no run after so long [s of wall clock], or None.
+    """
+
+    campaign: CampaignOptions
+    sampler: str
+    sampler_options: Mapping[str, str] = field(default_factory=dict)
+    workers: int = 1
+    resume: bool = False
+    stop: StopRule | None = None
+    budget_s: float | None = None
+
+
+def make_search_options(
+    campaign: CampaignOptions, *, sampler: str, sampler_options: Iterable[str], workers: int,
+    resume: bool, until: str | None, budget_min: float | None,
+) -> SearchOptions:
+    """Check what a person typed.
+
+    Args:
+        campaign: checked already.
+        sampler: word of the sampler; what it is called is checked when it is made.
+        sampler_options: ``key=value`` texts.
+        workers: graphs that run at once.
+        resume: continue what was interrupted.
+        until: a stop rule as text, or None.
+        budget_min: wall-clock time [min], or None.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    if not 1 <= workers <= LAG:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
+    if budget_min is not None and not budget_min > 0:
+        raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+    return SearchOptions(
+        campaign=campaign, sampler=sampler, sampler_options=split_options(sampler_options),
+        workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
+        budget_s=None if budget_min is None else 60 * budget_min,
+    )

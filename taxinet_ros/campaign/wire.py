@@ -1,0 +1,50 @@
+"""How runs and their results travel between a campaign and its workers: a JSON object a line."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import Scenario
+
+
+def line_of(message: Mapping[str, Any]) -> bytes:
+    """One line. Floats come back as they were, NaN and infinities too."""
+    return json.dumps(message, separators=(',', ':')).encode() + b'\n'
+
+
+def request_to_json(request: RunRequest) -> dict[str, Any]:
+    """Plain values; the inverse of :func:`request_from_json`."""
+    return dataclasses.asdict(request)
+
+
+def request_from_json(values: Mapping[str, Any]) -> RunRequest:
+    """Read back what :func:`request_to_json` gave.
+
+    Raises:
+        UsageError: the scenario is out of range.
+        TypeError: a field is missing or unknown.
+    """
+    return RunRequest(**{
+        **values,
+        'scenario': Scenario(**values['scenario']),
+        'specs': tuple(values['specs']),
+        'participants': tuple(values['participants']),
+    })
+
+
+def result_to_json(result: RunResult) -> dict[str, Any]:
+    """Plain values; the inverse of :func:`result_from_json`."""
+    return dataclasses.asdict(result)
+
+
+def result_from_json(values: Mapping[str, Any]) -> RunResult:
+    """Read back what :func:`result_to_json` gave.
+
+    Raises:
+        TypeError, ValueError: a field is missing or unknown, or the outcome is none of the five.
+    """
+    return RunResult(**{**values, 'outcome': Outcome(values['outcome'])})

@@ -1,0 +1,64 @@
+"""``taxinet falsify``: a sampler looks for scenes in which the specification is violated."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.crew import Crew
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_loop import run_search
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.cli.interrupts import interrupts
+from taxinet_ros.cli.learned import write_learned
+from taxinet_ros.cli.lines import row_line
+from taxinet_ros.cli.search_lines import search_heading, search_summary
+from taxinet_ros.cli.search_view import search_view
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.worker import worker_command
+
+
+def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
+    """Search, and print what happened.
+
+    Args:
+        options: what to do.
+        quiet: print the summary only.
+
+    Returns:
+        Exit code: 0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
+
+    Raises:
+        UsageError: bad input, or every scene was rejected.
+    """
+    console = Console(highlight=False)
+    live = console.is_terminal and not quiet
+
+    def show(row: RunRow) -> None:
+        # A terminal has the bar for what goes as it should.
+        if not quiet and (not live or not row.outcome.judged):
+            console.print(row_line(row), soft_wrap=True)
+
+    with Search(options, PARTICIPANTS, show) as search:
+        if not quiet:
+            console.print(search_heading(options), soft_wrap=True)
+        with (
+            interrupts(search.interrupt),
+            search_view(console, search, shown=live),
+            Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+        ):
+            run_search(search, crew)
+        learned = write_learned(search)
+    lines = [*search_summary(search), *learned]
+    console.print('\n'.join(lines), soft_wrap=True)
+    return 130 if search.interrupted else exit_code(search.rows)
+
+
+def _command(options: SearchOptions) -> list[str]:
+    campaign = options.campaign
+    return worker_command(GraphOptions(
+        perception=campaign.perception, out=campaign.out, images=campaign.images,
+        gains=campaign.gains,
+    ))

@@ -1,0 +1,72 @@
+"""A search as it goes, in one line of a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.stop_rule import failure_estimate
+from taxinet_ros.cli.search_lines import estimate_words
+from taxinet_ros.core.outcome import Outcome
+
+_REFRESH_PER_S = 2.0
+
+
+@contextlib.contextmanager
+def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
+    """Show the search while the ``with`` lasts; ``shown`` False shows nothing."""
+    columns = (
+        BarColumn(bar_width=20), MofNCompleteColumn(), _Figures(search), TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not shown,
+        refresh_per_second=_REFRESH_PER_S,
+    ) as progress:
+        progress.add_task('', total=search.options.campaign.runs)
+        yield
+
+
+class _Figures(ProgressColumn):
+    """Failures, runs per minute, least robustness and failure rate; moves the bar too."""
+
+    def __init__(self, search: Search) -> None:
+        super().__init__()
+        self._search = search
+        self._began = time.monotonic()
+        self._before = len(search.rows)
+
+    def render(self, task: Task) -> Text:
+        """The figures of this moment."""
+        rows = list(self._search.rows)
+        task.completed = len(rows)
+        failed = sum(row.outcome is Outcome.FAIL for row in rows)
+        least = min(
+            (next(iter(row.rho.values())) for row in rows if row.rho), default=math.nan
+        )
+        minutes = (time.monotonic() - self._began) / 60
+        pace = (len(rows) - self._before) / max(minutes, 1e-3)
+        words = [f'{failed} failed', f'{pace:.1f}/min']
+        if rows:
+            words.append(f'least rho {least:+.2f}')
+        estimate = estimate_words(failure_estimate(rows))
+        if estimate:
+            words.append(f'failing {estimate}')
+        if self._search.interrupted:
+            words.append('ending the runs at hand')
+        return Text('  '.join(words))
