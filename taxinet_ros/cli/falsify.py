@@ -53,7 +53,9 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
-    return 130 if search.interrupted else exit_code(search.rows)
+    if search.interrupted and len(search.rows) < options.campaign.runs:
+        return 130
+    return exit_code(search.rows)
 
 
 def _command(options: SearchOptions) -> list[str]:

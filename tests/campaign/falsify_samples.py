@@ -1,0 +1,131 @@
+"""Searches without Scenic and without ROS: a toy program, and results by a formula."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.programs import find_program
+from taxinet_ros.campaign.samplers.space import Dimension, Space
+from taxinet_ros.campaign.scene_source import Rejected
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.search_space import Choice, SearchSpace
+from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import Scenario
+
+SPACE = SearchSpace(choices=tuple(
+    Choice(dimension=Dimension(name=name), feeds=frozenset({name})) for name in ('x', 'y')
+))
+
+
+class ToySource:
+    """Scenes of a program with two dimensions; those with both quantiles high are rejected."""
+
+    def __init__(self, program: str, **others: Any) -> None:
+        self.program = find_program(program)
+
+    def __enter__(self) -> ToySource:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def search_space(self) -> SearchSpace:
+        return SPACE
+
+    def space(self) -> Space:
+        return SPACE.dimensions
+
+    def scene(self, index: int, point: Sequence[float] | None = None) -> Scenario:
+        x, y = point or (0.5, 0.5)
+        if min(x, y) > 0.7:
+            raise Rejected('toy', index, 1)
+        return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
+
+
+def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -> SearchOptions:
+    """A search of the toy program; ``ce`` learns early, so a wrong order of results shows."""
+    campaign = {
+        'program': 'nominal', 'runs': runs, 'seed': 3, 'perception': 'truth', 'out': out,
+        **{key: changes.pop(key) for key in ('seed', 'perception', 'overrides', 'specs')
+           if key in changes},
+    }
+    own = {'every': '1'} if sampler == 'ce' else {}
+    return SearchOptions(**{
+        'campaign': CampaignOptions(**campaign), 'sampler': sampler, 'sampler_options': own,
+        **changes,
+    })
+
+
+def result(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
+    """What a run gives: a failure to the right, far from the threshold."""
+    scenario = request.scenario
+    rho = math.hypot(scenario.cross_track_m + 4, scenario.distance_m / 500 - 3) - 2
+    outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
+    judged = outcome.judged
+    return RunResult(
+        outcome=outcome, last_seq=10, max_cross_track_m=abs(scenario.cross_track_m), wall_s=1.0,
+        rho={'phi_eventually': rho} if judged else {}, kind='' if judged else 'test',
+    )
+
+
+Pick = Callable[[list[RunRequest]], RunRequest]
+
+
+def first(under_way: list[RunRequest]) -> RunRequest:
+    return under_way[0]
+
+
+def last(under_way: list[RunRequest]) -> RunRequest:
+    return under_way[-1]
+
+
+def answers(
+    search: Search, workers: int, pick: Pick = first,
+    judge: Callable[[RunRequest], RunResult] = result,
+) -> Iterator[RunRequest]:
+    """Drive a search as so many workers would, one answer at a time."""
+    under_way: list[RunRequest] = []
+    while True:
+        while len(under_way) < workers and (request := search.next()) is not None:
+            (search.options.campaign.out / request.run_id).mkdir()
+            under_way.append(request)
+        if not under_way:
+            return
+        request = pick(under_way)
+        under_way.remove(request)
+        search.take(request, judge(request))
+        yield request
+
+
+@contextlib.contextmanager
+def searching(chosen: SearchOptions) -> Iterator[Search]:
+    """A search on the toy program; ``Search`` has been given :class:`ToySource` already."""
+    with Search(chosen, ('perception',)) as search:
+        yield search
+
+
+def finish(
+    chosen: SearchOptions, workers: int = 1, pick: Pick = first,
+    judge: Callable[[RunRequest], RunResult] = result,
+) -> Search:
+    """Run a search to its end."""
+    with searching(chosen) as search:
+        for _ in answers(search, workers, pick, judge):
+            pass
+    return search
+
+
+def same_table(one: Path, other: Path) -> None:
+    """See that two tables are equal but for the clock."""
+    tables = [read_table(folder).drop(columns=list(WALL_CLOCK_COLUMNS)) for folder in (one, other)]
+    assert len(tables[0]) > 0
+    pd.testing.assert_frame_equal(*tables)

@@ -1,0 +1,273 @@
+"""A search's sequence, record and resumption, with answers in any order."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import falsify_samples as toy
+import pytest
+
+from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.search import PATIENCE
+from taxinet_ros.campaign.stop_rule import parse_stop_rule
+from taxinet_ros.campaign.table import read_table
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """Folder of a search that nobody disturbed."""
+    out = tmp_path / 'whole'
+    toy.finish(toy.options(out))
+    return out
+
+
+def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_chosen(whole):
+    table = read_table(whole)
+    assert list(table['index']) == list(range(20))
+    assert {'PASS', 'FAIL', 'REJECTED'} == set(table['outcome'])
+    assert set(table['sampler']) == {'ce'}
+    assert table[['u_x', 'u_y', 'weight']].notna().all(axis=None)
+    drawn = table[table['outcome'] != 'REJECTED']
+    assert list(drawn['cross_track']) == pytest.approx(list(10 * drawn['u_x'] - 5))
+    assert (table['weight'] != 1).any(), 'the sampler has learned nothing, so the test would not'
+
+
+@pytest.mark.parametrize(('workers', 'pick'), [(2, toy.first), (3, toy.last), (8, toy.last)])
+def test_given_workers_that_answer_in_any_order_then_the_table_is_that_of_one(
+    workers, pick, whole, tmp_path
+):
+    toy.finish(toy.options(tmp_path / 'many', workers=workers), workers, pick)
+    toy.same_table(whole, tmp_path / 'many')
+
+
+def test_given_a_kill_after_any_answer_when_resumed_then_the_table_is_that_of_an_undisturbed_one(
+    whole, tmp_path
+):
+    killed = tmp_path / 'killed'
+    with toy.searching(toy.options(killed)) as search:
+        for number, _ in enumerate(toy.answers(search, 3, toy.last)):
+            copy = tmp_path / f'copy-{number}'
+            shutil.copytree(killed, copy)
+            ended = {row.index for row in search.rows}
+            began = {path.name for path in copy.glob('nominal-*')}
+            resumed = toy.finish(toy.options(copy, resume=True), 2)
+            assert len(resumed.rows) == 20
+            toy.same_table(whole, copy)
+            aside = {path.name for path in copy.glob('*.broken-1')}
+            lost = {name for name in began if int(name[-5:]) not in ended}
+            assert aside == {f'{name}.broken-1' for name in lost}
+    assert number > 10
+
+
+def test_given_a_ledger_torn_at_any_byte_of_its_end_when_resumed_then_nothing_else_is_lost(
+    whole, tmp_path
+):
+    data = (whole / 'ledger.jsonl').read_bytes()
+    cuts = range(len(data) - 900, len(data), 53)
+    for cut in cuts:
+        torn = tmp_path / f'torn-{cut}'
+        shutil.copytree(whole, torn)
+        (torn / 'ledger.jsonl').write_bytes(data[:cut])
+        toy.finish(toy.options(torn, resume=True))
+        toy.same_table(whole, torn)
+
+
+def test_given_a_finished_search_when_resumed_with_more_runs_then_only_those_are_done(
+    whole, tmp_path
+):
+    toy.finish(toy.options(tmp_path / 'longer', runs=25))
+    new = []
+    with search_module.Search(
+        toy.options(whole, runs=25, resume=True), ('perception',), new.append
+    ) as search:
+        for _ in toy.answers(search, 1):
+            pass
+    assert [row.index for row in new] == [20, 21, 22, 23, 24]
+    toy.same_table(whole, tmp_path / 'longer')
+    assert json.loads((whole / 'campaign.json').read_text())['runs'] == 25
+
+
+def break_once(indices: set[int]):
+    """Results of a bench that breaks at the first try of some runs."""
+    tried: set[int] = set()
+
+    def judge(request: RunRequest) -> RunResult:
+        broken = request.index in indices - tried
+        tried.add(request.index)
+        return toy.result(request, Outcome.INFRA_ERROR if broken else None)
+
+    return judge
+
+
+def test_given_runs_that_break_once_then_a_second_try_mends_them_and_keeps_what_is_left(
+    whole, tmp_path
+):
+    out = tmp_path / 'mended'
+    undisturbed = read_table(whole)
+    broken = list(undisturbed['index'][undisturbed['rho'].notna()][:9:4])
+    toy.finish(toy.options(out), 2, judge=break_once(set(broken)))
+    table = read_table(out)
+    assert list(table['retries']) == [int(index in broken) for index in range(20)]
+    assert list(table['rho'].dropna()) == list(undisturbed['rho'].dropna())
+    assert sorted(path.name for path in out.glob('*.broken-*')) == [
+        f'nominal-s3-{index:05d}.broken-1' for index in broken
+    ]
+
+
+def test_given_a_run_that_breaks_twice_then_it_counts_as_broken_and_is_not_learned_from(tmp_path):
+    def judge(request: RunRequest) -> RunResult:
+        return toy.result(request, Outcome.INFRA_ERROR if request.index == 4 else None)
+
+    search = toy.finish(toy.options(tmp_path / 'one'), judge=judge)
+    (broken,) = (row for row in search.rows if row.outcome is Outcome.INFRA_ERROR)
+    assert (broken.index, broken.retries, broken.rho) == (4, 1, {})
+    assert len(search.rows) == 20
+    again = toy.finish(toy.options(tmp_path / 'many', workers=8), 8, toy.last, judge)
+    assert len(again.rows) == 20
+    toy.same_table(tmp_path / 'one', tmp_path / 'many')
+
+
+def test_given_a_broken_bench_then_patience_ends(tmp_path):
+    search = toy.finish(
+        toy.options(tmp_path / 'c', sampler='halton'),
+        judge=lambda request: toy.result(request, Outcome.INFRA_ERROR),
+    )
+    assert [row.outcome for row in search.rows] == [Outcome.INFRA_ERROR] * PATIENCE
+    assert 'broken by the bench' in search.stopped
+
+
+@pytest.mark.parametrize(('rule', 'runs'), [('failures=3', 200), ('half-width=0.2', 200)])
+def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule, runs, tmp_path):
+    chosen = toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=parse_stop_rule(rule))
+    search = toy.finish(chosen)
+    assert 3 <= len(search.rows) < runs
+    assert search.stopped == f'{rule} reached'
+    assert chosen.stop.met(search.rows)
+    assert not chosen.stop.met(search.rows[:-1])
+    again = toy.finish(
+        toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=chosen.stop, resume=True)
+    )
+    assert len(again.rows) == len(search.rows)
+
+
+def test_given_a_budget_then_no_run_begins_after_it_is_spent(tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(search_module.time, 'monotonic', lambda: now[0])
+
+    def judge(request: RunRequest) -> RunResult:
+        now[0] += 10
+        return toy.result(request)
+
+    search = toy.finish(
+        toy.options(tmp_path / 'c', sampler='random', budget_s=35.0), judge=judge
+    )
+    assert sum(row.outcome.judged for row in search.rows) == 4
+    assert 'budget' in search.stopped
+
+
+def test_given_interrupted_runs_then_they_are_in_the_table_and_run_again_when_resumed(
+    whole, tmp_path
+):
+    out = tmp_path / 'c'
+    with toy.searching(toy.options(out)) as search:
+        begun = [search.next() for _ in range(3)]
+        search.take(begun[0], toy.result(begun[0]))
+        search.interrupt()
+        assert search.next() is None
+        for request in begun[1:]:
+            search.take(request, toy.result(request, Outcome.INTERRUPTED))
+    assert list(read_table(out)['outcome']) == ['PASS', 'INTERRUPTED', 'INTERRUPTED']
+    assert read_ledger(out / 'ledger.jsonl').unfinished == ()
+    toy.finish(toy.options(out, resume=True))
+    resumed, undisturbed = read_table(out), read_table(whole)
+    assert list(resumed['outcome']) == list(undisturbed['outcome'])
+    assert list(resumed['u_x']) == list(undisturbed['u_x'])
+
+
+OTHERS = {
+    'seed': ({'seed': 4}, 'begun with seed 3, not 4'),
+    'sampler': ({'sampler': 'random'}, 'begun with sampler "ce", not "random"'),
+    'option': ({'sampler_options': {'every': '2'}}, 'begun with sampler_options'),
+    'specs': ({'specs': ('phi_always',)}, 'begun with specs'),
+    'overrides': ({'overrides': {'rain': '0'}}, 'begun with overrides'),
+    'weights': ({'perception': 'original'}, 'begun with perception "truth", not "original"'),
+    'fewer runs': ({'runs': 5}, '--runs 5: 20 were begun'),
+}
+
+
+@pytest.mark.parametrize('case', OTHERS)
+def test_given_another_search_in_the_folder_when_resumed_then_it_is_refused_and_left_alone(
+    case, whole
+):
+    changes, expected = OTHERS[case]
+    before = {path: path.read_bytes() for path in whole.iterdir() if path.is_file()}
+    with pytest.raises(UsageError) as caught:
+        toy.finish(toy.options(whole, resume=True, **changes))
+    assert expected in str(caught.value)
+    assert '\n' not in str(caught.value)
+    assert {path: path.read_bytes() for path in whole.iterdir() if path.is_file()} == before
+
+
+def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused(
+    whole, monkeypatch
+):
+    monkeypatch.setattr(search_module, 'check_perception', lambda word: 'abc')
+    with pytest.raises(UsageError, match='begun with perception_sha256 "", not "abc"'):
+        toy.finish(toy.options(whole, resume=True))
+    monkeypatch.setattr('taxinet_ros.campaign.facts.program_digest', lambda path: 'def')
+    with pytest.raises(UsageError, match='begun with program_sha256 "'):
+        toy.finish(toy.options(whole, resume=True))
+
+
+def test_given_nothing_to_resume_or_a_campaign_of_another_kind_then_one_line_says_so(tmp_path):
+    with pytest.raises(UsageError, match=r'nothing was begun; leave --resume out'):
+        toy.finish(toy.options(tmp_path, resume=True))
+    (tmp_path / 'ledger.jsonl').write_text('{"event":"campaign","campaign":{"seed":3}}\n')
+    with pytest.raises(UsageError, match='not written by taxinet falsify'):
+        toy.finish(toy.options(tmp_path, resume=True))
+
+
+def test_given_a_search_killed_before_its_first_line_when_resumed_then_it_begins(whole, tmp_path):
+    out = tmp_path / 'c'
+    out.mkdir()
+    (out / 'ledger.jsonl').write_text('{"event":"campa')
+    toy.finish(toy.options(out, resume=True))
+    toy.same_table(whole, out)
+
+
+def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(whole):
+    ledger = whole / 'ledger.jsonl'
+    events = [json.loads(line) for line in ledger.read_text().splitlines()]
+    rows = [event['row'] for event in events if event['event'] == 'result']
+    rows[7]['point']['x'] += 1e-9
+    ledger.write_text(''.join(json.dumps(event) + '\n' for event in events))
+    with pytest.raises(UsageError, match='another point for run 7'):
+        toy.finish(toy.options(whole, resume=True))
+
+
+@pytest.mark.parametrize('sampler', ['bo', 'tpe', 'cmaes'])
+def test_given_a_sampler_without_weights_then_no_rate_can_be_waited_for(sampler, tmp_path):
+    chosen = toy.options(
+        tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')
+    )
+    with pytest.raises(UsageError, match='no rate is known'):
+        toy.finish(chosen)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    'text', ['', 'failures', 'failures=0', 'failures=1.5', 'half-width=0', 'half-width=nan', 'x=1']
+)
+def test_given_a_rule_that_is_none_then_it_is_refused(text):
+    with pytest.raises(UsageError, match='--until'):
+        parse_stop_rule(text)
