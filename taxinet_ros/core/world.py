@@ -56,11 +56,12 @@ class World:
         self._camera = Camera(scenario) if pictures else None
         self._seq = 0
 
-    def observe(self) -> Observation:
-        """Photograph the present moment."""
+    def observe(self, *, picture: bool = True) -> Observation:
+        """Photograph the present moment; ``picture`` False saves the picture."""
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         state = self._aircraft.state
-        image = None if self._camera is None else self._camera.render(state, stamp_ns)
+        camera = self._camera if picture else None
+        image = None if camera is None else camera.render(state, stamp_ns)
         return Observation(seq=self._seq, stamp_ns=stamp_ns, state=state, image=image)
 
     def advance(self, command: TaxiCommand) -> None:
