@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.samplers.draws import as_point, generator, prior_point
@@ -16,15 +15,15 @@ from taxinet_ros.campaign.samplers.space import Point, Space
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
+    from optuna.trial import FrozenTrial
 
 
 class Bayes:
     """Optuna's Gaussian process (Matérn 5/2, log expected improvement) on a window of the results.
 
     A fit's cost grows with the cube of its points, so it sees the best and the latest of them only.
-    Runs under way are taken to give the mean of the window (constant liar; Ginsbourger, Le Riche
-    and Carraro, 2010), which keeps the next one away from them. Each point follows from the seed,
-    its number and the results alone.
+    Improvement is that of the next run together with those under way, which keeps it away from
+    them. Each point follows from the seed, its number and the results alone.
 
     Categories are categories to the process. Which one it tries next has nothing to do with their
     shares under the prior; those rule the plain draws at the start.
@@ -74,20 +73,30 @@ class Bayes:
 
     def _improvement(self, index: int) -> Point:
         from optuna.samplers import GPSampler
-        from optuna.trial import create_trial
 
         seed = int(generator(self._seed, index).integers(1 << 30))
         # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
         with quiet(), threadpool_limits(limits=1):
             study = new_study(GPSampler(seed=seed, n_startup_trials=1))
-            study.add_trials([
-                create_trial(
-                    value=value, params=self._params(point), distributions=self._distributions
-                )
-                for point, value in self._seen()
-            ])
+            study.add_trials(self._trials())
             trial = study.ask(self._distributions)
         return self._point(trial.params)
+
+    def _trials(self) -> list[FrozenTrial]:
+        """The results in the window, and the runs under way."""
+        from optuna.trial import TrialState, create_trial
+
+        chosen = in_window(self._results, self._window)
+        values = finite([self._results[index] for index in chosen])
+        done = dict(zip(chosen, values, strict=True))
+        return [
+            create_trial(
+                state=TrialState.COMPLETE if index in done else TrialState.RUNNING,
+                value=done.get(index), params=self._params(self._points[index]),
+                distributions=self._distributions,
+            )
+            for index in (*chosen, *sorted(self._pending))
+        ]
 
     def _params(self, point: Point) -> dict[str, float | int]:
         return {
@@ -104,14 +113,6 @@ class Bayes:
                 value = sum(dimension.edges[int(value) : int(value) + 2]) / 2
             found.append(value)
         return as_point(found)
-
-    def _seen(self) -> list[tuple[Point, float]]:
-        """Points and values to fit: the window, and the runs under way at its mean."""
-        chosen = in_window(self._results, self._window)
-        values = finite([self._results[index] for index in chosen])
-        seen = [(self._points[index], value) for index, value in zip(chosen, values, strict=True)]
-        lie = float(np.mean(values))
-        return seen + [(self._points[index], lie) for index in sorted(self._pending)]
 
 
 def _distributions(space: Space) -> dict[str, BaseDistribution]:
