@@ -15,7 +15,7 @@ class Sampler(Protocol):
     """Proposes points, and may learn from their results.
 
     A sampler's whole state follows from its space, its seed and the calls made, so it is restored
-    by repeating them; nothing is ever pickled.
+    by repeating them; there is no state to be saved.
     """
 
     def ask(self) -> Point:
