@@ -82,7 +82,7 @@ def test_given_separate_processes_then_the_table_is_the_same_but_for_the_clock(t
 
 
 BAD = {
-    'unknown program': (['run', 'no_such'], 'no shipped program; known: nominal'),
+    'unknown program': (['run', 'no_such'], 'no shipped program; known: crossing'),
     'missing program file': (['run', 'no/such.scenic'], 'no/such.scenic'),
     'unknown perception': (['run', 'nominal', '--perception', 'trth'], 'known: truth, taxinet'),
     'missing weights': (['run', 'nominal', '--perception', 'x.safetensors'], 'no such file'),

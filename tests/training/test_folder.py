@@ -26,11 +26,11 @@ from taxinet_ros.training.photograph import photograph
 @pytest.fixture(autouse=True)
 def _no_scenic(monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(
-        program: str, *, seed: int, images: int, progress: Callable[..., None]
+        program: str, *, seed: int, images: int, sampler: str, progress: Callable[..., None]
     ) -> list[Scenario]:
         return (SCENES * images)[:images]
 
-    monkeypatch.setitem(folder.SAMPLERS, 'random', draw)
+    monkeypatch.setattr(folder, 'draw_scenes', draw)
 
 
 def options(out: Path, **changes: object) -> DatasetOptions:
