@@ -217,7 +217,9 @@ def dataset(
     program: ScenarioArgument,
     out: Annotated[Path, typer.Option(help='folder for images and labels; must be new')],
     count: Annotated[int, typer.Option(help='images, one per scene')],
-    sampler: Annotated[str, typer.Option(help='how scenes are drawn: random')] = 'random',
+    sampler: Annotated[
+        str, typer.Option(help='how scenes are drawn: random, halton, sobol or grid')
+    ] = 'random',
     seed: SeedOption = 0,
     varied: Annotated[
         bool, typer.Option('--varied', help='vary the look of the rendered world')

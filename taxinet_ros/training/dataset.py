@@ -1,17 +1,20 @@
 """Labelled pictures in memory: one per scene of a Scenic program, as the paper's training sets are.
 
-A picture is kept as the network gets it, 8 KiB instead of 216.
+A picture is kept as the network gets it, 12 KiB instead of 211.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.space import Point
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
@@ -52,10 +55,22 @@ def silent(stage: str, done: int, total: int) -> None:
     """Progress that no one wants to see."""
 
 
+SAMPLERS = ('random', 'halton', 'sobol', 'grid')
+"""How scenes may be drawn: samplers that need no results of runs."""
+
+
 def draw_scenes(
-    program: str | Path, *, seed: int, images: int, progress: Progress = silent
+    program: str | Path, *, seed: int, images: int, sampler: str = 'random',
+    progress: Progress = silent,
 ) -> list[Scenario]:
     """The first scenes of a program, leaving out those that its requirements reject.
+
+    Args:
+        program: word of a shipped Scenic program or path of one.
+        seed: of the scenes.
+        images: number of scenes.
+        sampler: a word of :data:`SAMPLERS`; ``random`` draws as Scenic does.
+        progress: told after every scene.
 
     Raises:
         UsageError: the program is wrong, or rejects more scenes than it gives.
@@ -63,9 +78,10 @@ def draw_scenes(
     scenes: list[Scenario] = []
     rejected = 0
     with SceneSource(program, seed=seed) as source:
+        points = _points(source, sampler, seed, images)
         while len(scenes) < images:
             try:
-                scenes.append(source.scene(len(scenes) + rejected))
+                scenes.append(source.scene(len(scenes) + rejected, next(points)))
             except Rejected:
                 rejected += 1
                 if rejected > images:
@@ -75,6 +91,19 @@ def draw_scenes(
             else:
                 progress('scenes', len(scenes), images)
     return scenes
+
+
+def _points(
+    source: SceneSource, sampler: str, seed: int, images: int
+) -> Iterator[Point | None]:
+    """Where in the program's search space the scenes lie; None leaves it to Scenic."""
+    if sampler == 'random':
+        yield from itertools.repeat(None)
+    drawn = make_sampler(sampler, source.space(), seed, images)
+    while True:
+        index, point = drawn.next()
+        drawn.tell(index, None)
+        yield point
 
 
 def make_dataset(

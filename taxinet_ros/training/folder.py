@@ -12,7 +12,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -29,13 +29,10 @@ from taxinet_ros.campaign.programs import find_program, program_digest, program_
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.training.dataset import Progress, draw_scenes, silent
+from taxinet_ros.training.dataset import SAMPLERS, Progress, draw_scenes, silent
 from taxinet_ros.training.finished import FinishedImage, FinishedImages
 from taxinet_ros.training.layout import FACTS, FINISHED, IMAGES, LABELS, REQUEST, image_name
 from taxinet_ros.training.rendering import photographs
-
-SAMPLERS: dict[str, Callable[..., list[Scenario]]] = {'random': draw_scenes}
-"""How scenes are drawn from a program, by word; called as :func:`draw_scenes` is."""
 
 _LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
 
@@ -51,7 +48,7 @@ class DatasetOptions:
         program: word of a shipped Scenic program or path of one.
         out: folder to make; missing or empty, unless ``resume``.
         count: images, one per scene.
-        sampler: a word of :data:`SAMPLERS`.
+        sampler: a word of :data:`~taxinet_ros.training.dataset.SAMPLERS`.
         seed: of everything random.
         varied: whether the look of the world varies.
         workers: processes that render; the result does not depend on them.
@@ -118,9 +115,9 @@ def write_dataset(options: DatasetOptions, progress: Progress = silent) -> int:
     if (options.out / FACTS).exists():
         return 0
     with FinishedImages(options.out / FINISHED) as finished:
-        draw = SAMPLERS[options.sampler]
-        scenes = draw(
-            options.program, seed=options.seed, images=options.count, progress=progress
+        scenes = draw_scenes(
+            options.program, seed=options.seed, images=options.count, sampler=options.sampler,
+            progress=progress,
         )
         rendered = _render(options, scenes, finished, progress)
         _complete(options.out, request, scenes, finished)

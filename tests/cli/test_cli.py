@@ -82,9 +82,9 @@ def test_given_separate_processes_then_the_table_is_the_same_but_for_the_clock(t
 
 
 BAD = {
-    'unknown program': (['run', 'no_such'], 'no shipped program; known: nominal'),
+    'unknown program': (['run', 'no_such'], 'no shipped program; known: crossing'),
     'missing program file': (['run', 'no/such.scenic'], 'no/such.scenic'),
-    'unknown perception': (['run', 'nominal', '--perception', 'trth'], 'known: truth, taxinet, original'),
+    'unknown perception': (['run', 'nominal', '--perception', 'trth'], 'known: truth, taxinet'),
     'missing weights': (['run', 'nominal', '--perception', 'x.safetensors'], 'no such file'),
     'unknown key': (['run', 'nominal', '--set', 'cloud=clear'], "unknown key 'cloud'; known:"),
     'no value': (['run', 'nominal', '--set', 'clouds'], 'expected key=value'),

@@ -132,7 +132,7 @@ def test_given_json_when_compared_then_stdout_is_one_object_and_stderr_names_the
 
 BAD = {
     'truth': (['compare', 'DRIVE', '--perception', 'truth'], 'does not look at pictures'),
-    'unknown perception': (['compare', 'DRIVE', '--perception', 'tru'], 'known: truth, taxinet, original'),
+    'unknown perception': (['compare', 'DRIVE', '--perception', 'tru'], 'known: truth, taxinet'),
     'no folder': (['compare', 'nowhere'], 'nowhere: no such folder'),
     'no labels': (['compare', '.'], 'labels.csv: no such file'),
     'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], '--set heading: the labels'),

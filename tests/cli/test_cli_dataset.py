@@ -81,9 +81,10 @@ def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(
 
 
 BAD = {
-    'unknown program': (['dataset', 'no_such', '--count', '1', '--out', 'd'], 'known: nominal'),
+    'unknown program': (['dataset', 'no_such', '--count', '1', '--out', 'd'], 'known: crossing'),
     'unknown sampler': (
-        ['dataset', 'nominal', '--count', '1', '--sampler', 'dice', '--out', 'd'], 'known: random',
+        ['dataset', 'nominal', '--count', '1', '--sampler', 'dice', '--out', 'd'],
+        'known: random, halton',
     ),
     'no images': (['dataset', 'nominal', '--count', '0', '--out', 'd'], 'count is 0'),
     'nothing to resume': (

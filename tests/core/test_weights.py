@@ -186,5 +186,6 @@ def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_car
         ('program', program)
     ]
     assert model.card.command_line.startswith(f'taxinet train {program} ')
-    assert model.card.errors['cte_m']['mae'] <= 0.4
+    # On held-back scenes of the training's own world, other looks and rims included.
+    assert model.card.errors['cte_m']['mae'] <= 0.6
     assert model.card.errors['he_deg']['mae'] <= 1.5

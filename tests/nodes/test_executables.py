@@ -68,7 +68,7 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),
         ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
         ('recorder', 'min_free:=-5', 'min_free'),
-        ('scenario_sampler', 'program:=nowhere', 'known: nominal'),
+        ('scenario_sampler', 'program:=nowhere', 'known: crossing'),
     ],
 )
 def test_given_a_bad_parameter_then_the_node_says_so_in_one_line_and_leaves(

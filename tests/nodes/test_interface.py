@@ -15,7 +15,7 @@ def readme_rows() -> dict[str, list[str]]:
     rows = {}
     for line in (ROOT / 'README.md').read_text().splitlines():
         cells = [cell.strip().strip('`') for cell in line.strip('|').split('|')]
-        if len(cells) == 6 and cells[0] not in ('topic', '') and not cells[0].startswith('-'):
+        if len(cells) == 6 and '/msg/' in cells[1]:
             rows[cells[0]] = cells
     return rows
 

@@ -81,3 +81,21 @@ def test_given_a_program_that_rejects_everything_when_drawn_then_one_line_says_s
     with pytest.raises(UsageError, match='reject') as caught:
         draw_scenes(program, seed=1, images=1)
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('sampler', ['halton', 'sobol'])
+def test_given_an_even_sampler_when_scenes_are_drawn_then_they_cover_the_program_evenly(
+    sampler: str,
+) -> None:
+    scenes = draw_scenes('s_falsif', seed=3, images=64, sampler=sampler)
+    assert scenes == draw_scenes('s_falsif', seed=3, images=64, sampler=sampler)
+    quarters = np.histogram([s.distance_m for s in scenes], bins=4, range=(0, 2000))[0]
+    assert quarters.min() >= 12
+    wet = sum(s.rain > 0 for s in scenes) / 64
+    assert wet == pytest.approx(1 / 3, abs=0.12)  # the program's own weights are kept
+
+
+def test_given_a_grid_when_scenes_are_drawn_then_they_stand_at_even_steps() -> None:
+    scenes = draw_scenes('halton_time_of_day', seed=3, images=8, sampler='grid')
+    hours = sorted(scene.time_of_day_s / 3600 for scene in scenes)
+    assert np.diff(hours) == pytest.approx([12 / 8] * 7, abs=1e-6)

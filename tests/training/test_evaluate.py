@@ -99,3 +99,36 @@ def test_given_a_number_that_cannot_be_when_measured_then_one_line_names_it(
 ) -> None:
     with pytest.raises(UsageError, match=next(iter(change))):
         evaluate_program(Constant(), 'nominal', **change)
+
+
+@pytest.fixture(scope='module')
+def unseen() -> list[Scenario]:
+    """Scenes of S_falsif by a seed that no shipped network was trained or chosen with."""
+    return draw_scenes('s_falsif', seed=77, images=240)
+
+
+def mean_errors(word: str, scenes: list[Scenario]) -> tuple[float, float]:
+    perception = make_perception(word)
+    dataset = make_dataset(scenes, workers=1)
+    cte_m, he_rad = absolute_errors(perception._network, dataset).mean(axis=0)
+    return float(cte_m), math.degrees(he_rad)
+
+
+def test_given_the_network_of_all_the_world_when_measured_on_unseen_scenes_then_it_sees_well(
+    unseen: list[Scenario],
+) -> None:
+    cte_mae_m, he_mae_deg = mean_errors('taxinet', unseen)
+    assert cte_mae_m <= 0.4
+    assert he_mae_deg <= 1.5
+
+
+def test_given_the_original_when_measured_then_it_sees_well_in_its_world_and_badly_beyond(
+    unseen: list[Scenario],
+) -> None:
+    own = draw_scenes('training_original', seed=77, images=60)
+    wet = [scene for scene in unseen if scene.rain > 0]
+    at_home, _ = mean_errors('original', own)
+    in_rain, _ = mean_errors('original', wet)
+    assert at_home <= 0.15
+    assert len(wet) > 50
+    assert in_rain > 1.0

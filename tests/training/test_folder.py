@@ -26,11 +26,11 @@ from taxinet_ros.training.photograph import photograph
 @pytest.fixture(autouse=True)
 def _no_scenic(monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(
-        program: str, *, seed: int, images: int, progress: Callable[..., None]
+        program: str, *, seed: int, images: int, sampler: str, progress: Callable[..., None]
     ) -> list[Scenario]:
         return (SCENES * images)[:images]
 
-    monkeypatch.setitem(folder.SAMPLERS, 'random', draw)
+    monkeypatch.setattr(folder, 'draw_scenes', draw)
 
 
 def options(out: Path, **changes: object) -> DatasetOptions:
@@ -238,7 +238,7 @@ def test_given_two_commands_when_they_write_to_one_folder_then_the_second_is_ref
         ({'count': 0}, 'count is 0'),
         ({'seed': -1}, 'seed is -1'),
         ({'workers': 0}, 'workers is 0'),
-        ({'sampler': 'haltom'}, 'known: random'),
+        ({'sampler': 'haltom'}, 'known: random, halton, sobol, grid'),
     ],
 )
 def test_given_an_option_that_cannot_be_when_stated_then_one_line_names_it(

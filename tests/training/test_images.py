@@ -41,7 +41,7 @@ def test_given_a_foreign_folder_when_loaded_then_pictures_and_signs_are_its_own(
     assert [(source.kind, source.name) for source in sources] == [('folder', 'field trip')]
 
 
-@pytest.mark.parametrize('shape', [(64, 128, 3), (128, 128, 3), (400, 720, 3), (480, 640, 3)])
+@pytest.mark.parametrize('shape', [(64, 192, 3), (192, 192, 3), (400, 720, 3), (480, 640, 3)])
 @pytest.mark.parametrize('suffix', ['png', 'jpg'])
 def test_given_another_size_when_loaded_then_the_whole_image_is_brought_to_the_frames_shape(
     shape: tuple[int, ...], suffix: str, tmp_path: Path
@@ -127,7 +127,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     ),
     'image too small': (
         lambda f: cv2.imwrite(str(f / 'photo_0.png'), coloured_frame(0, (60, 200, 3))),
-        'row 1', '200x60 pixels, fewer than the 128x64',
+        'row 1', '200x60 pixels, fewer than the 192x64',
     ),
     'image twice': (
         with_text(f'{HEAD}photo_0.png,1,1\nphoto_1.png,1,1\n./photo_0.png,1,1\n'),

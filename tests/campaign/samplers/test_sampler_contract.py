@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
@@ -73,17 +74,13 @@ def test_given_a_sampler_when_asked_what_it_learned_then_histograms_are_probabil
     assert len(learned['x']) == 10
 
 
-@pytest.mark.parametrize('name', sorted({*SAMPLERS} - {'grid', 'mab'}))
+@pytest.mark.parametrize('name', SAMPLERS)
 def test_given_runs_without_results_when_told_then_nothing_is_learned_of_them(name: str) -> None:
-    """As good as only told of runs that all end alike: none is a failure, none better."""
     points = run(name, 1, rho=lambda point: None)
-    assert points[:2] == run(name, 1)[:2]
-    if name == 'cmaes':
-        assert 0.3 < sum(point[0] for point in points) / RUNS < 0.7
-    else:
-        assert points == run(name, 1, rho=lambda point: None)
+    assert points[:8] == run(name, 1)[:8]
+    assert 0.3 < np.mean([point[0] for point in points]) < 0.7
     if name in ('ce', 'ce-verifai', 'bo'):
-        assert points == pytest.approx(run('random', 1, rho=lambda point: None))
+        np.testing.assert_allclose(points, run('random', 1), atol=1e-12)
 
 
 @pytest.mark.parametrize(

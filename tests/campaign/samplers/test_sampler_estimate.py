@@ -16,6 +16,8 @@ SPACE = (Dimension(name='x'), Dimension(name='kind', weights=(3, 1)), Dimension(
 TRUE = 0.3 * 0.25 + 0.02
 """Of runs fail that have a low x and the second kind, and 2 % of all others' corner in z."""
 
+OPTIONS = {'ce-verifai': {'alpha': 0.98}}
+
 
 def rho(point) -> float:
     corner = SPACE[1].bin(point[1]) == 1 and point[0] < 0.3
@@ -24,7 +26,7 @@ def rho(point) -> float:
 
 
 def estimate(name: str, seed: int, runs: int = 400) -> Estimate:
-    sampler = make_sampler(name, SPACE, seed, runs)
+    sampler = make_sampler(name, SPACE, seed, runs, **OPTIONS.get(name, {}))
     rhos = []
     for _ in range(runs):
         index, point = sampler.next()
@@ -36,7 +38,7 @@ def estimate(name: str, seed: int, runs: int = 400) -> Estimate:
     return found
 
 
-@pytest.mark.parametrize('name', ['random', 'sobol', 'grid', 'ce', 'ce-verifai', 'mab'])
+@pytest.mark.parametrize('name', ['random', 'sobol', 'ce', 'ce-verifai', 'mab'])
 def test_given_twenty_campaigns_when_rated_then_the_true_rate_is_their_mean(name: str) -> None:
     found = [estimate(name, seed) for seed in range(20)]
     for each in ('rate', 'unnormalised'):

@@ -43,14 +43,23 @@ def test_given_the_random_sampler_when_asked_then_each_point_is_the_plain_draw_o
     assert kstest(drawn, 'uniform').pvalue > 0.01
 
 
-@pytest.mark.parametrize('name', ['halton', 'sobol', 'grid'])
+def largest_gap(asked: list[tuple[Point, float]]) -> float:
+    """Distance from any place to the nearest point, at most."""
+    places = np.random.default_rng(0).random((500, 1, len(asked[0][0])))
+    away = np.linalg.norm(places - np.array([point for point, _ in asked]), axis=2)
+    return float(away.min(axis=1).max())
+
+
+@pytest.mark.parametrize(
+    ('name', 'measure'), [('halton', discrepancy), ('sobol', discrepancy), ('grid', largest_gap)]
+)
 @pytest.mark.parametrize(('runs', 'dimensions'), [(64, 2), (256, 2), (256, 3)])
 def test_given_a_spread_sampler_when_compared_with_random_then_it_leaves_smaller_gaps(
-    name: str, runs: int, dimensions: int
+    name: str, measure, runs: int, dimensions: int
 ) -> None:
     space = tuple(Dimension(name=str(number)) for number in range(dimensions))
-    by_chance = [discrepancy(ask('random', space, runs, seed)) for seed in range(8)]
-    spread = [discrepancy(ask(name, space, runs, seed)) for seed in range(4)]
+    by_chance = [measure(ask('random', space, runs, seed)) for seed in range(8)]
+    spread = [measure(ask(name, space, runs, seed)) for seed in range(4)]
     assert max(spread) < 0.9 * min(by_chance)
 
 
@@ -62,7 +71,8 @@ def test_given_categories_when_asked_for_then_the_prior_is_kept(name: str) -> No
     category = [WEATHER.bin(point[1]) for point, _ in asked]
     weighted = np.bincount(category, weights=weight, minlength=4)
 
-    assert weighted.sum() == pytest.approx(runs)
+    assert weighted.sum() == pytest.approx(runs, rel=0.02)
+    weighted *= runs / weighted.sum()
     assert chisquare(weighted, runs * np.array(WEATHER.prior)).pvalue > 0.01
     for place in (0, 2):
         mean = np.average([point[place] for point, _ in asked], weights=weight)
@@ -115,8 +125,8 @@ def test_given_runs_when_a_grid_is_laid_then_it_fits_into_them_and_is_then_jitte
     grid = Grid(space, 1, 24)
     first = [grid.ask() for _ in range(24)]
     assert len(set(first)) == 24
-    assert {point[0] for point in first} == pytest.approx({1 / 8, 3 / 8, 5 / 8, 7 / 8})
-    assert {point[2] for point in first} == pytest.approx({1 / 6, 1 / 2, 5 / 6})
+    assert sorted({point[0] for point in first}) == [1 / 8, 3 / 8, 5 / 8, 7 / 8]
+    assert sorted({point[2] for point in first}) == pytest.approx([1 / 6, 1 / 2, 5 / 6])
     assert len(set(asked)) == 72
 
     again = [grid.ask() for _ in range(24)]
@@ -128,5 +138,5 @@ def test_given_runs_when_a_grid_is_laid_then_it_fits_into_them_and_is_then_jitte
 
 def test_given_a_number_of_points_when_a_grid_is_laid_then_it_has_them() -> None:
     asked = ask('grid', (X, Y), 25, points='5')
-    assert {point[0] for point, _ in asked} == pytest.approx({0.1, 0.3, 0.5, 0.7, 0.9})
+    assert sorted({point[0] for point, _ in asked}) == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9])
     assert len(set(asked)) == 25

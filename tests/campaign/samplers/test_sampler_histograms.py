@@ -78,7 +78,7 @@ def test_given_failures_when_the_rule_of_verifai_is_told_then_it_is_the_papers()
 
 def test_given_no_failure_when_cross_entropy_learns_then_it_follows_the_worst_runs() -> None:
     learned = campaign('ce', 0, 600, lambda point: 1 + point[0])[0].learned()
-    assert learned['along'][0] > 0.8
+    assert learned['along'][0] > 0.65
     assert distance(learned['unrelated'], [1 / 8] * 8) < 0.35
 
 
@@ -132,7 +132,7 @@ def test_given_learned_histograms_when_weighted_then_the_prior_comes_out(name: s
         inside += [point[0] < 0.3 and SPACE[1].bin(point[1]) == 1 for point in points]
     mean = np.mean(weights)
     spread = np.std(weights) / np.sqrt(len(weights))
-    assert spread > 0.005
+    assert np.std(weights) > 0.1
     assert mean == pytest.approx(1, abs=4 * spread)
     terms = np.array(weights) * np.array(inside)
     assert terms.mean() == pytest.approx(0.1, abs=4 * terms.std() / np.sqrt(len(terms)))
@@ -171,9 +171,10 @@ def test_given_histograms_when_a_point_is_drawn_then_it_is_their_quantile(
 
 
 def test_given_results_when_sorted_into_failures_then_few_are_filled_up_with_the_worst() -> None:
-    rhos = np.linspace(-0.9, 99, 1000)  # nine at or below 0
+    rhos = np.linspace(-0.85, 99.05, 1000)  # nine at or below 0
     assert failures(rhos).sum() == 100
     assert list(np.flatnonzero(failures(rhos[:50]))) == list(range(10))
     assert failures(rhos - 0.1).sum() == 10
+    assert failures(np.append(np.zeros(10), rhos[10:])).sum() == 10
     assert failures(rhos[:4]).all()
     assert failures(rhos[:0]).sum() == 0

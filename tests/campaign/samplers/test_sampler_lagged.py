@@ -180,6 +180,8 @@ def test_given_a_wrong_ticket_when_told_then_it_is_refused_and_nothing_changes()
 
     sampler.tell(3, 1.0)
     sampler.next()
+    sampler.tell(4, 2.0)
+    sampler.next()
     assert learner.told == [(index, 1.0) for index in range(4)]
 
 
