@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import math
 import time
 from collections.abc import Iterator
@@ -15,7 +16,6 @@ from rich.progress import (
     ProgressColumn,
     Task,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.text import Text
 
@@ -31,8 +31,7 @@ _REFRESH_PER_S = 2.0
 def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
     """Show the search while the ``with`` lasts; ``shown`` False shows nothing."""
     columns = (
-        BarColumn(bar_width=20), MofNCompleteColumn(), _Figures(search), TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
     )
     with Progress(
         *columns, console=console, transient=True, disable=not shown,
@@ -43,7 +42,7 @@ def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[No
 
 
 class _Figures(ProgressColumn):
-    """Failures, runs per minute, least robustness and failure rate; moves the bar too."""
+    """Failures, pace, time left, least robustness and failure rate; moves the bar too."""
 
     def __init__(self, search: Search) -> None:
         super().__init__()
@@ -62,6 +61,9 @@ class _Figures(ProgressColumn):
         minutes = (time.monotonic() - self._began) / 60
         pace = (len(rows) - self._before) / max(minutes, 1e-3)
         words = [f'{failed} failed', f'{pace:.1f}/min']
+        if pace > 0:
+            left = self._search.options.campaign.runs - len(rows)
+            words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
         if rows:
             words.append(f'least rho {least:+.2f}')
         estimate = estimate_words(failure_estimate(rows))
