@@ -1,4 +1,4 @@
-"""``taxinet``: run scenarios, train the network, look through the camera, start nodes.
+"""``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
 4 the bench broke, 130 interrupted.
@@ -16,6 +16,27 @@ from typer.exceptions import TyperException
 
 from taxinet_ros import __version__
 from taxinet_ros.cli.camera import camera_app
+from taxinet_ros.cli.option_types import (
+    BudgetOption,
+    ImagesOption,
+    MostRunsOption,
+    OutOption,
+    PerceptionOption,
+    PicturesArgument,
+    ProcessesOption,
+    QuietOption,
+    ResumeOption,
+    RunsOption,
+    SamplerOption,
+    SamplerSettingOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    SpecOption,
+    UntilOption,
+    VariedOption,
+    WorkersOption,
+)
 from taxinet_ros.core.errors import InfraError, UsageError
 
 USAGE, INFRA, INTERRUPTED = 2, 4, 130
@@ -27,41 +48,6 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 app.add_typer(camera_app, name='camera')
-
-ScenarioArgument = Annotated[
-    str, typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file')
-]
-RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
-SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
-OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
-PerceptionOption = Annotated[
-    str,
-    typer.Option(
-        help='truth, taxinet, original, a .safetensors weights file, or an .onnx network'
-    ),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        '--set', metavar='KEY=VALUE',
-        help='fix a scenario value (clouds=clear, time_of_day=9.5, heading=-20, duration=10, …) '
-        'or a gain (steering.heading_gain=1.2); repeatable',
-    ),
-]
-SpecOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        '--spec', metavar='FORMULA',
-        help='phi_eventually (default), phi_always, on_runway, NAME=FORMULA or a formula; '
-        'repeatable, the first is the headline',
-    ),
-]
-ProcessesOption = Annotated[
-    bool, typer.Option('--processes', help='every node a process of its own, same results')
-]
-ImagesOption = Annotated[
-    str, typer.Option(help='camera frames that go into the bags: all (35 MB a run) or none')
-]
 
 
 @app.command()
@@ -94,39 +80,20 @@ def run(
 @app.command()
 def falsify(
     scenario: ScenarioArgument,
-    runs: Annotated[int, typer.Option(min=1, help='most runs; with --resume, in all')] = 100,
-    sampler: Annotated[
-        str,
-        typer.Option(
-            help='how scenes are chosen: random, halton, sobol, grid, ce, ce-verifai, mab, bo, '
-            'tpe or cmaes'
-        ),
-    ] = 'ce',
-    sampler_option: Annotated[
-        list[str] | None,
-        typer.Option(metavar='KEY=VALUE', help='option of the sampler; repeatable'),
-    ] = None,
-    workers: Annotated[int, typer.Option(help='graphs that run at once; same results')] = 1,
+    runs: MostRunsOption = 100,
+    sampler: SamplerOption = 'ce',
+    sampler_option: SamplerSettingOption = None,
+    workers: WorkersOption = 1,
     out: OutOption = None,
-    resume: Annotated[
-        bool, typer.Option('--resume', help='continue what was interrupted in --out')
-    ] = False,
+    resume: ResumeOption = False,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
     settings: SetOption = None,
     spec: SpecOption = None,
-    until: Annotated[
-        str | None,
-        typer.Option(
-            metavar='RULE',
-            help='stop early: failures=K, or half-width=W of the interval of the failure rate',
-        ),
-    ] = None,
-    budget: Annotated[
-        float | None, typer.Option(metavar='MINUTES', help='begin no run after so long')
-    ] = None,
+    until: UntilOption = None,
+    budget: BudgetOption = None,
     images: ImagesOption = 'none',
-    quiet: Annotated[bool, typer.Option('--quiet', help='print the summary only')] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for scenes that violate the specification.
 
@@ -165,9 +132,7 @@ def demo(
 @app.command()
 def train(
     out: Annotated[Path, typer.Option(help='weights file to write, NAME.safetensors')],
-    program: Annotated[
-        str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
-    ] = None,
+    program: PicturesArgument = None,
     data: Annotated[
         list[Path] | None,
         typer.Option(help='folder of labelled images, instead of a program; repeatable'),
@@ -177,9 +142,7 @@ def train(
     validation_data: Annotated[
         Path | None, typer.Option(help='folder of images to measure on, instead')
     ] = None,
-    varied: Annotated[
-        bool, typer.Option('--varied', help='vary the look of the rendered world')
-    ] = False,
+    varied: VariedOption = False,
     augment: Annotated[
         bool, typer.Option('--augment', help='change exposure, focus, noise at every look')
     ] = False,
@@ -221,9 +184,7 @@ def dataset(
         str, typer.Option(help='how scenes are drawn: random, halton, sobol or grid')
     ] = 'random',
     seed: SeedOption = 0,
-    varied: Annotated[
-        bool, typer.Option('--varied', help='vary the look of the rendered world')
-    ] = False,
+    varied: VariedOption = False,
     workers: Annotated[int, typer.Option(help='processes that render')] = 2,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue what was interrupted')
@@ -241,9 +202,7 @@ def dataset(
 
 @app.command()
 def evaluate(
-    program: Annotated[
-        str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
-    ] = None,
+    program: PicturesArgument = None,
     data: Annotated[
         Path | None, typer.Option(help='folder of labelled images, instead of a program')
     ] = None,
