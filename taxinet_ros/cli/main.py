@@ -95,7 +95,7 @@ def falsify(
     images: ImagesOption = 'none',
     quiet: QuietOption = False,
 ) -> None:
-    """Search a Scenic program for scenes that violate the specification.
+    """Search a Scenic program for violating scenes.
 
     The worse a run, the more like it the sampler may choose. Survives Ctrl-C and power cuts.
     """
