@@ -6,9 +6,7 @@ record as finished, as begun, or not at all, and a campaign resumes by doing wha
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.bag.layout import sync_folder
+from taxinet_ros.campaign.journal import Journal, whole_lines
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 
@@ -39,25 +38,18 @@ class Ledger:
     """An open ledger: one writer at a time; a context manager."""
 
     def __init__(self, path: Path) -> None:
-        """Open ``path`` to append, making it if need be.
-
-        A last line without its end is cut off: it was being written when the power went, and
-        nobody has been told that it was kept.
+        """Open ``path`` to append, making it if need be; a torn last line is cut off.
 
         Raises:
             UsageError: the file cannot be opened, or another campaign is writing to it.
         """
         try:
-            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._journal = Journal(path)
+        except BlockingIOError as error:
+            raise UsageError(f'ledger {path}: another campaign is writing to it') from error
         except OSError as error:
             raise UsageError(f'ledger {path}: {error.strerror}') from error
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(self._fd)
-            raise UsageError(f'ledger {path}: another campaign is writing to it') from error
-        os.ftruncate(self._fd, len(_whole_lines(path.read_bytes())))
-        os.fsync(self._fd)
+        self._journal.sync()
         sync_folder(path.parent)
 
     def __enter__(self) -> Self:
@@ -67,7 +59,7 @@ class Ledger:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        os.close(self._fd)
+        self._journal.close()
 
     def campaign(self, values: Mapping[str, Any]) -> None:
         """Record what the campaign is: program, digest, seed, overrides, perception."""
@@ -83,11 +75,8 @@ class Ledger:
         self._append({'event': 'result', 'row': row.to_json()})
 
     def _append(self, event: Mapping[str, Any]) -> None:
-        line = json.dumps(event, separators=(',', ':')).encode() + b'\n'
-        written = os.write(self._fd, line)
-        if written != len(line):  # a full disk; the next opening cuts the torn line off
-            raise OSError(f'ledger: only {written} of {len(line)} bytes could be written')
-        os.fsync(self._fd)
+        self._journal.append(event)
+        self._journal.sync()
 
 
 def read_ledger(path: Path) -> LedgerContent:
@@ -97,7 +86,7 @@ def read_ledger(path: Path) -> LedgerContent:
         UsageError: ``path:line: message`` if the file cannot be read or a whole line is damaged.
     """
     try:
-        lines = _whole_lines(path.read_bytes()).splitlines()
+        lines = whole_lines(path.read_bytes()).splitlines()
     except OSError as error:
         raise UsageError(f'ledger {path}: {error.strerror}') from error
     campaign: dict[str, Any] = {}
@@ -127,7 +116,3 @@ def _take(
         rows[row.index] = row
     else:
         raise ValueError(f'unknown event {event["event"]!r}')
-
-
-def _whole_lines(data: bytes) -> bytes:
-    return data[: data.rfind(b'\n') + 1]

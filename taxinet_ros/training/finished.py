@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from taxinet_ros.campaign.journal import Journal
 from taxinet_ros.core.errors import UsageError
 
 
@@ -40,13 +39,15 @@ class FinishedImages:
         """
         self._path = path
         try:
-            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            self._journal = Journal(path)
+        except BlockingIOError as error:
+            raise UsageError(f'dataset: {path.parent}: another command is writing to it') from error
         except OSError as error:
             raise UsageError(f'dataset: {path}: {error.strerror}') from error
         try:
             self.rows = self._read()
         except BaseException:
-            os.close(self._fd)
+            self._journal.close()
             raise
 
     def __enter__(self) -> Self:
@@ -56,7 +57,7 @@ class FinishedImages:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        os.close(self._fd)
+        self._journal.close()
 
     def add(self, row: FinishedImage) -> None:
         """Record that an image is in its place.
@@ -64,22 +65,12 @@ class FinishedImages:
         Raises:
             OSError: the line could not be written whole, as on a full disk.
         """
-        line = json.dumps(asdict(row), separators=(',', ':')).encode() + b'\n'
-        if (written := os.write(self._fd, line)) != len(line):
-            raise OSError(None, f'only {written} of {len(line)} bytes fitted')
+        self._journal.append(asdict(row))
         self.rows[row.index] = row
 
     def _read(self) -> dict[int, FinishedImage]:
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            folder = self._path.parent
-            raise UsageError(f'dataset: {folder}: another command is writing to it') from error
-        data = self._path.read_bytes()
-        whole = data[: data.rfind(b'\n') + 1]
-        os.ftruncate(self._fd, len(whole))
-        try:
-            rows = [FinishedImage(**json.loads(line)) for line in whole.splitlines()]
+            rows = [FinishedImage(**json.loads(line)) for line in self._journal.lines]
         except (ValueError, TypeError) as error:
             raise UsageError(
                 f'dataset: {self._path}: damaged; delete it, and every image is rendered and '

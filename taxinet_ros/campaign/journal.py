@@ -1,0 +1,64 @@
+"""A file of JSON lines that is only ever appended to, by one process at a time.
+
+A last line without its end is cut off when the file is opened: it was being written when the power
+went, and nobody has been told that it was kept.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+class Journal:
+    """An open journal.
+
+    Attributes:
+        lines: the whole lines that it held when it was opened, without their ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` to append, making it if need be.
+
+        Raises:
+            BlockingIOError: another process has it open.
+            OSError: it cannot be opened.
+        """
+        self._path = path
+        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            whole = whole_lines(path.read_bytes())
+            os.ftruncate(self._fd, len(whole))
+        except BaseException:
+            self.close()
+            raise
+        self.lines = whole.splitlines()
+
+    def append(self, values: Mapping[str, Any]) -> None:
+        """Write one line.
+
+        Raises:
+            OSError: not all of it could be written, as on a full disk.
+        """
+        line = json.dumps(values, separators=(',', ':')).encode() + b'\n'
+        if (written := os.write(self._fd, line)) != len(line):
+            what = f'only {written} of {len(line)} bytes fitted'
+            raise OSError(None, what, str(self._path))
+
+    def sync(self) -> None:
+        """Wait until what was written has reached the disk."""
+        os.fsync(self._fd)
+
+    def close(self) -> None:
+        """Let others open it."""
+        os.close(self._fd)
+
+
+def whole_lines(data: bytes) -> bytes:
+    """``data`` without a last line that has no end."""
+    return data[: data.rfind(b'\n') + 1]
