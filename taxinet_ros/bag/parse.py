@@ -58,6 +58,7 @@ def parse_record(opcode: int, body: bytes) -> McapRecord | None:
     """The record with this opcode and body, or None for the kinds that nobody here needs."""
     if opcode == Opcode.MESSAGE:
         return parse_message(body)
+    # A file may hold any number here; its type is the enumeration's only where it is known.
     kind = _KINDS.get(opcode)  # type: ignore[call-overload]
     if kind is None:
         return None

@@ -112,6 +112,7 @@ class _Trainer:
         self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe
     ) -> None:
         network = build_normed(architecture)
+        # The annotations of Module.to leave the memory format out.
         self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training
         self._targets = torch.from_numpy(scaled(training.cte_m, training.he_rad))

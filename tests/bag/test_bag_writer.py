@@ -69,7 +69,7 @@ def test_given_a_bag_when_anyreader_decodes_it_then_values_are_right(bag: Path) 
     with AnyReader([bag]) as reader:
         connections = [c for c in reader.connections if c.topic == '/taxi_command']
         angles = [
-            reader.deserialize(raw, c.msgtype).steering_angle  # type: ignore[attr-defined]
+            reader.deserialize(raw, c.msgtype).steering_angle
             for c, _, raw in reader.messages(connections)
         ]
     assert angles == pytest.approx([0.0, 0.1, 0.2, 0.3])
@@ -215,7 +215,7 @@ def test_given_bad_messages_when_written_then_refused(tmp_path: Path) -> None:
             with pytest.raises(UsageError, match=f'stamp {stamp} ns'):
                 bag.write('/taxi_command', b'', stamp)
         with pytest.raises(UsageError, match='give text for both'):
-            bag.add_metadata('m', {'seed': 7})  # type: ignore[dict-item]
+            bag.add_metadata('m', {'seed': 7})
 
 
 @pytest.mark.parametrize(('change', 'reason'), [

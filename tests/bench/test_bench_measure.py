@@ -22,7 +22,7 @@ def taking(clock: Clock, name: str, times_ns: list[int], **rest: object) -> Subj
     def run() -> None:
         clock.now_ns += next(left)
 
-    return Subject(name=name, run=run, warm_ups=0, **rest)  # type: ignore[arg-type]
+    return Subject(name=name, run=run, warm_ups=0, **rest)
 
 
 def test_given_known_times_when_measured_then_the_statistics_are_theirs() -> None:

@@ -52,7 +52,7 @@ def at(
 def shot(
     state: AircraftState, hour: float = 10.0, stamp_ns: int = 0, **scenario: object
 ) -> Picture:
-    camera = Camera(Scenario(time_of_day_s=hour * 3600, **scenario))  # type: ignore[arg-type]
+    camera = Camera(Scenario(time_of_day_s=hour * 3600, **scenario))
     return camera.render(state, stamp_ns)
 
 

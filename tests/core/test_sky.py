@@ -9,7 +9,7 @@ from taxinet_ros.core.scenario import CLOUDS, Scenario
 
 
 def panorama(**values: object) -> np.ndarray:
-    return sky.panorama(scenario_light(Scenario(**values))).astype(int)  # type: ignore[arg-type]
+    return sky.panorama(scenario_light(Scenario(**values))).astype(int)
 
 
 @pytest.mark.parametrize('clouds', CLOUDS)
