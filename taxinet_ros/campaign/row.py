@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import RunStatistics
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,7 +29,11 @@ class RunRow:
             ISO date, switch, word, s); None if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         rho: robustness by the formula's name, the headline first; judged runs only.
-        left_runway, max_cross_track_m: of the true path; judged runs only.
+        left_runway, max_cross_track_m, settle_time_s: of the true path, see
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only.
+        cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
+            he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
+        unusable_estimates: frames without an estimate; judged runs only.
         steps: control steps that were run.
         sim_s: simulated time that passed [s].
         retries: how often the run was begun anew because the bench broke.
@@ -62,6 +67,14 @@ class RunRow:
     rho: Mapping[str, float] = field(default_factory=dict)
     left_runway: bool | None = None
     max_cross_track_m: float | None = None
+    settle_time_s: float | None = None
+    cte_error_mean_m: float | None = None
+    cte_error_mean_abs_m: float | None = None
+    cte_error_max_abs_m: float | None = None
+    he_error_mean_deg: float | None = None
+    he_error_mean_abs_deg: float | None = None
+    he_error_max_abs_deg: float | None = None
+    unusable_estimates: int | None = None
     steps: int = 0
     sim_s: float = 0.0
     retries: int = 0
@@ -90,15 +103,12 @@ class RunRow:
             sim_s: simulated time that passed [s].
             bag: path of the bag relative to the campaign's folder, or ''.
         """
-        judged = result.outcome.judged
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, perception_fingerprint=result.fingerprint,
             **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
-            rho=dict(result.rho),
-            left_runway=result.left_runway if judged else None,
-            max_cross_track_m=result.max_cross_track_m if judged else None,
+            rho=dict(result.rho), **_figures(result.statistics),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, wall_s=result.wall_s,
         )
 
@@ -125,3 +135,26 @@ class RunRow:
             return cls(**{**values, 'outcome': Outcome(values['outcome'])})
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(f'not a row of this version: {error}') from error
+
+
+def _figures(statistics: RunStatistics | None) -> dict[str, Any]:
+    """The columns made of a judged run's figures; what it does not have is None, never NaN."""
+    if statistics is None:
+        return {}
+    cte, he = statistics.cte_error, statistics.he_error
+    return {
+        'left_runway': statistics.left_runway,
+        'max_cross_track_m': statistics.max_cross_track_m,
+        'settle_time_s': _known(statistics.settle_time_s),
+        'cte_error_mean_m': _known(cte.mean),
+        'cte_error_mean_abs_m': _known(cte.mean_abs),
+        'cte_error_max_abs_m': _known(cte.max_abs),
+        'he_error_mean_deg': _known(math.degrees(he.mean)),
+        'he_error_mean_abs_deg': _known(math.degrees(he.mean_abs)),
+        'he_error_max_abs_deg': _known(math.degrees(he.max_abs)),
+        'unusable_estimates': statistics.unusable_estimates,
+    }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

@@ -32,15 +32,25 @@ _BEFORE_POINT = {
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string',
-    'cross_track': 'float64', 'distance': 'float64', 'heading': 'float64', 'clouds': 'string',
-    'rain': 'float64', 'time_of_day': 'float64', 'date': 'string', 'shadows': 'boolean',
-    'aircraft': 'string', 'duration': 'float64',
+    'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
+    'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
+    'shadows': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
-    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'steps': 'int64', 'sim_s': 'float64',
+    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'settle_time_s': 'float64',
+    'cte_error_mean_m': 'float64', 'cte_error_mean_abs_m': 'float64',
+    'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
+    'he_error_mean_abs_deg': 'float64', 'he_error_max_abs_deg': 'float64',
+    'unusable_estimates': 'Int64', 'steps': 'int64', 'sim_s': 'float64',
     'retries': 'int64', 'bag': 'string', 'wall_s': 'float64', 'real_time_factor': 'float64',
 }
+
+_ATTRIBUTES = {
+    'cross_track_m': 'cross_track', 'distance_m': 'distance', 'heading_deg': 'heading',
+    'rain_percent': 'rain', 'time_of_day_h': 'time_of_day', 'duration_s': 'duration',
+}
+"""A row names these as people set them, without their units."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
@@ -109,7 +119,8 @@ def _kinds(specs: Iterable[str], dimensions: Iterable[str]) -> dict[str, str]:
 
 def _line(row: RunRow, specs: Sequence[str], dimensions: Sequence[str]) -> dict[str, Any]:
     values = {
-        name: getattr(row, name) for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
+        name: getattr(row, _ATTRIBUTES.get(name, name))
+        for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
     }
     values['outcome'] = row.outcome.value
     point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}

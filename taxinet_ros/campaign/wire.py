@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
 
@@ -45,6 +46,18 @@ def result_from_json(values: Mapping[str, Any]) -> RunResult:
     """Read back what :func:`result_to_json` gave.
 
     Raises:
-        TypeError, ValueError: a field is missing or unknown, or the outcome is none of the five.
+        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is none of
+            the five.
     """
-    return RunResult(**{**values, 'outcome': Outcome(values['outcome'])})
+    return RunResult(**{
+        **values,
+        'outcome': Outcome(values['outcome']),
+        'statistics': _statistics_from_json(values.get('statistics')),
+    })
+
+
+def _statistics_from_json(values: Mapping[str, Any] | None) -> RunStatistics | None:
+    if values is None:
+        return None
+    errors = {name: ErrorStatistics(**values[name]) for name in ('cte_error', 'he_error')}
+    return RunStatistics(**{**values, **errors})

@@ -6,6 +6,7 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
 
@@ -57,8 +58,7 @@ class RunResult:
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
         rho: robustness by formula name, where judged.
-        left_runway: whether the aircraft was beyond the runway's edge, where judged.
-        max_cross_track_m: greatest |cross-track error| [m], where judged.
+        statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
         wall_s: wall-clock time from request to answer [s].
     """
@@ -69,8 +69,7 @@ class RunResult:
     detail: str = ''
     last_seq: int = -1
     rho: Mapping[str, float] = field(default_factory=dict)
-    left_runway: bool = False
-    max_cross_track_m: float = float('nan')
+    statistics: RunStatistics | None = None
     perception: str = ''
     fingerprint: str = ''
     wall_s: float = 0.0

@@ -17,6 +17,7 @@ from taxinet_msgs import msg as taxinet
 from taxinet_ros.core import camera
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
@@ -195,4 +196,38 @@ def robustness_message(spec: Spec, reading: Reading, **stamp: Any) -> taxinet.Ro
         samples=reading.samples,
         rejected=reading.rejected,
         **stamp,
+    )
+
+
+def statistics_fields(statistics: RunStatistics) -> dict[str, Any]:
+    """The fields of a verdict that hold the run's figures; the inverse of :func:`statistics_of`."""
+    cte, he = statistics.cte_error, statistics.he_error
+    return {
+        'left_runway': statistics.left_runway,
+        'max_cross_track_error': statistics.max_cross_track_m,
+        'settle_time': statistics.settle_time_s,
+        'estimate_cte_error_mean': cte.mean,
+        'estimate_cte_error_mean_abs': cte.mean_abs,
+        'estimate_cte_error_max_abs': cte.max_abs,
+        'estimate_he_error_mean': he.mean,
+        'estimate_he_error_mean_abs': he.mean_abs,
+        'estimate_he_error_max_abs': he.max_abs,
+        'unusable_estimates': statistics.unusable_estimates,
+    }
+
+
+def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:
+    """The run's figures in a verdict."""
+    return RunStatistics(
+        max_cross_track_m=verdict.max_cross_track_error,
+        settle_time_s=verdict.settle_time,
+        cte_error=ErrorStatistics(
+            mean=verdict.estimate_cte_error_mean, mean_abs=verdict.estimate_cte_error_mean_abs,
+            max_abs=verdict.estimate_cte_error_max_abs,
+        ),
+        he_error=ErrorStatistics(
+            mean=verdict.estimate_he_error_mean, mean_abs=verdict.estimate_he_error_mean_abs,
+            max_abs=verdict.estimate_he_error_max_abs,
+        ),
+        unusable_estimates=verdict.unusable_estimates,
     )

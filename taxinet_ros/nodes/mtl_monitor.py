@@ -21,6 +21,7 @@ from taxinet_ros.nodes.convert import (
     robustness_message,
     scenario_of,
     stamp_of,
+    statistics_fields,
 )
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import refuse_unknown
@@ -89,8 +90,7 @@ class MtlMonitor(Participant):
             specs=results,
             complete=judgement.complete,
             satisfied=judgement.satisfied,
-            left_runway=judgement.left_runway,
-            max_cross_track_error=judgement.max_cross_track_m,
+            **statistics_fields(judgement.statistics),
         ))
 
 

@@ -15,7 +15,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import scenario_message
+from taxinet_ros.nodes.convert import scenario_message, statistics_of
 from taxinet_ros.nodes.parameters import declare
 
 _WATCH_PERIOD_S = 0.1
@@ -175,8 +175,7 @@ def _result_of(answer: Any) -> RunResult:
         perception=status.perception,
         fingerprint=status.fingerprint,
         rho={spec.spec: spec.rho_lower for spec in verdict.specs} if judged else {},
-        left_runway=judged and verdict.left_runway,
-        max_cross_track_m=verdict.max_cross_track_error if judged else float('nan'),
+        statistics=statistics_of(verdict) if judged else None,
     )
 
 

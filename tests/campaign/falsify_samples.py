@@ -19,6 +19,7 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
 SPACE = SearchSpace(choices=tuple(
@@ -72,7 +73,8 @@ def result(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
     outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
     judged = outcome.judged
     return RunResult(
-        outcome=outcome, last_seq=10, max_cross_track_m=abs(scenario.cross_track_m), wall_s=1.0,
+        outcome=outcome, last_seq=10, wall_s=1.0,
+        statistics=RunStatistics(max_cross_track_m=abs(scenario.cross_track_m)) if judged else None,
         rho={'phi_eventually': rho} if judged else {}, kind='' if judged else 'test',
     )
 

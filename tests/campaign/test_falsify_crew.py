@@ -21,6 +21,7 @@ from taxinet_ros.campaign.wire import (
 )
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
 COMMAND = (sys.executable, str(Path(__file__).with_name('fake_worker.py')))
@@ -58,7 +59,10 @@ def test_given_runs_then_they_travel_whole(tmp_path):
         run_id='r', index=3, program='p', seed=2**60, specs=('a', 'b'), participants=('c',),
         scenario=Scenario(cross_track_m=0.1 + 0.2, clouds='stratus', rain=1 / 3),
     )
-    answer = RunResult(outcome=Outcome.FAIL, rho={'f': -1 / 3}, last_seq=4, left_runway=True)
+    statistics = RunStatistics(max_cross_track_m=31.5, he_error=ErrorStatistics(mean=-1 / 3))
+    answer = RunResult(
+        outcome=Outcome.FAIL, rho={'f': -1 / 3}, last_seq=4, statistics=statistics,
+    )
     assert request_from_json(json.loads(line_of(request_to_json(asked)))) == asked
     back = result_from_json(json.loads(line_of(result_to_json(answer))))
     assert repr(back) == repr(answer)  # NaN is not equal to itself

@@ -38,7 +38,7 @@ def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_ch
     assert set(table['sampler']) == {'ce'}
     assert table[['u_x', 'u_y', 'weight']].notna().all(axis=None)
     drawn = table[table['outcome'] != 'REJECTED']
-    assert list(drawn['cross_track']) == pytest.approx(list(10 * drawn['u_x'] - 5))
+    assert list(drawn['cross_track_m']) == pytest.approx(list(10 * drawn['u_x'] - 5))
     assert (table['weight'] != 1).any(), 'the sampler has learned nothing, so the test would not'
 
 

@@ -11,6 +11,7 @@ from taxinet_ros.campaign.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
 
@@ -20,8 +21,10 @@ def row(index: int, outcome: Outcome = Outcome.PASS, rho: float = 0.1 + 0.2) -> 
         scenario=Scenario(clouds='stratus', rain=1 / 3), specs=('phi_eventually',),
         participants=(),
     )
-    result = RunResult(outcome=outcome, last_seq=300, wall_s=3.0, max_cross_track_m=2.0,
-                       rho={'phi_eventually': rho} if outcome.judged else {})
+    judged = outcome.judged
+    result = RunResult(outcome=outcome, last_seq=300, wall_s=3.0,
+                       rho={'phi_eventually': rho} if judged else {},
+                       statistics=RunStatistics(max_cross_track_m=2.0) if judged else None)
     return RunRow.of_run(request, result, perception='truth', sim_s=30.0, bag=f'run-{index}')
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -16,6 +17,7 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table, table, write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 
 SPECS = ('phi_eventually', 'phi_always')
@@ -27,8 +29,15 @@ def run(index: int, outcome: Outcome, *, left: bool = False) -> RunRow:
         scenario=Scenario(cross_track_m=1.25, heading_rad=0.1), specs=SPECS, participants=(),
     )
     rho = dict(zip(SPECS, (0.5, -2.5), strict=True)) if outcome.judged else {}
-    result = RunResult(outcome=outcome, rho=rho, last_seq=300, wall_s=1.5, left_runway=left,
-                       max_cross_track_m=3.5, kind='' if rho else 'timeout')
+    statistics = RunStatistics(
+        max_cross_track_m=30.0 if left else 3.5, settle_time_s=math.nan if left else 4.2,
+        cte_error=ErrorStatistics(mean=-0.1, mean_abs=0.2, max_abs=0.3),
+        he_error=ErrorStatistics(mean=math.radians(-1), mean_abs=math.radians(2),
+                                 max_abs=math.radians(3)),
+        unusable_estimates=7,
+    )
+    result = RunResult(outcome=outcome, rho=rho, last_seq=300, wall_s=1.5,
+                       statistics=statistics if rho else None, kind='' if rho else 'timeout')
     return RunRow.of_run(request, result, perception='truth', sim_s=30.0, bag=f'run-{index}')
 
 
@@ -57,7 +66,7 @@ def test_given_rows_when_written_then_csv_says_the_same(tmp_path: Path) -> None:
     assert list(frame.columns) == list(table(mixed(), SPECS).columns)
     assert frame['rho'][0] == 0.5
     assert frame['detail'][2] == 'no, "never"'
-    assert frame['heading'][0] == pytest.approx(math.degrees(0.1))
+    assert frame['heading_deg'][0] == pytest.approx(math.degrees(0.1))
 
 
 def test_given_runs_without_verdict_when_in_a_table_then_rho_is_missing_and_not_zero() -> None:
@@ -67,7 +76,18 @@ def test_given_runs_without_verdict_when_in_a_table_then_rho_is_missing_and_not_
     assert frame['rho'][0] == frame['rho_phi_eventually'][0] == 0.5
     assert list(frame['left_runway'].isna()) == [False, True, True, False]
     assert frame['left_runway'][3]
-    assert math.isnan(frame['cross_track'][2])
+    assert math.isnan(frame['cross_track_m'][2])
+
+
+def test_given_judged_runs_when_in_a_table_then_their_figures_have_units_people_read() -> None:
+    frame = table(mixed(), SPECS)
+    figures = ['max_cross_track_m', 'settle_time_s', 'cte_error_mean_m', 'cte_error_mean_abs_m',
+               'cte_error_max_abs_m', 'he_error_mean_deg', 'he_error_mean_abs_deg',
+               'he_error_max_abs_deg', 'unusable_estimates']
+    whole = [3.5, 4.2, -0.1, 0.2, 0.3, -1, 2, 3, 7]
+    assert frame[figures].iloc[0].tolist() == pytest.approx(whole)
+    assert frame['settle_time_s'].isna().tolist() == [False, True, True, True], 'it never settled'
+    assert frame[figures].iloc[1].isna().all()
 
 
 @pytest.mark.parametrize('rows', [[], [rejected(0)], [run(0, Outcome.INFRA_ERROR)]])
@@ -82,7 +102,8 @@ def test_given_few_or_empty_rows_when_in_a_table_then_its_types_are_the_usual(
 
 def test_given_a_table_then_it_has_every_scenario_key_and_the_wall_clock_is_last() -> None:
     columns = list(table(mixed()).columns)
-    assert set(HUMAN_KEYS) <= set(columns)
+    bare = {re.sub('_(m|deg|percent|h|s)$', '', name) for name in columns}
+    assert bare >= set(HUMAN_KEYS)
     assert tuple(columns[-2:]) == WALL_CLOCK_COLUMNS
     assert table(mixed())['real_time_factor'][0] == 20.0
 
