@@ -11,7 +11,7 @@ from taxinet_ros.core.weights import SHIPPED, load_model
 
 
 def subjects() -> list[Subject]:
-    """One estimate, and its two halves; it imports torch.
+    """One estimate, and its two halves.
 
     Raises:
         UsageError: the shipped weights cannot be used.

@@ -3,24 +3,20 @@
 The paper's own network is unpublished. This one follows the open TaxiNet studies in its outputs,
 cross-track error over 10 m and heading error over 30 degrees, and in its reduced grey input.
 
-torch takes seconds to import and is imported by the functions that need it, so that a run on the
-ground truth, or a check of a weights file, does not wait for it.
+It is trained with torch and run by onnxruntime.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    import torch
+from taxinet_ros.core.onnx_session import open_session
 
 IMAGE_SHAPE = (200, 360, 3)
 """Height, width and channels of a camera frame (RGB, uint8)."""
@@ -68,22 +64,6 @@ class Architecture:
         shapes['output.weight'] = (2, self.hidden)
         shapes['output.bias'] = (2,)
         return shapes
-
-    def build(self) -> torch.nn.Sequential:
-        """A network of this architecture, its weights drawn from torch's global generator."""
-        from torch import nn
-
-        layers: OrderedDict[str, nn.Module] = OrderedDict()
-        before = (1, *self.channels)
-        for i, (channels, kernel) in enumerate(zip(self.channels, self.kernels, strict=True)):
-            layers[f'conv{i}'] = nn.Conv2d(before[i], channels, kernel, 2, kernel // 2)
-            layers[f'relu{i}'] = nn.ReLU()
-        layers['flatten'] = nn.Flatten()
-        features = self.shapes()['hidden.weight'][1]
-        layers['hidden'] = nn.Linear(features, self.hidden)
-        layers['relu'] = nn.ReLU()
-        layers['output'] = nn.Linear(self.hidden, 2)
-        return nn.Sequential(layers)
 
 
 ARCHITECTURES = {
@@ -145,33 +125,21 @@ class TaxiNet:
     """A network ready to look.
 
     It runs on one thread: on one machine the same frame gives the same answer to the bit, in any
-    process, however busy the machine is. The setting holds for all of torch in this process.
+    process, however busy the machine is.
     """
 
     def __init__(
         self, architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
     ) -> None:
-        """Build the network and fill in ``weights``, of the names and shapes it asks for."""
-        import torch
+        """Build the network with ``weights``, of the names and shapes it asks for."""
+        from taxinet_ros.core.network_model import onnx_model
 
-        torch.set_num_threads(1)
-        self._torch: Any = torch
-        # Made without storage, so that no random numbers are drawn from the global generator.
-        with torch.device('meta'):
-            module: Any = architecture.build()
-        tensors = {name: torch.from_numpy(array.copy()) for name, array in weights.items()}
-        module.load_state_dict(tensors, strict=True, assign=True)
-        # Channels last is the faster layout on a processor.
-        self._module = module.eval().requires_grad_(False).to(memory_format=torch.channels_last)
-        self.infer(np.zeros((1, *INPUT_SHAPE), np.uint8))  # the first call is the slow one
+        self._session = open_session(onnx_model(architecture, weights))
 
     def infer(self, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Cross-track [m] and heading errors [rad], (N, 2), seen on grey pictures (N, 64, 192)."""
-        torch = self._torch
-        inputs = torch.from_numpy(normalise(pictures)).to(memory_format=torch.channels_last)
-        with torch.inference_mode():
-            outputs = self._module(inputs)
-        return unscaled(outputs.numpy())
+        (outputs,) = self._session.run(None, {'pictures': normalise(pictures)})
+        return unscaled(outputs)
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import reprlib
 import threading
 from collections.abc import Iterable
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import IMAGE_SHAPE
 from taxinet_ros.core.onnx_picture import prepare
+from taxinet_ros.core.onnx_session import FATAL, open_session
 from taxinet_ros.core.onnx_sidecar import MAX_SIDECAR_BYTES, parse_sidecar, sidecar_path
 from taxinet_ros.core.onnx_yaml import bad
 
@@ -39,7 +39,6 @@ _GREY = 128
 _DTYPES: dict[str, type[np.floating[Any]]] = {
     'tensor(float)': np.float32, 'tensor(double)': np.float64, 'tensor(float16)': np.float16,
 }
-_FATAL = 4  # onnxruntime's least talkative level; every error comes back as an exception
 
 
 class OnnxNetwork:
@@ -107,7 +106,7 @@ class OnnxNetwork:
         """Look at a grey frame, twice, before a run relies on the network."""
         frame = np.full(IMAGE_SHAPE, _GREY, np.uint8)
         options = self._model.runtime.RunOptions()
-        options.log_severity_level = _FATAL
+        options.log_severity_level = FATAL
         limit = threading.Timer(TRIAL_LIMIT_S, lambda: setattr(options, 'terminate', True))
         limit.daemon = True
         limit.start()
@@ -183,18 +182,8 @@ class _Model:
 def _open(path: Path, data: bytes) -> _Model:
     import onnxruntime
 
-    onnxruntime.disable_telemetry_events()
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = _FATAL
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.use_deterministic_compute = True
-    options.add_session_config_entry('session.load_model_format', 'ONNX')
-    # Further files would be looked for in the working folder. In what is no folder are none.
-    options.add_session_config_entry(
-        'session.model_external_initializers_file_folder_path', os.devnull)
     try:
-        session = onnxruntime.InferenceSession(
-            data, options, providers=['CPUExecutionProvider'], enable_fallback=0)
+        session = open_session(data)
         return _Model(
             runtime=onnxruntime, session=session,
             inputs=_Tensor.all_of(session.get_inputs()),

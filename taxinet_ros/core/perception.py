@@ -97,7 +97,7 @@ class NetworkPerception:
 
 
 def _taxinet(word: str, model: Model) -> Perception:
-    """A network of ours; the first one in a process imports torch."""
+    """A network of ours."""
     network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
     return NetworkPerception(network, word=word, fingerprint=model.card.weights_sha256)
 
@@ -130,7 +130,7 @@ def make_perception(word_or_file: str) -> Perception:
 
 
 def check_perception(word_or_file: str) -> str:
-    """See that :func:`make_perception` will work, without waiting for torch.
+    """See that :func:`make_perception` will work, without building a network.
 
     Returns:
         The fingerprint that the perception will have.

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from torch import nn
 
 from taxinet_ros.core.network import Architecture
+from taxinet_ros.training.torch_network import torch_network
 
 
 def build_normed(architecture: Architecture) -> nn.Sequential:
     """A network to train, its weights drawn from torch's global generator."""
     layers: OrderedDict[str, nn.Module] = OrderedDict()
-    for name, layer in architecture.build().named_children():
+    for name, layer in torch_network(architecture).named_children():
         layers[name] = layer
         if isinstance(layer, nn.Conv2d):
             layers[_norm_of(name)] = nn.BatchNorm2d(layer.out_channels)

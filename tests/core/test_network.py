@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from network_samples import frame, random_weights
@@ -24,6 +25,7 @@ from taxinet_ros.core.network import (
     shrink,
     unscaled,
 )
+from taxinet_ros.training.torch_network import torch_network
 
 ARCHITECTURE = ARCHITECTURES[DEFAULT_ARCHITECTURE]
 
@@ -36,7 +38,7 @@ def network(seed: int = 0) -> TaxiNet:
 def test_given_an_architecture_when_built_then_its_weights_have_the_promised_shapes(
     name: str,
 ) -> None:
-    built = ARCHITECTURES[name].build().state_dict()
+    built = torch_network(ARCHITECTURES[name]).state_dict()
     promised = ARCHITECTURES[name].shapes()
     assert {key: tuple(value.shape) for key, value in built.items()} == promised
     assert sum(math.prod(shape) for shape in promised.values()) * 4 < 2_000_000
@@ -81,12 +83,21 @@ def test_given_another_process_with_other_threads_when_it_looks_then_bits_are_eq
     assert other.stdout.strip() == str(expected)
 
 
-def test_given_a_network_when_made_then_the_global_random_state_is_untouched() -> None:
-    import torch
+def test_given_the_same_weights_in_torch_then_both_answer_alike() -> None:
+    trained = torch_network(ARCHITECTURE)
+    weights = {name: torch.from_numpy(array) for name, array in random_weights(4).items()}
+    trained.load_state_dict(weights, strict=True)
+    pictures = np.stack([shrink(frame(seed)) for seed in range(5)])
+    with torch.inference_mode():
+        expected = unscaled(trained.eval()(torch.from_numpy(normalise(pictures))).numpy())
+    np.testing.assert_allclose(network(4).infer(pictures), expected, atol=1e-5)
 
-    before = torch.random.get_rng_state()
-    network()
-    assert torch.equal(torch.random.get_rng_state(), before)
+
+def test_given_weights_of_another_shape_when_made_then_it_is_an_error() -> None:
+    weights = random_weights(0)
+    weights['output.bias'] = np.zeros(3, np.float32)
+    with pytest.raises(ValueError, match='not those of'):
+        TaxiNet(ARCHITECTURE, weights)
 
 
 def test_given_a_batch_when_inferred_then_it_agrees_with_one_by_one() -> None:

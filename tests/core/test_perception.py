@@ -157,10 +157,10 @@ def test_given_a_known_word_when_checked_then_nothing_is_said(word: str) -> None
     check_perception(word)
 
 
-def test_given_the_truth_or_a_mere_check_when_chosen_then_torch_is_not_imported() -> None:
+def test_given_a_perception_when_chosen_then_torch_is_not_imported() -> None:
     script = (
-        'import sys; from taxinet_ros.core.perception import check_perception, make_perception; '
-        'make_perception("truth"); check_perception("taxinet"); print("torch" in sys.modules)'
+        'import sys; from taxinet_ros.core.perception import make_perception; '
+        'make_perception("truth"); make_perception("taxinet"); print("torch" in sys.modules)'
     )
     root = str(Path(__file__).parents[2])
     result = subprocess.run(
