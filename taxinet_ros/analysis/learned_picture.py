@@ -17,7 +17,8 @@ _PROGRAM, _LEARNED = '0.75', '#0072B2'
 
 
 def learned_picture(
-    choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str
+    choices: Sequence[Choice], probabilities: Mapping[str, Sequence[float]], path: Path, title: str,
+    single: Sequence[Mapping[str, Sequence[float]]] = (),
 ) -> None:
     """Draw the probability of each bin, learned beside the program's own.
 
@@ -26,6 +27,7 @@ def learned_picture(
         probabilities: of their bins, by name of the dimension.
         path: PNG file to write; the same values give the same bytes.
         title: heads the picture.
+        single: those of the single searches, where ``probabilities`` are the mean of several.
 
     Raises:
         ValueError: there is nothing to draw.
@@ -39,20 +41,27 @@ def learned_picture(
     FigureCanvasAgg(figure)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for place, choice in zip(axes, shown, strict=False):
-        _draw(place, choice, probabilities[choice.dimension.name])
+        name = choice.dimension.name
+        _draw(place, choice, probabilities[name], [learned[name] for learned in single])
     for place in axes[len(shown):]:
         place.set_axis_off()
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=2, frameon=False)
+    figure.legend(handles, labels, loc='outside lower center', ncols=3, frameon=False)
     figure.suptitle(title, fontsize=12)
     figure.savefig(path, format='png', metadata={'Software': None})
 
 
-def _draw(axes: Axes, choice: Choice, learned: Sequence[float]) -> None:
+def _draw(
+    axes: Axes, choice: Choice, learned: Sequence[float], single: Sequence[Sequence[float]]
+) -> None:
     prior = choice.dimension.prior
     places = range(len(prior))
     axes.bar(places, prior, width=0.9, color=_PROGRAM, label='the program')
     axes.bar(places, learned, width=0.55, color=_LEARNED, label='learned')
+    if len(single) > 1:
+        for number, one in enumerate(single):
+            axes.plot(places, one, '.', color='black', markersize=4,
+                      label='' if number else 'a single search')
     axes.set_title(choice.dimension.name, fontsize=10)
     axes.set_ylabel('probability')
     if choice.dimension.discrete:
@@ -70,16 +79,8 @@ def _option_words(choice: Choice) -> list[str]:
 
 def _edge_words(choice: Choice) -> list[str]:
     """Values at the bins' edges; quantiles where the values are not known."""
-    values = [_value(choice, quantile) for quantile in choice.dimension.edges]
+    values = [choice.value(quantile) for quantile in choice.dimension.edges]
     known = [value for value in values if value is not None]
     if len(known) < len(values):
         return [f'{quantile:.0%}' for quantile in choice.dimension.edges]
     return [f'{value:.4g}' for value in known]
-
-
-def _value(choice: Choice, quantile: float) -> float | None:
-    for piece in choice.pieces:
-        if piece.start <= quantile <= piece.end and piece.end > piece.start:
-            share = (quantile - piece.start) / (piece.end - piece.start)
-            return piece.low + share * (piece.high - piece.low)
-    return None

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Self
 
 from taxinet_ros.campaign.samplers.space import Dimension, Space, make_space
+from taxinet_ros.core.errors import UsageError
+
+_PLACE = ('file', 'line', 'column', 'end_line', 'end_column')
+_PIECE = ('start', 'end', 'low', 'high')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,6 +46,18 @@ class Piece:
     low: float
     high: float
 
+    def length_within(self, start: float, end: float, low: float, high: float) -> float:
+        """Length of the quantiles in [start, end] whose value is in [low, high]."""
+        if self.high == self.low:
+            first, last = (self.start, self.end) if low <= self.low <= high else (0.0, 0.0)
+        else:
+            ends = [
+                self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+                for value in (low, high)
+            ]
+            first, last = max(self.start, min(ends)), min(self.end, max(ends))
+        return max(0.0, min(last, end) - max(first, start))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Choice:
@@ -63,18 +81,59 @@ class Choice:
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """A choice as the Scenic child describes it."""
-        place, ends = values['place'], ('start', 'end', 'low', 'high')
+        place = values['place']
         dimension = {**values['dimension'], 'weights': tuple(values['dimension']['weights'])}
-        names = ('file', 'line', 'column', 'end_line', 'end_column')
         return cls(
             dimension=Dimension(**dimension),
             feeds=frozenset(values['feeds']),
-            place=Place(**dict(zip(names, place, strict=True))) if place else None,
+            place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
             pieces=tuple(
-                Piece(**dict(zip(ends, piece, strict=True))) for piece in values['pieces']
+                Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']
             ),
             options=tuple(values['options'] or ()),
         )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :meth:`from_json` where the options are plain."""
+        place = self.place
+        return {
+            'dimension': dataclasses.asdict(self.dimension),
+            'feeds': sorted(self.feeds),
+            'place': [getattr(place, name) for name in _PLACE] if place else None,
+            'pieces': [[getattr(piece, name) for name in _PIECE] for piece in self.pieces],
+            'options': list(self.options),
+        }
+
+    def value(self, quantile: float) -> float | None:
+        """The value at a quantile; None where values are not known."""
+        for piece in self.pieces:
+            if piece.start <= quantile <= piece.end and piece.end > piece.start:
+                share = (quantile - piece.start) / (piece.end - piece.start)
+                return piece.low + share * (piece.high - piece.low)
+        return None
+
+    def probability_within(
+        self, low: float, high: float, probabilities: Sequence[float] = ()
+    ) -> float:
+        """How probable a value in [low, high] is.
+
+        Args:
+            low: least value, in the program's own units.
+            high: greatest one.
+            probabilities: of its bins; the program's own where empty. Within a bin they are spread
+                as the program spreads them.
+
+        Raises:
+            UsageError: the choice has no values that could be compared.
+        """
+        if not self.pieces:
+            raise UsageError(f'{self.dimension.name}: has no values between which to ask')
+        dimension, total = self.dimension, 0.0
+        bins = zip(probabilities or dimension.prior, pairwise(dimension.edges), strict=True)
+        for probability, (start, end) in bins:
+            within = sum(piece.length_within(start, end, low, high) for piece in self.pieces)
+            total += probability * within / (end - start)
+        return total
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,67 +1,110 @@
-"""Writes down where a search has found failures: as numbers, as a program, as a picture."""
+"""``taxinet learned``: what several searches have learned, put together."""
 
 from __future__ import annotations
 
-import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
-from taxinet_ros.bag.layout import write_atomically
-from taxinet_ros.campaign.learned_program import learned_program
-from taxinet_ros.campaign.programs import find_program
-from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.search import Search
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.campaign.learned_result import LearnedResult, LearnedTogether, Spread
+from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.core.errors import UsageError
 
-JSON_NAME, PROGRAM_NAME, PICTURE_NAME = 'learned.json', 'learned.scenic', 'learned.png'
+_WITHIN = re.compile(r'([^=]+)=([-+.\deE]+):([-+.\deE]+)')
 
 
-def write_learned(search: Search) -> list[str]:
-    """Write ``learned.json``, ``learned.png`` and, where it can be said in Scenic, a program.
+def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | None) -> None:
+    """Print what searches have learned, and draw it.
 
     Args:
-        search: that has ended, with its Scenic child still there.
+        folders: of the searches.
+        within: intervals to sum up the probability of, ``DIMENSION=LOW:HIGH``.
+        out: picture to write, or None.
 
-    Returns:
-        Lines to print; none where the sampler has no idea.
+    Raises:
+        UsageError: a folder or an interval cannot be used, or the picture is there already.
     """
-    probabilities = search.learned()
-    if not probabilities:
-        return []
-    from taxinet_ros.analysis.learned_picture import learned_picture
-
-    out = search.options.campaign.out
-    write_atomically(out / JSON_NAME, _as_json(search, probabilities))
-    learned_picture(search.space.searched, probabilities, out / PICTURE_NAME, _title(search))
-    names, why = [JSON_NAME, PICTURE_NAME], ''
-    try:
-        text = learned_program(
-            find_program(search.options.campaign.program), search.space, probabilities,
-            _title(search) + '.',
+    if out is not None and out.exists():
+        raise UsageError(f'--out {out}: exists already; name another')
+    together = LearnedTogether([LearnedResult.read(folder) for folder in folders], folders)
+    asked = [_interval(text) for text in within]
+    console = Console(highlight=False)
+    console.print(heading(together), soft_wrap=True)
+    console.print(_table(together))
+    for name, low, high in asked:
+        choice = next((c for c in together.choices if c.dimension.name == name), None)
+        spread = together.within(name, low, high)
+        before = choice.probability_within(low, high) if choice else 0.0
+        console.print(
+            f'{name} in {low:g} to {high:g}: {_words(spread)}; the program {before:.1%}',
+            soft_wrap=True,
         )
-        write_atomically(out / PROGRAM_NAME, text)
-        names.append(PROGRAM_NAME)
-    except UsageError as error:
-        why = f'; as a program: {error}'
-    return [f'learned: {out / names[0]}, {", ".join(names[1:])}{why}']
+    if out is not None:
+        from taxinet_ros.analysis.learned_picture import learned_picture
+
+        learned_picture(
+            together.choices, together.mean, out, heading(together),
+            [result.probabilities for result in together.results],
+        )
+        console.print(f'picture: {out}', soft_wrap=True)
 
 
-def _title(search: Search) -> str:
-    options = search.options
-    program = Path(options.campaign.program).stem
+def heading(together: LearnedTogether) -> str:
+    """What the searches have in common, and how many runs they made."""
+    facts = together.results[0].facts
+    runs = [int(result.facts.get('runs_made', 0)) for result in together.results]
+    number = len(together.results)
+    searches = '1 search' if number == 1 else f'{number} searches'
+    each = f'{min(runs)}' if min(runs) == max(runs) else f'{min(runs)} to {max(runs)}'
     return (
-        f'Failures of {options.campaign.perception} on {program}, found by {options.sampler} in '
-        f'{len(search.rows)} runs'
+        f'Failures of {facts["perception"]} on {Path(str(facts["program"])).stem}, found by '
+        f'{facts["sampler"]}: {searches} of {each} runs'
     )
 
 
-def _as_json(search: Search, probabilities: Probabilities) -> str:
-    dimensions = {
-        choice.dimension.name: {
-            'probabilities': list(probabilities[choice.dimension.name]),
-            'prior': list(choice.dimension.prior),
-            'quantiles': list(choice.dimension.edges),
-            'options': [str(option) for option in choice.options],
-        }
-        for choice in search.space.searched if choice.dimension.name in probabilities
-    }
-    return json.dumps({'about': _title(search), 'dimensions': dimensions}, indent=2) + '\n'
+def _table(together: LearnedTogether) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column('choice')
+    table.add_column('likeliest values')
+    for title in ('program', 'learned', 'least', 'most'):
+        table.add_column(title, justify='right')
+    for choice in together.choices:
+        bins = together.bins(choice)
+        best = max(range(len(bins)), key=lambda number: bins[number].mean)
+        table.add_row(
+            choice.dimension.name, _bin_words(choice, best),
+            f'{choice.dimension.prior[best]:.1%}', *(f'{value:.1%}' for value in bins[best]),
+        )
+    return table
+
+
+def _bin_words(choice: Choice, number: int) -> str:
+    if choice.dimension.discrete:
+        if len(choice.options) == len(choice.dimension.prior):
+            return str(choice.options[number])
+        return f'option {number + 1}'
+    low, high = choice.dimension.edges[number:number + 2]
+    values = [choice.value(quantile) for quantile in (low, high)]
+    if None in values:
+        return f'quantiles {low:.0%} to {high:.0%}'
+    return f'{values[0]:.4g} to {values[1]:.4g}'
+
+
+def _words(spread: Spread) -> str:
+    return f'{spread.mean:.1%} ({spread.low:.1%} to {spread.high:.1%})'
+
+
+def _interval(text: str) -> tuple[str, float, float]:
+    match = _WITHIN.fullmatch(text)
+    try:
+        name, low, high = match.groups() if match else ('', '', '')
+        ends = float(low), float(high)
+    except ValueError:
+        ends = (1.0, 0.0)
+    if not ends[0] <= ends[1]:
+        raise UsageError(f'--within {text!r}: needs to be DIMENSION=LOW:HIGH, as '
+                         'distance=1400:1600')
+    return name, *ends

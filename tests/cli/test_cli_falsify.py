@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.campaign.learned_result import LearnedResult
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
@@ -104,11 +105,31 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
     events = [json.loads(line) for line in (whole / 'ledger.jsonl').read_text().splitlines()]
     assert [event['event'] for event in events] == ['campaign', *['intent', 'result'] * 10]
     assert all(len(event['scenario_sha256']) == 64 for event in events[1::2])
-    learned = json.loads((whole / 'learned.json').read_text())['dimensions']
+    learned = LearnedResult.read(whole).probabilities
     assert set(learned) == {name[2:] for name in table.columns if name.startswith('u_')}
-    assert all(sum(one['probabilities']) == pytest.approx(1) for one in learned.values())
+    assert all(sum(one) == pytest.approx(1) for one in learned.values())
     assert (whole / 'learned.png').read_bytes().startswith(b'\x89PNG')
     assert 'found by ce in 10 runs' in (whole / 'learned.scenic').read_text()
+
+
+def learned(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*TAXINET, 'learned', *words], capture_output=True, text=True, timeout=60)
+
+
+def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_path):
+    picture = tmp_path / 'learned.png'
+    choice = next(choice for choice in LearnedResult.read(whole).choices if choice.pieces)
+    name = choice.dimension.name
+    done = learned(whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'Failures of truth on nominal, found by ce: 1 search of 10 runs' in done.stdout
+    assert '100.0% (100.0% to 100.0%); the program 100.0%' in done.stdout
+    assert picture.read_bytes().startswith(b'\x89PNG')
+    for words, said in (((whole, whole), 'is there twice'), ((tmp_path,), 'no such file'),
+                        ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):
+        refused = learned(*words)
+        assert (refused.returncode, refused.stderr.count('\n')) == (2, 1)
+        assert said in refused.stderr
 
 
 def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(whole, tmp_path):
