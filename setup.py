@@ -70,13 +70,17 @@ ROS_WHEELS = [
 
 EXTRAS = {
     'ros': ROS_WHEELS,
+    # taxinet run --foxglove, and the executable foxglove_server.
+    'foxglove': ['foxglove-sdk'],
     'test': [
         'colcon-package-selection',
         'colcon-ros',
+        'foxglove-sdk',
         'hypothesis',
         'mcap-ros2-support',
         'pytest',
         'pytest-timeout',
+        'websockets',
     ],
     'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML'],
 }

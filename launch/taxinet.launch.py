@@ -1,7 +1,7 @@
 """Start the whole graph, every node a process, and run a campaign of one Scenic program.
 
-``ros2 launch taxinet_ros taxinet.launch.py perception:=truth program:=s_falsif runs:=10``; it ends
-when the last run has ended.
+``ros2 launch taxinet_ros taxinet.launch.py perception:=truth program:=s_falsif runs:=10``, and with
+``sampler:=ce`` a search for failures; it ends when the last run has ended.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ def arguments() -> list[DeclareLaunchArgument]:
         'program': ('s_falsif', 'Scenic program to draw scenarios from: a shipped name or a file'),
         'runs': ('10', 'number of runs'),
         'seed': ('0', 'seed of the draws'),
+        'sampler': ('', 'ce, random, …: searches for failures; empty: what the program draws'),
+        'until': ('', 'a search stops early: failures=K or half-width=W'),
+        'budget': ('0.0', 'a search begins no run after so long [min]; 0: ever'),
+        'resume': ('false', 'continues the search that was interrupted in out'),
         'out': (f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}', 'new folder for table and bags'),
         'namespace': ('', 'prefix of every topic of the graph but /clock'),
         'params': (str(config), "file with the nodes' parameters"),
@@ -71,6 +75,10 @@ def graph(context: LaunchContext) -> list[Node]:
         'program': value('program'),
         'runs': value('runs', int),
         'seed': value('seed', int),
+        'sampler': value('sampler'),
+        'until': value('until'),
+        'budget': value('budget', float),
+        'resume': value('resume', bool),
         'out': value('out'),
     }
     return [

@@ -24,10 +24,13 @@ import taxinet_ros
 REPOSITORY = Path(__file__).resolve().parent.parent
 PREFIX = Path(sys.prefix)
 EXECUTABLES = {
+    'bag_player',
+    'foxglove_server',
     'ground_truth_perception',
     'mtl_monitor',
     'recorder',
     'scenario_sampler',
+    'scene_markers',
     'simulator',
     'steering_controller',
     'taxinet',

@@ -1,1 +1,75 @@
-"""Run bags: writing, reading, repairing and decoding them, without ROS."""
+"""Run bags: writing, reading, checking, mending and decoding them, without ROS.
+
+The traces of a run as a table, on any machine with Python::
+
+    from pathlib import Path
+
+    from taxinet_ros.bag import read_table, read_trace_table
+
+    run = Path('bags/campaign/s_falsif-s0-00000')
+    trace = read_trace_table(run)            # a row per control step
+    print(trace['cte_m'].abs().max(), trace.attrs['units']['cte_m'])
+    odom = read_table(run, 'ground_truth/odom')
+    odom.plot('t_s', 'pose.pose.position.y')
+
+Of a run that was not finished these raise :class:`BagTruncated`, one line that says what to do;
+``taxinet bag recover`` makes a whole bag of it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.checkup import check_bag
+    from taxinet_ros.bag.errors import (
+        BagCorrupt,
+        BagEmpty,
+        BagError,
+        BagForeign,
+        BagTruncated,
+        BagWriteError,
+    )
+    from taxinet_ros.bag.facts import read_facts
+    from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
+    from taxinet_ros.bag.tables import read_table, read_tables, read_trace_table
+    from taxinet_ros.bag.trace import read_images, read_trace
+
+__all__ = [
+    'BagCorrupt',
+    'BagEmpty',
+    'BagError',
+    'BagForeign',
+    'BagTruncated',
+    'BagWriteError',
+    'check_bag',
+    'read_attachment',
+    'read_facts',
+    'read_images',
+    'read_info',
+    'read_messages',
+    'read_table',
+    'read_tables',
+    'read_trace',
+    'read_trace_table',
+]
+
+_HOME = {
+    **dict.fromkeys(
+        ('BagCorrupt', 'BagEmpty', 'BagError', 'BagForeign', 'BagTruncated', 'BagWriteError'),
+        'errors',
+    ),
+    **dict.fromkeys(('read_attachment', 'read_info', 'read_messages'), 'reader'),
+    **dict.fromkeys(('read_table', 'read_tables', 'read_trace_table'), 'tables'),
+    **dict.fromkeys(('read_images', 'read_trace'), 'trace'),
+    'check_bag': 'checkup',
+    'read_facts': 'facts',
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The names above, each imported when it is first asked for: a writer needs no pandas."""
+    if name not in _HOME:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(importlib.import_module(f'{__name__}.{_HOME[name]}'), name)

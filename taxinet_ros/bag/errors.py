@@ -11,12 +11,16 @@ class BagError(Exception):
     Attributes:
         path: the file or folder concerned, or None where only bytes were at hand.
         recovered: messages that were read soundly before the trouble.
+        offset: byte of the file at which the damage lies, or -1 where it has no place.
     """
 
-    def __init__(self, message: str, *, path: Path | None = None, recovered: int = 0) -> None:
+    def __init__(
+        self, message: str, *, path: Path | None = None, recovered: int = 0, offset: int = -1
+    ) -> None:
         super().__init__(message)
         self.path = path
         self.recovered = recovered
+        self.offset = offset
 
 
 class BagWriteError(BagError):

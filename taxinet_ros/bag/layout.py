@@ -6,15 +6,20 @@ the folder. As there, ``metadata.yaml`` is written last: a folder without it was
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
-from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.errors import BagEmpty, BagForeign, BagWriteError
 from taxinet_ros.core.errors import UsageError
 
 METADATA_FILE = 'metadata.yaml'
 STORAGE_ID = 'mcap'
+
+T = TypeVar('T')
 
 _NUMBER = re.compile(r'_(\d+)$')
 
@@ -46,6 +51,21 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
 
 
+def disk_words(error: OSError) -> str:
+    """What the operating system said, on one line."""
+    text = error.strerror or str(error)
+    return f'[Errno {error.errno}] {text}' if error.errno else text
+
+
+def disk_error(path: Path, error: OSError) -> OSError:
+    """``error`` once more, with the file that it was about and a number in any case.
+
+    Writing to an open file raises errors without a name, and libraries raise some without a number.
+    """
+    text = error.strerror or str(error)
+    return OSError(error.errno or errno.ENOSPC, text, str(path))
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names within ``folder`` survive a loss of power."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -64,6 +84,33 @@ def write_atomically(path: Path, text: str) -> None:
         os.fsync(stream.fileno())
     draft.rename(path)
     sync_folder(path.parent)
+
+
+def write_whole(path: Path, write: Callable[[Path], T]) -> T:
+    """Have ``write`` make a file beside ``path`` and give it the name once it is safe on the disk.
+
+    Where anything goes wrong nothing is left behind.
+
+    Args:
+        path: the file that is wanted; its folder exists.
+        write: gets the draft's path, which has the same suffix.
+
+    Raises:
+        BagWriteError: it cannot be written.
+    """
+    draft = path.with_name(f'.{path.stem}.part{path.suffix}')
+    try:
+        result = write(draft)
+        with draft.open('rb') as file:
+            os.fsync(file.fileno())
+        draft.rename(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        text = f'{path}: cannot write: {disk_words(error)}'
+        raise BagWriteError(text, path=path, errno=error.errno or errno.EIO) from error
+    finally:
+        draft.unlink(missing_ok=True)
+    return result
 
 
 def _split_number(path: Path) -> tuple[int, str]:

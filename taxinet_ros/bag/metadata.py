@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.topics import TopicInfo, dump_yaml, qos_profiles
+from taxinet_ros.bag.topics import TopicInfo, qos_profiles
+from taxinet_ros.bag.yaml_text import dump_yaml
 
 VERSION = 9
 ROS_DISTRO = 'jazzy'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno as numbers
 import os
 import zlib
 from contextlib import suppress
@@ -22,12 +23,20 @@ class Output:
         crc: CRC-32 of all of them.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, keep_free_bytes: int = 0) -> None:
+        """Create the file, which must not exist.
+
+        Args:
+            path: the file.
+            keep_free_bytes: free space of the disk that is not used up [bytes]: whoever shares it,
+                a campaign's ledger among them, can still write when this file stops.
+        """
         self.path = path
         self.size = 0
         self.crc = 0
         self._failure: tuple[str, int] | None = None
         self._descriptor = -1
+        self._keep_free_bytes = keep_free_bytes
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         try:
             self._descriptor = os.open(path, flags, 0o644)
@@ -52,6 +61,7 @@ class Output:
         self.check()
         view = memoryview(data)
         try:
+            self._check_room(len(data))
             while view:
                 view = view[os.write(self._descriptor, view):]
         except OSError as error:
@@ -79,8 +89,17 @@ class Output:
         except OSError as error:
             raise self._latch(error) from error
 
+    def _check_room(self, wanted: int) -> None:
+        if not self._keep_free_bytes:
+            return
+        disk = os.fstatvfs(self._descriptor)
+        free = disk.f_bavail * disk.f_frsize
+        if free - wanted < self._keep_free_bytes:
+            left = f'{free / 1e6:.0f} MB free, {self._keep_free_bytes / 1e6:.0f} MB of it kept so'
+            raise OSError(numbers.ENOSPC, f'{os.strerror(numbers.ENOSPC)} ({left})')
+
     def _latch(self, error: OSError) -> BagWriteError:
         errno = error.errno or 0
-        message = f'{self.path}: cannot write: [Errno {errno}] {os.strerror(errno)}'
+        message = f'{self.path}: cannot write: [Errno {errno}] {error.strerror}'
         self._failure = (message, errno)
         return BagWriteError(message, path=self.path, errno=errno)

@@ -1,7 +1,8 @@
 """MCAP records out of untrusted bytes: whatever is wrong with them becomes :class:`BagCorrupt`.
 
 Lengths are believed only within :data:`MAX_RECORD_BYTES`, and a chunk is decompressed only into the
-size that it declares, so a small hostile file cannot fill the memory.
+size that it declares and taken apart message by message, so a small hostile file cannot fill the
+memory.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
+from typing import Any, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]  # lz4 has no stubs
 import zstandard
@@ -18,16 +20,21 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
+    ChunkIndex,
     DataEnd,
     Footer,
     Header,
     McapRecord,
     Message,
+    MessageIndex,
     Metadata,
+    MetadataIndex,
     Schema,
     Statistics,
+    SummaryOffset,
 )
 
 from taxinet_ros.bag.errors import BagCorrupt
@@ -52,18 +59,36 @@ _KINDS = {
     Opcode.STATISTICS: Statistics,
     Opcode.FOOTER: Footer,
 }
+_INDEX_KINDS = {
+    Opcode.MESSAGE_INDEX: MessageIndex,
+    Opcode.CHUNK_INDEX: ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.SUMMARY_OFFSET: SummaryOffset,
+}
+
+Body = bytes | memoryview
+BodyT = TypeVar('BodyT', bytes, memoryview)
 
 
-def parse_record(opcode: int, body: bytes) -> McapRecord | None:
-    """The record with this opcode and body, or None for the kinds that nobody here needs."""
+def parse_record(opcode: int, body: Body) -> McapRecord | None:
+    """The record with this opcode and body, or None for indexes and unknown kinds."""
     if opcode == Opcode.MESSAGE:
         return parse_message(body)
-    # A file may hold any number here; its type is the enumeration's only where it is known.
-    kind = _KINDS.get(opcode)  # type: ignore[call-overload]
-    if kind is None:
-        return None
     if opcode == Opcode.ATTACHMENT:
         _check_attachment(body)
+    # A file may hold any number here; its type is the enumeration's only where it is known.
+    return _read(_KINDS.get(opcode), body)  # type: ignore[call-overload]
+
+
+def parse_index(opcode: int, body: Body) -> McapRecord | None:
+    """The index record with this opcode and body, or None for all that are no index."""
+    return _read(_INDEX_KINDS.get(opcode), body)  # type: ignore[call-overload]
+
+
+def _read(kind: Any, body: Body) -> McapRecord | None:
+    if kind is None:
+        return None
     stream = ReadDataStream(BytesIO(body))
     try:
         record: McapRecord = kind.read(stream)
@@ -74,29 +99,43 @@ def parse_record(opcode: int, body: bytes) -> McapRecord | None:
     return record
 
 
-def parse_message(body: bytes) -> Message:
+def parse_message(body: Body) -> Message:
     """The message record with this body."""
     if len(body) < _MESSAGE.size:
         raise BagCorrupt(f'message record of {len(body)} bytes is too short')
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
     return Message(
         channel_id=channel, sequence=sequence, log_time=log_time, publish_time=publish_time,
-        data=body[_MESSAGE.size:],
+        data=bytes(body[_MESSAGE.size:]),
     )
 
 
-def chunk_records(chunk: Chunk) -> list[McapRecord]:
-    """Schemas, channels and messages of a chunk whose checksum holds, all or none."""
+def open_chunk(chunk: Chunk) -> bytes:
+    """What a chunk holds, if its size and its checksum hold."""
     raw = _decompress(chunk)
     if len(raw) != chunk.uncompressed_size:
         raise BagCorrupt(f'chunk declares {chunk.uncompressed_size} bytes but holds {len(raw)}')
     if chunk.uncompressed_crc and zlib.crc32(raw) != chunk.uncompressed_crc:
         raise BagCorrupt('chunk contradicts its checksum')
-    records = (parse_record(opcode, body) for opcode, body in split_records(raw))
-    return [record for record in records if isinstance(record, Schema | Channel | Message)]
+    return raw
 
 
-def split_records(raw: bytes) -> Iterator[tuple[int, bytes]]:
+def chunk_records(raw: bytes) -> Iterator[McapRecord]:
+    """Schemas, channels and messages out of an opened chunk, one at a time."""
+    for _, record in placed_records(raw):
+        if isinstance(record, Schema | Channel | Message):
+            yield record
+
+
+def placed_records(raw: bytes) -> Iterator[tuple[int, McapRecord | None]]:
+    """Offset within an opened chunk, and record."""
+    position = 0
+    for opcode, body in split_records(memoryview(raw)):
+        yield position, parse_record(opcode, body)
+        position += HEAD.size + len(body)
+
+
+def split_records(raw: BodyT) -> Iterator[tuple[int, BodyT]]:
     """Opcode and body of the records that ``raw`` is made of."""
     position = 0
     while position < len(raw):
@@ -134,7 +173,7 @@ def _unzstd(data: bytes, size: int) -> bytes:
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
 
 
-def _check_attachment(body: bytes) -> None:
+def _check_attachment(body: Body) -> None:
     if len(body) < 4:
         raise BagCorrupt(f'attachment record of {len(body)} bytes is too short')
     (crc,) = struct.unpack('<I', body[-4:])

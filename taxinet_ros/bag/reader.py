@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
+from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.scan import OnDamage, scan
@@ -105,20 +105,32 @@ def stored_messages(
                     count += 1
     except (BagTruncated, BagCorrupt) as error:
         message = f'{error}; {count} sound messages before'
-        raise type(error)(message, path=error.path, recovered=count) from error
+        raise type(error)(
+            message, path=error.path, recovered=count, offset=error.offset
+        ) from error
 
 
-def read_info(path: Path) -> BagInfo:
+def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
     """Read the table of contents; damage is told in the result, not raised.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        on_damage: called with each damaged place of the storage files.
 
     Raises:
         BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
     """
     contents = _Contents()
     trouble: list[str] = []
+
+    def note_damage(error: BagError) -> None:
+        trouble.append(str(error))
+        if on_damage is not None:
+            on_damage(error)
+
     for file in storage_files(path):
         infos = _Topics()
-        for record in scan(file, lambda error: trouble.append(str(error))):
+        for record in scan(file, note_damage):
             infos.note(record)
             contents.note(record, infos)
     trouble += _folder_trouble(path, sum(contents.counts.values()))
@@ -126,8 +138,8 @@ def read_info(path: Path) -> BagInfo:
         path=path,
         topics=tuple(contents.topics.values()),
         counts=contents.counts,
-        start_ns=min(contents.stamps, default=0),
-        end_ns=max(contents.stamps, default=0),
+        start_ns=contents.start_ns or 0,
+        end_ns=contents.end_ns,
         metadata=contents.metadata,
         attachments=tuple(contents.attachments),
         complete=not trouble,
@@ -199,7 +211,8 @@ class _Contents:
     counts: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[str] = field(default_factory=list)
-    stamps: set[int] = field(default_factory=set)
+    start_ns: int | None = None
+    end_ns: int = 0
 
     def note(self, record: object, infos: _Topics) -> None:
         """Take in a record."""
@@ -208,7 +221,9 @@ class _Contents:
             self.counts.setdefault(record.topic, 0)
         elif isinstance(record, Message):
             self.counts[infos.by_channel[record.channel_id].name] += 1
-            self.stamps.add(record.log_time)
+            stamp = record.log_time
+            self.start_ns = stamp if self.start_ns is None else min(self.start_ns, stamp)
+            self.end_ns = max(self.end_ns, stamp)
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):
@@ -219,14 +234,11 @@ def _folder_trouble(path: Path, messages: int) -> list[str]:
     """What ``metadata.yaml`` says against the bag in the folder ``path``."""
     if path.is_file():
         return []
-    file = path / METADATA_FILE
-    if not file.is_file():
-        return [f'{path}: no {METADATA_FILE}, so the recording was not finished']
     try:
-        content = yaml.safe_load(file.read_bytes())['rosbag2_bagfile_information']
-        declared = content['message_count']
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
-        return [f'{file}: not a bag description: {type(error).__name__}']
+        declared = read_description(path)['message_count']
+    except BagError as error:
+        return [str(error)]
     if declared != messages:
+        file = path / METADATA_FILE
         return [f'{file}: declares {declared} messages, the bag holds {messages}']
     return []

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.records import Attachment
 
+from taxinet_ros.bag.decode import definition_hash
+from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.bag.run_topics import ONCE, is_topic
 from taxinet_ros.bag.scan import scan
+from taxinet_ros.bag.summary import read_statistics
+from taxinet_ros.bag.topics import TopicInfo, check_topics, qos_profiles
 from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagSummary, BagWriter
+from taxinet_ros.core.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,36 +27,93 @@ class Recovery:
 
     Attributes:
         bag: the new, whole bag.
-        damage: one line for each damaged place; empty if nothing of the data was lost.
+        damage: one line for each damaged place and each topic left out; empty if nothing of the
+            data was lost.
+        declared: messages that the source says it holds, or None where what would say so is lost.
     """
 
     bag: BagSummary
     damage: tuple[str, ...]
+    declared: int | None
+
+    @property
+    def saved(self) -> int:
+        """Messages in the new bag."""
+        return sum(self.bag.message_counts.values())
 
 
 def recover(source: Path, folder: Path) -> Recovery:
     """Copy every sound message, attachment and word of ``source`` into the new run ``folder``.
 
     A damaged chunk costs that chunk. Where a record's length is damaged the next record cannot be
-    found, and the rest of the file is lost.
+    found, and the rest of the file is lost. ``source`` is only read.
 
     Raises:
         BagEmpty: nothing could be saved; no folder is made.
         BagForeign, UsageError: as ``reader.read_messages`` and :class:`BagWriter`.
+        BagWriteError: the new bag does not fit on the disk.
     """
     info = read_info(source)
-    if not info.topics:
-        raise BagEmpty(f'{source}: nothing can be saved: {info.trouble}', path=source)
-    damage: list[BagError] = []
-    words = info.metadata.get(RUN_METADATA, {})
-    with BagWriter(folder, info.topics, metadata=words, attachments=_attachments(source)) as bag:
-        for topic, stamp_ns, cdr in stored_messages(source, on_damage=damage.append):
-            bag.write(topic.name, cdr, stamp_ns)
+    if not any(info.counts.values()):
+        raise BagEmpty(f'{source}: nothing can be saved: {info.trouble or "no messages"}',
+                       path=source)
+    damage: list[str] = []
+    topics = [t for topic in info.topics if (t := _storable(topic, damage.append)) is not None]
+    names = {topic.name for topic in topics}
+    size = sum(file.stat().st_size for file in storage_files(source))
+    with BagWriter(
+        folder, topics, metadata=info.metadata.get(RUN_METADATA, {}),
+        attachments=_attachments(source), min_free_bytes=size,
+    ) as bag:
+        _copy(source, bag, names, lambda error: damage.append(str(error)))
         for name, values in info.metadata.items():
             if name not in ('rosbag2', RUN_METADATA):
                 bag.add_metadata(name, values)
         summary = bag.close()
-    return Recovery(bag=summary, damage=tuple(map(str, damage)))
+    return Recovery(bag=summary, damage=tuple(damage), declared=_declared(source))
+
+
+def _copy(
+    source: Path, bag: BagWriter, names: set[str], on_damage: Callable[[BagError], None]
+) -> None:
+    before: int | None = None
+    for topic, stamp_ns, cdr in stored_messages(source, names.__contains__, on_damage):
+        # As the recorder does it, so that each step lies in chunks of its own.
+        once = any(is_topic(topic.name, name) for name in ONCE)
+        now = None if once else stamp_ns
+        if before is not None and now != before:
+            bag.flush()
+        before = now
+        bag.write(topic.name, cdr, stamp_ns)
+
+
+def _storable(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
+    """The topic with what an older or foreign recorder did not note, or None."""
+    try:
+        qos_profiles(topic.qos)
+    except ValueError:
+        topic = replace(topic, qos='[]\n')
+    try:
+        if not topic.type_hash:
+            topic = replace(topic, type_hash=definition_hash(topic))
+        check_topics([topic])
+    except (BagError, UsageError) as error:
+        leave_out(f'left out: {error}')
+        return None
+    return topic
+
+
+def _declared(source: Path) -> int | None:
+    """How many messages the bag's own end, or its folder, says that there are."""
+    try:
+        return sum(sum(read_statistics(file).values()) for file in storage_files(source))
+    except BagError:
+        pass
+    try:
+        count = read_description(source)['message_count'] if source.is_dir() else None
+    except BagError:
+        return None
+    return count if isinstance(count, int) else None
 
 
 def _attachments(source: Path) -> dict[str, bytes]:

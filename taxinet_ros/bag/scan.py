@@ -7,7 +7,7 @@ the last flush.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,7 +15,13 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Header, McapRecord, Message, Schema
 
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
-from taxinet_ros.bag.parse import HEAD, MAX_RECORD_BYTES, chunk_records, parse_record
+from taxinet_ros.bag.parse import (
+    HEAD,
+    MAX_RECORD_BYTES,
+    chunk_records,
+    open_chunk,
+    parse_record,
+)
 from taxinet_ros.bag.storage import MAGIC
 from taxinet_ros.bag.summary import check_summary
 
@@ -125,21 +131,25 @@ class _Scanner:
         self._crc = zlib.crc32(data, self._crc)
         return data
 
-    def _accept(self, opcode: int, body: bytes) -> list[McapRecord]:
+    def _accept(self, opcode: int, body: bytes) -> Iterable[McapRecord]:
         """The records within one top-level record, checked against all before."""
         if opcode in _NOT_IN_DATA:
             raise BagCorrupt(f'record of kind {opcode} within the data')
         record = parse_record(opcode, body)
         if isinstance(record, Chunk):
-            records = chunk_records(record)
+            raw = open_chunk(record)
+            # Twice through it, since of a chunk that is wrong anywhere nothing is believed, and
+            # all its messages at once may be many times its size.
+            for inner in chunk_records(raw):
+                self._check(inner)
             self._chunks += 1
-        elif isinstance(record, Message) and self._chunks:
+            return chunk_records(raw)
+        if isinstance(record, Message) and self._chunks:
             raise BagCorrupt('message outside the chunks')
-        else:
-            records = [] if record is None else [record]
-        for inner in records:
-            self._check(inner)
-        return records
+        if record is None:
+            return ()
+        self._check(record)
+        return (record,)
 
     def _check(self, record: McapRecord) -> None:
         if isinstance(record, Header) and record.profile != 'ros2':
@@ -184,4 +194,4 @@ class _Scanner:
             raise error
         self._damaged = True
         message = f'{self._path}: at byte {offset}: {error}'
-        self._report(type(error)(message, path=self._path))
+        self._report(type(error)(message, path=self._path, offset=offset))

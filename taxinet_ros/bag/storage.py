@@ -55,9 +55,11 @@ class StorageFile:
         start_ns, end_ns: least and greatest stamp so far [ns]; 0 without messages.
     """
 
-    def __init__(self, path: Path, *, topics: Iterable[TopicInfo], library: str) -> None:
+    def __init__(
+        self, path: Path, *, topics: Iterable[TopicInfo], library: str, keep_free_bytes: int = 0
+    ) -> None:
         """Create the file and write its head: the topics, outside any chunk."""
-        self.output = Output(path)
+        self.output = Output(path, keep_free_bytes=keep_free_bytes)
         self.start_ns = 0
         self.end_ns = 0
         self._schemas: dict[str, Schema] = {}

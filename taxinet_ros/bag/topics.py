@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import yaml
-
+from taxinet_ros.bag.yaml_text import dump_yaml, load_yaml
 from taxinet_ros.core.errors import UsageError
 
 _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
@@ -67,18 +66,10 @@ def qos_profiles(text: str) -> tuple[dict[str, Any], ...]:
     Raises:
         ValueError: it is not a YAML list of mappings.
     """
-    try:
-        profiles = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f'not YAML: {text!r}') from error
+    profiles = load_yaml(text, aliases=False)
     if not isinstance(profiles, list) or not all(isinstance(p, dict) for p in profiles):
         raise ValueError(f'not a list of mappings: {text!r}')
     return tuple(profiles)
-
-
-def dump_yaml(value: Any) -> str:
-    """YAML of ``value`` in the order given and without aliases, which rosbag2's readers dislike."""
-    return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 def is_type_name(name: str) -> bool:
@@ -116,11 +107,3 @@ def _check(topic: TopicInfo) -> None:
         raise UsageError(
             f'topic {name!r}: qos is not a YAML list of profiles; make it with offered_qos()'
         ) from None
-
-
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors and aliases."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """Spell every value out, however often it occurs."""
-        return True

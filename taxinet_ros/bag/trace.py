@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
+from taxinet_ros.bag.run_topics import (
+    COMMAND,
+    ESTIMATE,
+    IMAGE,
+    ODOMETRY,
+    ROBUSTNESS,
+    TRUTH,
+    is_topic,
+)
 
 Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
-
-TRUTH = 'ground_truth/tracking_error'
-ODOMETRY = 'ground_truth/odom'
-ESTIMATE = 'perception/tracking_error'
-COMMAND = 'taxi_command'
-ROBUSTNESS = 'monitor/robustness'
-IMAGE = 'camera/image_raw'
 
 _TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 _ALWAYS = (
@@ -146,18 +148,14 @@ _FILL = {
 def _messages(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     """Decoded messages by relative name, for a run may have been recorded in a namespace."""
     chosen: dict[str, str] = {}
-    messages = decoded_messages(path, lambda topic: any(_matches(topic, w) for w in wanted))
+    messages = decoded_messages(path, lambda topic: any(is_topic(topic, w) for w in wanted))
     for name, stamp_ns, message in messages:
-        relative = next(w for w in wanted if _matches(name, w))
+        relative = next(w for w in wanted if is_topic(name, w))
         if chosen.setdefault(relative, name) != name:
             raise BagForeign(
                 f'{path}: both {chosen[relative]} and {name}: more than one run in it', path=path
             )
         yield relative, stamp_ns, message
-
-
-def _matches(topic: str, relative: str) -> bool:
-    return topic == relative or topic.endswith('/' + relative)
 
 
 def _pixels(message: Any) -> Frame:

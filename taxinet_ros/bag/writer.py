@@ -78,7 +78,8 @@ class BagWriter:
             topics: every topic that may be written.
             metadata: words of the run: scenario, seed, versions, perception; kept as custom data.
             attachments: files to put in, by name; ``manifest.json`` is added unless it is given.
-            min_free_bytes: free space to ask of the disk at the start [bytes].
+            min_free_bytes: free space to ask of the disk at the start [bytes]; a tenth of it is
+                kept free while recording.
 
         Raises:
             UsageError: the folder exists, there is too little space, or a topic is malformed.
@@ -90,7 +91,10 @@ class BagWriter:
         self.folder = folder
         self._topics = tuple(topics)
         self._custom = dict(metadata)
-        self._storage = StorageFile(mcap_path(folder), topics=self._topics, library=LIBRARY)
+        self._storage = StorageFile(
+            mcap_path(folder), topics=self._topics, library=LIBRARY,
+            keep_free_bytes=min_free_bytes // 10,
+        )
         self.add_metadata('rosbag2', {'serialized_metadata': record_text(self._content())})
         if metadata:
             self.add_metadata(RUN_METADATA, metadata)

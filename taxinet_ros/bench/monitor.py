@@ -1,27 +1,55 @@
-"""The online monitors of the shipped formulas: one sample of a run."""
+"""The monitors of the shipped formulas: a sample online, a whole run offline, and how both grow."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from taxinet_ros.bench.measure import Subject
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import MAX_GAP_NS, signals
-from taxinet_ros.core.mtl import Monitor, Spec
+from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 
-_LAST = 300
+LAST = 300
+LENGTHS = {'1k': 1_000, '10k': 10_000, '100k': 100_000}
+"""Samples of the longer runs, by the word that names them."""
+
+WINDOWS_S = (10, 100, 1_000)
+_GROWING = ('phi_always', 'phi_eventually')
+_OFFLINE_CALLS = 20
+
+Run = Sequence[tuple[int, dict[str, float]]]
 
 
 def subjects() -> list[Subject]:
-    """One sample of a 30 s run, for every shipped formula."""
-    run = [(step * CONTROL_PERIOD_NS, _sample(step)) for step in range(_LAST + 1)]
-    return [_follow(spec, run) for spec in SHIPPED.values()]
+    """One sample and the whole of a 30 s run; samples of longer runs and under wider windows."""
+    run = swinging_run(LAST)
+    found: list[Subject] = []
+    for name, spec in SHIPPED.items():
+        found += [_online(f'{name} sample', spec, run), _offline(f'{name} offline', spec, run)]
+    for word, last in LENGTHS.items():
+        longer = swinging_run(last)
+        for name in _GROWING:
+            found.append(_online(f'{name} sample of {word}', SHIPPED[name], longer))
+    for word, last in LENGTHS.items():
+        longer = swinging_run(last)
+        for name in _GROWING:
+            found.append(_offline(f'{name} offline of {word}', SHIPPED[name], longer))
+    longer = swinging_run(LENGTHS['10k'])
+    for window_s in WINDOWS_S:
+        text = f'eventually[0:{window_s}](always(abs(cte) <= 1.5))'
+        found.append(_online(f'window of {window_s} s sample of 10k', parse_spec(text), longer))
+    return found
+
+
+def swinging_run(last: int) -> Run:
+    """Truth that swings into the centreline, with stamps [ns]; ``last + 1`` samples."""
+    return [(step * CONTROL_PERIOD_NS, _sample(step)) for step in range(last + 1)]
 
 
 def _sample(step: int) -> dict[str, float]:
-    """Truth that swings into the centreline."""
     cte_m = 6.0 * math.exp(-step / 40) * math.cos(step / 15)
     return signals(
         cte_m=cte_m, he_rad=0.0, x_m=400.0 + 0.5 * step, speed_mps=5.0,
@@ -30,10 +58,29 @@ def _sample(step: int) -> dict[str, float]:
     )  # fmt: skip
 
 
-def _follow(spec: Spec, run: list[tuple[int, dict[str, float]]]) -> Subject:
+def _online(name: str, spec: Spec, run: Run) -> Subject:
     def follow() -> None:
         monitor = Monitor(spec, run[-1][0], max_gap_ns=MAX_GAP_NS)
         for stamp_ns, sample in run:
             monitor.push(stamp_ns, sample)
 
-    return Subject(name=f'monitor/{spec.name} sample', run=follow, calls=len(run))
+    long = len(run) > LENGTHS['1k'] + 1
+    return Subject(
+        name=f'monitor/{name}',
+        run=follow,
+        calls=len(run),
+        warm_ups=0 if long else 2,
+        most=3 if long else None,
+    )
+
+
+def _offline(name: str, spec: Spec, run: Run) -> Subject:
+    stamps_ns = [stamp_ns for stamp_ns, _ in run]
+    columns = {'cte': [sample['cte'] for _, sample in run]}
+    calls = _OFFLINE_CALLS if len(run) <= LENGTHS['1k'] + 1 else 1
+
+    def evaluate() -> None:
+        for _ in range(calls):
+            robustness(spec.formula, stamps_ns, columns)
+
+    return Subject(name=f'monitor/{name}', run=evaluate, calls=calls, most=20)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.stop_on import StopOn
 
 _FREE = frozenset({'runs', 'processes', 'program_text'})
 """Facts that may differ: more runs may be asked for; the text has its digest beside it."""
+
+_BEFORE = {'stop_on': StopOn.NEVER.value}
+"""What a fact was before there was a choice, and so was not written down."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,10 +30,14 @@ class Earlier:
     Attributes:
         rows: results by index, without those of interrupted runs, which are run again.
         begun: number of runs that were begun or done, counted from run 0.
+        attempts: how often each run was begun, by index.
+        perception: facts on the perception, where the graph decided it.
     """
 
     rows: dict[int, RunRow] = field(default_factory=dict)
     begun: int = 0
+    attempts: Mapping[int, int] = field(default_factory=dict)
+    perception: Mapping[str, str] = field(default_factory=dict)
 
 
 def check_resumable(out: Path) -> None:
@@ -55,17 +64,22 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
             than are asked for now.
     """
     content = read_ledger(out / LEDGER_NAME)
+    of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     if content.campaign:
-        _check_same(out, content.campaign, facts)
+        _check_same(out, content.campaign, {k: v for k, v in facts.items() if k not in of_graph})
     rows = {row.index: row for row in content.rows if row.outcome is not Outcome.INTERRUPTED}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
     if begun > facts['runs']:
         raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
-    return Earlier(rows=rows, begun=begun)
+    return Earlier(
+        rows=rows, begun=begun, attempts=content.attempts,
+        perception={key: content.campaign[key] for key in of_graph if key in content.campaign},
+    )
 
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
+    before = {**_BEFORE, **before}
     if 'sampler' not in before:
         raise UsageError(f'--resume: {out / FACTS_NAME}: not written by taxinet falsify')
     for name in now:

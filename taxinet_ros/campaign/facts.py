@@ -37,6 +37,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'overrides': dict(options.overrides),
         'gains': dict(options.gains),
         'specs': {spec.name: str(spec.formula) for spec in specs},
+        'stop_on': options.stop_on,
         'processes': options.processes,
         'images': options.images,
     }

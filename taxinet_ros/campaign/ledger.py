@@ -7,13 +7,14 @@ record as finished, as begun, or not at all, and a campaign resumes by doing wha
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.bag.layout import sync_folder
+from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.journal import Journal, whole_lines
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
@@ -27,11 +28,15 @@ class LedgerContent:
         campaign: what :meth:`Ledger.campaign` wrote; empty if nothing yet.
         rows: the newest result of each index, by index.
         unfinished: indices of runs that were begun and have no result, ascending.
+        attempts: how often each run was begun, by index.
+        added: formulas that were put to the runs afterwards, by name; the rows have their values.
     """
 
     campaign: Mapping[str, Any]
     rows: tuple[RunRow, ...]
     unfinished: tuple[int, ...]
+    attempts: Mapping[int, int]
+    added: Mapping[str, str]
 
 
 class Ledger:
@@ -43,6 +48,7 @@ class Ledger:
         Raises:
             UsageError: the file cannot be opened, or another campaign is writing to it.
         """
+        self._path = path
         try:
             self._journal = Journal(path)
         except BlockingIOError as error:
@@ -74,9 +80,27 @@ class Ledger:
         """Record how a run ended."""
         self._append({'event': 'result', 'row': row.to_json()})
 
+    def requirement(
+        self, name: str, formula: str, intervals: Mapping[int, tuple[float, float]]
+    ) -> None:
+        """Record a formula that was put to the runs afterwards.
+
+        Args:
+            name: of the formula.
+            formula: fully parenthesised.
+            intervals: least and greatest robustness by the run's index, equal where it is known.
+        """
+        self._append({
+            'event': 'requirement', 'name': name, 'formula': formula,
+            'intervals': {str(index): ends for index, ends in intervals.items()},
+        })
+
     def _append(self, event: Mapping[str, Any]) -> None:
-        self._journal.append(event)
-        self._journal.sync()
+        try:
+            self._journal.append(event)
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
 
 
 def read_ledger(path: Path) -> LedgerContent:
@@ -91,26 +115,42 @@ def read_ledger(path: Path) -> LedgerContent:
         raise UsageError(f'ledger {path}: {error.strerror}') from error
     campaign: dict[str, Any] = {}
     rows: dict[int, RunRow] = {}
-    begun: set[int] = set()
+    begun: Counter[int] = Counter()
+    added: dict[str, str] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            _take(json.loads(line), campaign, rows, begun)
+            event = json.loads(line)
+            if event['event'] == 'requirement':
+                added[event['name']] = event['formula']
+                _judge(event, rows)
+            else:
+                _take(event, campaign, rows, begun)
         except (ValueError, KeyError, TypeError, UsageError) as error:
             raise UsageError(f'{path}:{number}: damaged line ({error})') from error
     return LedgerContent(
         campaign=campaign,
         rows=tuple(rows[index] for index in sorted(rows)),
-        unfinished=tuple(sorted(begun - set(rows))),
+        unfinished=tuple(sorted(set(begun) - set(rows))),
+        attempts=begun,
+        added=added,
     )
 
 
+def _judge(event: Mapping[str, Any], rows: dict[int, RunRow]) -> None:
+    """Give the rows so far what a later requirement says; a run done anew afterwards has none."""
+    for index, (lower, upper) in event['intervals'].items():
+        row = rows[int(index)]
+        rows[row.index] = row.also_judged(event['name'], float(lower), float(upper))
+
+
 def _take(
-    event: Mapping[str, Any], campaign: dict[str, Any], rows: dict[int, RunRow], begun: set[int]
+    event: Mapping[str, Any], campaign: dict[str, Any], rows: dict[int, RunRow],
+    begun: Counter[int],
 ) -> None:
     if event['event'] == 'campaign':
         campaign.update(event['campaign'])
     elif event['event'] == 'intent':
-        begun.add(event['index'])
+        begun[event['index']] += 1
     elif event['event'] == 'result':
         row = RunRow.from_json(event['row'])
         rows[row.index] = row

@@ -7,14 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taxinet_ros.campaign.overrides import check_overrides
+from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.steering import SteeringGains
+from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 
 DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_ROOT = Path('bags')
-IMAGES = ('all', 'none')
+IMAGES = ('all', 'failures', 'none')
+"""Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
+
 _GAIN_PREFIX = 'steering.'
 
 
@@ -30,10 +33,11 @@ class CampaignOptions:
             decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
-        specs: formulas as text; the first is the headline.
+        specs: formulas as text that needs no file; the first is the headline.
+        stop_on: what ends a run before its end.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
-        images: ``all`` or ``none`` of the camera frames go into the bags.
+        images: whose camera frames go into the bags, of :data:`IMAGES`.
     """
 
     program: str
@@ -44,14 +48,20 @@ class CampaignOptions:
     overrides: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
     specs: tuple[str, ...] = DEFAULT_SPECS
+    stop_on: StopOn = StopOn.NEVER
     processes: bool = False
     images: str = 'all'
+
+    @property
+    def standing_graph(self) -> bool:
+        """Whether the graph was there before the campaign, and outlives its broken runs."""
+        return not self.perception
 
 
 def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
-    resume: bool = False,
+    resume: bool = False, stop_on: str = StopOn.NEVER,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -61,11 +71,12 @@ def make_options(
         seed: of the scenes.
         perception: ``truth``, ``taxinet`` or a network's file.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
-        specs: formulas as text; the default where empty.
+        specs: formulas as text, or files of them; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.
         processes: every node a process of its own.
-        images: ``all`` or ``none`` of the camera frames go into the bags.
+        images: whose camera frames go into the bags, of :data:`IMAGES`.
         resume: ``out`` holds a campaign that is to be continued.
+        stop_on: ``never``, ``violated`` or ``decided``.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -73,8 +84,8 @@ def make_options(
     overrides, gains = _split(settings)
     check_overrides(overrides)
     SteeringGains(**gains)
-    chosen = tuple(specs) or DEFAULT_SPECS
-    _check_specs(chosen)
+    chosen = read_specs(specs) or DEFAULT_SPECS
+    rule = parse_stop_on(stop_on)
     if perception:
         check_perception(perception)
     if images not in IMAGES:
@@ -89,7 +100,7 @@ def make_options(
         check_new(out)
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
-        overrides=overrides, gains=gains, specs=chosen, processes=processes,
+        overrides=overrides, gains=gains, specs=chosen, stop_on=rule, processes=processes,
         images=images,
     )
 
@@ -136,10 +147,3 @@ def _split(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
     return overrides, gains
-
-
-def _check_specs(specs: tuple[str, ...]) -> None:
-    names = [parse_spec(text).name for text in specs]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f'--spec: {name} is given twice; name one of them NAME=FORMULA')

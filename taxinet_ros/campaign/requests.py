@@ -13,13 +13,24 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 
 
+def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
+    """Name of a run, and of its bag.
+
+    Where the graph outlives a broken run, each attempt has a name of its own: what a node still
+    says of one attempt is never taken for the next, nor is a bag written where another one is.
+    """
+    name = f'{_stem(options)}-s{options.seed}-{index:05d}'
+    return f'{name}.{attempt}' if attempt > 1 and options.standing_graph else name
+
+
 def run_request(
     options: CampaignOptions, index: int, scenario: Scenario, participants: Sequence[str]
 ) -> RunRequest:
     """What run ``index`` of a campaign asks of the graph."""
     return RunRequest(
-        run_id=_run_id(options, index), index=index, program=_stem(options), seed=options.seed,
+        run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
         scenario=scenario, specs=options.specs, participants=tuple(participants),
+        stop_on=options.stop_on,
     )
 
 
@@ -34,13 +45,9 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
 def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:
     """The row of a scene that the program's requirements refuse."""
     return RunRow(
-        run_id=_run_id(options, index), index=index, program=_stem(options), seed=options.seed,
+        run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
         perception=options.perception, outcome=Outcome.REJECTED, detail=detail,
     )
-
-
-def _run_id(options: CampaignOptions, index: int) -> str:
-    return f'{_stem(options)}-s{options.seed}-{index:05d}'
 
 
 def _stem(options: CampaignOptions) -> str:

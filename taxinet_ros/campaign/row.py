@@ -10,7 +10,6 @@ from typing import Any, Self
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.run_statistics import RunStatistics
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,9 +27,15 @@ class RunRow:
             duration: the scenario in human units (m left, m, degrees nose left, word, percent, h,
             ISO date, switch, word, s); None if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
-        rho: robustness by the formula's name, the headline first; judged runs only.
+        rho: robustness by the formula's name, the headline first; judged runs only. Of a run that
+            was stopped early, those that are known exactly.
+        rho_lower, rho_upper: ends of the interval by the formula's name, likewise; of a run that
+            was stopped early.
+        stopped_early, stopped_s: whether the run ended before its end because its verdict was in,
+            and when [s]; judged runs only. The figures are then those up to there.
         left_runway, max_cross_track_m, settle_time_s: of the true path, see
-            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only.
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. Nobody knows
+            whether a run that was stopped would have left the runway later, nor when it settles.
         cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
             he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
         unusable_estimates: frames without an estimate; judged runs only.
@@ -65,6 +70,10 @@ class RunRow:
     who: str = ''
     detail: str = ''
     rho: Mapping[str, float] = field(default_factory=dict)
+    rho_lower: Mapping[str, float] = field(default_factory=dict)
+    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    stopped_early: bool | None = None
+    stopped_s: float | None = None
     left_runway: bool | None = None
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
@@ -82,13 +91,51 @@ class RunRow:
     wall_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if bool(self.rho) != self.outcome.judged:
+        if bool(self.rho or self.rho_upper) != self.outcome.judged:
             raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
+        if bool(self.rho_upper) != bool(self.stopped_early):
+            raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
 
     @property
     def real_time_factor(self) -> float:
         """Simulated seconds per second of wall clock; NaN where none was spent."""
         return self.sim_s / self.wall_s if self.wall_s > 0 else math.nan
+
+    def interval(self, spec: str) -> tuple[float, float] | None:
+        """Least and greatest robustness of a formula, equal where it is known; None if unjudged."""
+        if spec in self.rho:
+            return self.rho[spec], self.rho[spec]
+        return (self.rho_lower[spec], self.rho_upper[spec]) if spec in self.rho_upper else None
+
+    def also_judged(self, spec: str, lower: float, upper: float) -> Self:
+        """The row with the robustness of one more formula, put to the run after it was over.
+
+        Raises:
+            ValueError: the run was not judged, or was whole and still has an interval only.
+        """
+        rho = {spec: lower} if lower == upper else {}
+        ends = ({spec: lower}, {spec: upper}) if self.stopped_early else ({}, {})
+        if not self.outcome.judged or not (rho or self.stopped_early):
+            raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {lower} to {upper}')
+        return dataclasses.replace(
+            self, rho={**self.rho, **rho}, rho_lower={**self.rho_lower, **ends[0]},
+            rho_upper={**self.rho_upper, **ends[1]},
+        )
+
+    def told(self, spec: str) -> float | None:
+        """What a sampler learns of a formula: its robustness, or None where its sign is not known.
+
+        Of a run that was stopped early it is the end of the interval that is nearer to zero. Its
+        sign is right, which is all that the samplers ask who tell failures from the rest; those who
+        go by its size take the run for less clear than it was.
+        """
+        lower, upper = self.interval(spec) or (math.nan, math.nan)
+        return upper if upper <= 0 else lower if lower > 0 else None
+
+    @property
+    def headline(self) -> tuple[float, float] | None:
+        """The interval of the first formula."""
+        return self.interval(next(iter(self.rho_upper or self.rho), ''))
 
     @classmethod
     def of_run(
@@ -108,7 +155,8 @@ class RunRow:
             perception=perception, perception_fingerprint=result.fingerprint,
             **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
-            rho=dict(result.rho), **_figures(result.statistics),
+            rho=dict(result.rho), rho_lower=dict(result.rho_lower),
+            rho_upper=dict(result.rho_upper), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, wall_s=result.wall_s,
         )
 
@@ -137,15 +185,18 @@ class RunRow:
             raise UsageError(f'not a row of this version: {error}') from error
 
 
-def _figures(statistics: RunStatistics | None) -> dict[str, Any]:
+def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
     """The columns made of a judged run's figures; what it does not have is None, never NaN."""
+    statistics, stopped = result.statistics, result.stopped_early
     if statistics is None:
         return {}
     cte, he = statistics.cte_error, statistics.he_error
     return {
-        'left_runway': statistics.left_runway,
+        'stopped_early': stopped,
+        'stopped_s': sim_s if stopped else None,
+        'left_runway': statistics.left_runway or (None if stopped else False),
         'max_cross_track_m': statistics.max_cross_track_m,
-        'settle_time_s': _known(statistics.settle_time_s),
+        'settle_time_s': None if stopped else _known(statistics.settle_time_s),
         'cte_error_mean_m': _known(cte.mean),
         'cte_error_mean_abs_m': _known(cte.mean_abs),
         'cte_error_max_abs_m': _known(cte.max_abs),

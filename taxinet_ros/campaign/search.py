@@ -7,19 +7,21 @@ any order; the sequence of scenes depends on neither, nor on how often the searc
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
-import math
 import time
+from collections import Counter
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.earlier import Earlier, check_resumable, read_earlier
 from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder, write_facts
+from taxinet_ros.campaign.graph_perception import met
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.put_aside import put_aside
-from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
+from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.samplers.make import make_sampler
@@ -77,6 +79,7 @@ class Search:
         self._again: list[RunRequest] = []
         self._retried: set[int] = set()
         self._earlier = Earlier()
+        self._attempts: Counter[int] = Counter()
         self._asked = 0
         self._broken = 0
 
@@ -93,14 +96,14 @@ class Search:
         self._source.__enter__()
         try:
             self._prepare()
-            facts = self._facts()
+            facts = self._asked_facts()
             if not self.options.resume:
                 make_folder(out, facts)
             self._ledger = Ledger(out / LEDGER_NAME)
             try:
                 self._earlier = read_earlier(out, facts)
-                write_facts(out, facts)
-                self._ledger.campaign(facts)
+                self._attempts.update(self._earlier.attempts)
+                self._record({**facts, **self._earlier.perception})
             except BaseException:
                 self._ledger.__exit__(None, None, None)
                 raise
@@ -144,12 +147,16 @@ class Search:
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
-        """Keep one answer. A run that the bench broke gets a second chance before that counts."""
+        """Keep one answer. A run that the bench broke gets a second chance before that counts.
+
+        Raises:
+            UsageError: it comes from another perception than those before; it is not kept.
+        """
+        if news := met(self._campaign.out, self._facts, result):
+            self._record({**self._facts, **news})
         if result.outcome is Outcome.INFRA_ERROR and request.index not in self._retried:
             self._retried.add(request.index)
-            put_aside(self._campaign.out / request.run_id)
-            self._ledger.intent(request.index, request.run_id)
-            self._again.append(request)
+            self._again.append(self._begin(request))
             return
         retries = int(request.index in self._retried)
         self._keep(finished_row(self._campaign, request, result), retries=retries)
@@ -157,6 +164,16 @@ class Search:
     def interrupt(self) -> None:
         """Ask for no more runs, not for second chances either. A signal handler may call it."""
         self.interrupted = True
+
+    @property
+    def perception(self) -> str:
+        """Word of the perception that is searched; '' before the graph that has it answers."""
+        return str(self._facts['perception'])
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What ``campaign.json`` says of the search; only within the ``with``."""
+        return dict(self._facts)
 
     def learned(self) -> Probabilities:
         """Where the sampler has found failures; empty where it has no idea."""
@@ -201,9 +218,16 @@ class Search:
             self._keep(rejected_row(self._campaign, index, str(error)))
             return None
         request = run_request(self._campaign, index, scenario, self._participants)
-        put_aside(self._campaign.out / request.run_id)
-        self._ledger.intent(index, request.run_id, _digest(scenario))
-        return request
+        return self._begin(request, _digest(scenario))
+
+    def _begin(self, request: RunRequest, scenario_sha256: str = '') -> RunRequest:
+        """Put on record that a run begins, under the name that this attempt has."""
+        index = request.index
+        self._attempts[index] += 1
+        name = run_name(self._campaign, index, self._attempts[index])
+        put_aside(self._campaign.out / name)
+        self._ledger.intent(index, name, scenario_sha256)
+        return dataclasses.replace(request, run_id=name)
 
     # Answers -----------------------------------------------------------------------------------
 
@@ -224,8 +248,7 @@ class Search:
             return
         infra = row.outcome is Outcome.INFRA_ERROR
         self._broken = self._broken + 1 if infra else 0
-        rho = row.rho.get(self._specs[0].name, math.nan)
-        self._sampler.tell(row.index, None if math.isnan(rho) else rho)
+        self._sampler.tell(row.index, row.told(self._specs[0].name))
 
     # Beginning ---------------------------------------------------------------------------------
 
@@ -246,11 +269,17 @@ class Search:
         with contextlib.suppress(Rejected):
             last_step(self._source.scene(0))
 
-    def _facts(self) -> dict[str, Any]:
+    def _record(self, facts: dict[str, Any]) -> None:
+        self._facts = facts
+        write_facts(self._campaign.out, facts)
+        self._ledger.campaign(facts)
+
+    def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
+        word = campaign.perception
         return {
             **campaign_facts(campaign, self._source.program),
-            'perception_sha256': check_perception(campaign.perception),
+            'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
             'sampler_lag': LAG,

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from taxinet_ros.campaign.crew import Crew
-from taxinet_ros.campaign.search import Search
+from taxinet_ros.core.outcome import RunRequest, RunResult
 
 _POLL_S = 0.2
 
 
-def run_search(search: Search, crew: Crew) -> None:
+class Asker(Protocol):
+    """What decides which run comes next: a search, or the shrinking of a failed run."""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the runs under way are to be ended, and no others begun."""
+
+    def next(self) -> RunRequest | None:
+        """A run to begin now; None where there is none before another run has ended, or at all."""
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        """Take the answer to a run."""
+
+
+def run_search(search: Asker, crew: Crew) -> None:
     """Run a search to its end, or until it is interrupted and the runs under way have ended.
 
     Raises:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.samplers.make import check_sampler
 from taxinet_ros.campaign.samplers.option import split_options
 from taxinet_ros.campaign.stop_rule import StopRule, parse_stop_rule
 from taxinet_ros.core.errors import UsageError
@@ -43,7 +44,7 @@ def make_search_options(
 
     Args:
         campaign: checked already.
-        sampler: word of the sampler; what it is called is checked when it is made.
+        sampler: word of the sampler.
         sampler_options: ``key=value`` texts.
         workers: graphs that run at once.
         resume: continue what was interrupted.
@@ -57,8 +58,10 @@ def make_search_options(
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
     if budget_min is not None and not budget_min > 0:
         raise UsageError(f'--budget {budget_min:g}: needs to be above 0 minutes')
+    options = split_options(sampler_options)
+    check_sampler(sampler, options)
     return SearchOptions(
-        campaign=campaign, sampler=sampler, sampler_options=split_options(sampler_options),
+        campaign=campaign, sampler=sampler, sampler_options=options,
         workers=workers, resume=resume, stop=parse_stop_rule(until) if until else None,
         budget_s=None if budget_min is None else 60 * budget_min,
     )

@@ -65,7 +65,9 @@ def failure_estimate(rows: Sequence[RunRow]) -> Estimate | None:
 
 
 def off_runway_estimate(rows: Sequence[RunRow]) -> Estimate | None:
-    """Rate at which the aircraft leaves the runway, likewise."""
+    """Rate at which the aircraft leaves the runway, likewise; None if runs were stopped on it."""
     judged = [row for row in rows if row.outcome.judged]
+    if any(row.left_runway is None for row in judged):
+        return None
     signs = [-1.0 if row.left_runway else 1.0 for row in judged]
     return estimate_rate(signs, [row.weight for row in judged])

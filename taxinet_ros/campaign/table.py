@@ -7,13 +7,14 @@ several campaigns can be put together.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import pandas as pd
 
-from taxinet_ros.bag.layout import sync_folder
+from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 
@@ -24,7 +25,7 @@ WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
 """The last columns: all others are equal if the campaign is run again."""
 
 _POINT = 'u_'
-_RHO = 'rho_'
+_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 _BEFORE_POINT = {
     'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
@@ -38,6 +39,7 @@ _BEFORE_RHO = {
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
+    'stopped_early': 'boolean', 'stopped_s': 'float64',
     'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'settle_time_s': 'float64',
     'cte_error_mean_m': 'float64', 'cte_error_mean_abs_m': 'float64',
     'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
@@ -58,13 +60,16 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
 
     Args:
         rows: of one campaign.
-        specs: names of its formulas, headline first: each has a column ``rho_<name>``, and ``rho``
-            repeats the first. Where empty, those found in the rows.
+        specs: names of its formulas, headline first. Each has a column ``rho_<name>``, empty where
+            a run was stopped before it was known, and ``rho`` repeats the first;
+            ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal where
+            it is known. Formulas that only the rows know follow.
 
     A run's point has one column ``u_<dimension>`` for each dimension that any row has.
     """
     ordered = sorted(rows, key=lambda row: row.index)
-    names = list(specs) or list(dict.fromkeys(name for row in ordered for name in row.rho))
+    judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
+    names = list(dict.fromkeys([*specs, *judged_by]))
     dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
     kinds = _kinds(names, dimensions)
     lines = [_line(row, names, dimensions) for row in ordered]
@@ -102,17 +107,19 @@ def read_table(folder: Path) -> pd.DataFrame:
     except (OSError, ValueError) as error:
         raise UsageError(f'{path}: damaged ({str(error).splitlines()[0]})') from error
     names = [str(name) for name in frame.columns]
-    specs, dimensions = (
-        [name.removeprefix(start) for name in names if name.startswith(start)]
-        for start in (_RHO, _POINT)
-    )
-    return frame.astype(_kinds(specs, dimensions))
+    # No formula's name has a dot, so none is mistaken for the end of an interval.
+    specs = [name.removeprefix(_RHO) for name in names if re.fullmatch(rf'{_RHO}[^.]*', name)]
+    dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
+    kinds = _kinds(specs, dimensions)
+    # A table from before a column was thought of is still a table.
+    return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
 
 
-def _kinds(specs: Iterable[str], dimensions: Iterable[str]) -> dict[str, str]:
+def _kinds(specs: Sequence[str], dimensions: Iterable[str]) -> dict[str, str]:
     return {
         **_BEFORE_POINT, **{f'{_POINT}{name}': 'float64' for name in dimensions},
-        **_BEFORE_RHO, **{f'{_RHO}{name}': 'float64' for name in specs},
+        **_BEFORE_RHO,
+        **{f'{start}{name}': 'float64' for start in (_RHO, _LOWER, _UPPER) for name in specs},
         **_AFTER_RHO,
     }
 
@@ -124,16 +131,22 @@ def _line(row: RunRow, specs: Sequence[str], dimensions: Sequence[str]) -> dict[
     }
     values['outcome'] = row.outcome.value
     point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}
-    rho = {f'{_RHO}{name}': row.rho.get(name) for name in specs}
-    return {**values, **point, **rho, 'rho': row.rho.get(specs[0]) if specs else None}
+    rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
+    for name in specs:
+        low, high = row.interval(name) or (None, None)
+        rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
+    return {**values, **point, **rho}
 
 
 def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
     temporary = path.with_name(f'{path.name}.tmp')
-    with temporary.open('wb') as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    sync_folder(path.parent)
+    try:
+        with temporary.open('wb') as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise disk_error(path, error) from error

@@ -10,6 +10,7 @@ from typing import Any
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.stop_on import StopOn
 
 
 def line_of(message: Mapping[str, Any]) -> bytes:
@@ -27,13 +28,14 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
 
     Raises:
         UsageError: the scenario is out of range.
-        TypeError: a field is missing or unknown.
+        KeyError, TypeError, ValueError: a field is missing or unknown.
     """
     return RunRequest(**{
         **values,
         'scenario': Scenario(**values['scenario']),
         'specs': tuple(values['specs']),
         'participants': tuple(values['participants']),
+        'stop_on': StopOn(values['stop_on']),
     })
 
 

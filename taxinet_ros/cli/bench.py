@@ -18,15 +18,24 @@ _WIDTH = 100
 """Columns of the table where it goes into a file."""
 
 
-def run_bench(words: Sequence[str], *, repeats: int, as_json: bool, old: Path | None) -> None:
-    """Measure and print, beside an older report where one is given.
+def run_bench(
+    words: Sequence[str],
+    *,
+    repeats: int,
+    as_json: bool,
+    old: Path | None,
+    peers: str | None = None,
+) -> None:
+    """Measure and print, beside an older report and other people's monitors where there are any.
 
     Raises:
-        UsageError: an unknown subject, bad repeats, or no report to compare with.
+        UsageError: an unknown subject, bad repeats, no report to compare with, or no peers.
     """
     before = None if old is None else load_report(old)
     with stage_bars(Console(stderr=as_json)) as show:
-        report = run_subjects(words, repeats, lambda done, total: show('measuring', done, total))
+        report = run_subjects(
+            words, repeats, lambda done, total: show('measuring', done, total), peers
+        )
     if before is not None:
         report['compared'] = {'with': str(old), **compare(report, before)}
     if as_json:

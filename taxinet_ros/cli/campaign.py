@@ -8,26 +8,34 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from taxinet_ros.campaign.campaign import Campaign, exit_code
+from taxinet_ros.campaign.interrupts import interrupts
+from taxinet_ros.campaign.lines import heading, row_line, summary
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.cli.interrupts import interrupts
-from taxinet_ros.cli.lines import heading, row_line, summary
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.processes import process_graph
 
 
-def run_campaign(options: CampaignOptions) -> int:
+def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
     """Run it to its end and print what happened.
+
+    Args:
+        options: what to run.
+        foxglove: port of 127.0.0.1 where the Foxglove app can watch it.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 the bench broke,
         130 interrupted.
     """
-    return exit_code(campaign_rows(options))
+    if foxglove is not None:
+        from taxinet_ros.nodes.foxglove_view import check_port
+
+        check_port(foxglove)
+    return exit_code(campaign_rows(options, foxglove))
 
 
-def campaign_rows(options: CampaignOptions) -> list[RunRow]:
+def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list[RunRow]:
     """Run a campaign and print it; the rows of its table."""
     console = Console(highlight=False)
     with _progress(console) as progress:
@@ -40,8 +48,10 @@ def campaign_rows(options: CampaignOptions) -> list[RunRow]:
         at_hand = _AtHand()
         with Campaign(options, PARTICIPANTS, show) as campaign, interrupts(at_hand.interrupt):
             progress.console.print(heading(options), soft_wrap=True)
+            if foxglove is not None:
+                progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:
-                with _graph(options) as graph:
+                with _graph(options) as graph, _view(foxglove, graph):
                     at_hand.graph = graph
                     graph.run(campaign.requests(), campaign.take)
                     at_hand.graph = None
@@ -56,6 +66,14 @@ def _graph(options: CampaignOptions) -> contextlib.AbstractContextManager[Graph]
     if options.processes:
         return process_graph(graph, options.out / 'logs')
     return composed_graph(graph)
+
+
+def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:
+    if port is None:
+        return contextlib.nullcontext()
+    from taxinet_ros.nodes.foxglove_view import foxglove_view
+
+    return foxglove_view(port, graph.domain)
 
 
 def _progress(console: Console) -> Progress:

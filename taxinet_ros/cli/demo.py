@@ -10,6 +10,7 @@ from taxinet_ros.analysis.contact_sheet import Picture, contact_sheet
 from taxinet_ros.analysis.trajectories import Trajectory, plot_trajectories
 from taxinet_ros.bag.trace import read_images, read_trace
 from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.lines import scene_words
 from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
     CampaignOptions,
@@ -19,7 +20,6 @@ from taxinet_ros.campaign.options import (
 )
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.campaign import campaign_rows
-from taxinet_ros.cli.lines import scene_words
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.types import NS_PER_S
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from rich.console import Console
 
+from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.crew import Crew
+from taxinet_ros.campaign.interrupts import interrupts
+from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_lines import search_heading, search_summary
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.cli.interrupts import interrupts
-from taxinet_ros.cli.learned import write_learned
-from taxinet_ros.cli.lines import row_line
-from taxinet_ros.cli.search_lines import search_heading, search_summary
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS

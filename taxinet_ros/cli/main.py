@@ -1,11 +1,12 @@
 """``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
-4 the bench broke, 130 interrupted.
+3 a recording is incomplete, 4 the bench broke, 130 interrupted.
 """
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,12 +16,17 @@ import typer
 from typer.exceptions import TyperException
 
 from taxinet_ros import __version__
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import disk_words
+from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
-from taxinet_ros.cli.run_commands import demo, falsify, run
+from taxinet_ros.cli.monitor_command import monitor
+from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
 from taxinet_ros.core.errors import InfraError, UsageError
 
 USAGE, INFRA, INTERRUPTED = 2, 4, 130
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 app = typer.Typer(
     add_completion=False,
@@ -28,9 +34,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
 )
-for command in (run, falsify, demo, train, dataset, evaluate):
+for command in (run, falsify, learned, shrink, monitor, demo, train, dataset, evaluate):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
+app.add_typer(bag_app, name='bag')
 
 
 @app.command()
@@ -46,11 +53,15 @@ def bench(
     compare: Annotated[
         Path | None, typer.Option(metavar='OLD.json', help='a report to print ratios to')
     ] = None,
+    peers: Annotated[
+        str | None,
+        typer.Option(metavar='PYTHON', help="one that has other people's monitors: measure them"),
+    ] = None,
 ) -> None:
     """Measure how long everything takes, on one core."""
     from taxinet_ros.cli.bench import run_bench
 
-    run_bench(subjects or (), repeats=repeats, as_json=as_json, old=compare)
+    run_bench(subjects or (), repeats=repeats, as_json=as_json, old=compare, peers=peers)
 
 
 @app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})
@@ -98,6 +109,12 @@ def _exit_code(command: Callable[[], object]) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         return INFRA
+    except BagError as error:
+        return _complain(str(error), INFRA)
+    except OSError as error:
+        if error.errno not in _DISK_ERRORS:
+            raise
+        return _complain(f'{error.filename or "disk"}: {disk_words(error)}', INFRA)
     return code if isinstance(code, int) else 0
 
 

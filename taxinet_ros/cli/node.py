@@ -16,6 +16,9 @@ NODES = (
     'mtl_monitor',
     'scenario_sampler',
     'recorder',
+    'bag_player',
+    'scene_markers',
+    'foxglove_server',
 )
 
 

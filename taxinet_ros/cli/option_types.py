@@ -10,6 +10,18 @@ import typer
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file')
 ]
+SceneArgument = Annotated[
+    str | None,
+    typer.Argument(metavar='SCENARIO', help='shipped program (s_falsif, …) or a .scenic file'),
+]
+FromOption = Annotated[
+    Path | None,
+    typer.Option(
+        '--from', metavar='BAG',
+        help="run a bag's scenario once more, with its own perception unless --perception is "
+        'given, and compare',
+    ),
+]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
@@ -31,15 +43,35 @@ SpecOption = Annotated[
     list[str] | None,
     typer.Option(
         '--spec', metavar='FORMULA',
-        help='phi_eventually (default), phi_always, on_runway, NAME=FORMULA or a formula; '
-        'repeatable, the first is the headline',
+        help='phi_eventually (default), phi_always, on_runway, NAME=FORMULA, a formula, or a YAML '
+        'file of them; repeatable, the first is the headline',
+    ),
+]
+StopOnOption = Annotated[
+    str,
+    typer.Option(
+        metavar='RULE',
+        help='end a run early: never; violated, when the headline is; decided, when every formula '
+        'is',
     ),
 ]
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='every node a process of its own, same results')
 ]
+FoxgloveOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar='PORT',
+        help='show the runs live in the Foxglove app, at ws://127.0.0.1:PORT (the app proposes '
+        '8765); same results',
+    ),
+]
 ImagesOption = Annotated[
-    str, typer.Option(help='camera frames that go into the bags: all (35 MB a run) or none')
+    str,
+    typer.Option(
+        help='runs whose camera frames go into the bags (35 MB a run): all, failures or none; '
+        'taxinet bag render puts them in later, bit for bit'
+    ),
 ]
 
 MostRunsOption = Annotated[
@@ -72,6 +104,27 @@ UntilOption = Annotated[
 BudgetOption = Annotated[
     float | None, typer.Option(metavar='MINUTES', help='begin no run after so long')
 ]
+FailedRunArgument = Annotated[
+    Path, typer.Argument(metavar='RUN', help='a failed run: <campaign>/<run>, as its bag is named')
+]
+OwnPerceptionOption = Annotated[
+    str | None, typer.Option('--perception', help="another one than the run's")
+]
+OwnSpecOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        '--spec', metavar='FORMULA',
+        help="other formulas than the run's; the first is the one that has to stay violated",
+    ),
+]
+NominalOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar='KEY=VALUE',
+        help='nominal value of a scenario key (time_of_day=12, shadows=off, …); repeatable',
+    ),
+]
+NeededRunsOption = Annotated[int, typer.Option(help='most runs that the search may rest on')]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print the summary only')]
 PicturesArgument = Annotated[
     str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')

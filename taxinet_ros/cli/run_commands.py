@@ -1,14 +1,24 @@
-"""The commands that run scenarios: ``taxinet run``, ``falsify`` and ``demo``."""
+"""The commands that run scenarios, and tell what searches made of them."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from taxinet_ros.cli.option_types import (
     BudgetOption,
+    FailedRunArgument,
+    FoxgloveOption,
+    FromOption,
     ImagesOption,
     MostRunsOption,
+    NeededRunsOption,
+    NominalOption,
     OutOption,
+    OwnPerceptionOption,
+    OwnSpecOption,
     PerceptionOption,
     ProcessesOption,
     QuietOption,
@@ -17,16 +27,20 @@ from taxinet_ros.cli.option_types import (
     SamplerOption,
     SamplerSettingOption,
     ScenarioArgument,
+    SceneArgument,
     SeedOption,
     SetOption,
     SpecOption,
+    StopOnOption,
     UntilOption,
     WorkersOption,
 )
 
 
 def run(
-    scenario: ScenarioArgument,
+    context: typer.Context,
+    scenario: SceneArgument = None,
+    bag: FromOption = None,
     runs: RunsOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
@@ -35,20 +49,45 @@ def run(
     out: OutOption = None,
     processes: ProcessesOption = False,
     images: ImagesOption = 'all',
+    stop_on: StopOnOption = 'never',
+    foxglove: FoxgloveOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
 
-    Every run ends in a bag of its own, and in a row of the campaign's table.
+    Every run ends in a bag of its own, and in a row of the campaign's table. With --from the run
+    of a bag is run once more instead, and the two are compared: exit code 0 the same run to the
+    bit, 1 it went another way.
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.cli.campaign import run_campaign
+    from taxinet_ros.core.errors import UsageError
 
+    if bag is not None and foxglove is not None:
+        raise UsageError('--foxglove: not with --from; the bag_player shows what a bag holds')
+    if bag is not None:
+        raise typer.Exit(_run_from(context, bag))
+    if scenario is None:
+        raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=perception,
         settings=settings or (), specs=spec or (), out=out, processes=processes,
-        images=images,
+        images=images, stop_on=stop_on,
     )
-    raise typer.Exit(run_campaign(options))
+    raise typer.Exit(run_campaign(options, foxglove))
+
+
+def _run_from(context: typer.Context, bag: Path) -> int:
+    from taxinet_ros.cli.rerun import check_options, run_again
+
+    given = {
+        name: value for name, value in context.params.items()
+        if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
+    }
+    check_options(given)
+    return run_again(
+        bag, perception=given.get('perception'), out=given.get('out'),
+        images=given.get('images'), processes=context.params['processes'],
+    )
 
 
 def falsify(
@@ -65,7 +104,8 @@ def falsify(
     spec: SpecOption = None,
     until: UntilOption = None,
     budget: BudgetOption = None,
-    images: ImagesOption = 'none',
+    images: ImagesOption = 'failures',
+    stop_on: StopOnOption = 'never',
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -78,13 +118,57 @@ def falsify(
 
     campaign = make_options(
         program=scenario, runs=runs, seed=seed, perception=perception, settings=settings or (),
-        specs=spec or (), out=out, processes=False, images=images, resume=resume,
+        specs=spec or (), out=out, processes=False, images=images, resume=resume, stop_on=stop_on,
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
         resume=resume, until=until, budget_min=budget,
     )
     raise typer.Exit(run_falsify(options, quiet=quiet))
+
+
+def learned(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar='DIR...', help='--out of searches with ce or mab')
+    ],
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='DIMENSION=LOW:HIGH', help='how probable such values are; repeatable'
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
+) -> None:
+    """Put together what searches that differ in their seed have learned."""
+    from taxinet_ros.cli.learned import show_learned
+
+    show_learned(folders, within or (), out)
+
+
+def shrink(
+    run: FailedRunArgument,
+    nominal: NominalOption = None,
+    runs: NeededRunsOption = 100,
+    workers: WorkersOption = 1,
+    out: OutOption = None,
+    resume: ResumeOption = False,
+    perception: OwnPerceptionOption = None,
+    spec: OwnSpecOption = None,
+    images: ImagesOption = 'none',
+    quiet: QuietOption = False,
+) -> None:
+    """Shrink a failed run to the nearest scenario that still fails.
+
+    Takes its parameters to plain taxiing one by one, and says which of them matter.
+    """
+    from taxinet_ros.campaign.shrink_options import make_shrink_options
+    from taxinet_ros.cli.shrink import run_shrink
+
+    options = make_shrink_options(
+        run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
+        workers=workers, out=out, resume=resume, images=images,
+    )
+    raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
 def demo(

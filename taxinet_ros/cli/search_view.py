@@ -20,8 +20,8 @@ from rich.progress import (
 from rich.text import Text
 
 from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_lines import estimate_words
 from taxinet_ros.campaign.stop_rule import failure_estimate
-from taxinet_ros.cli.search_lines import estimate_words
 from taxinet_ros.core.outcome import Outcome
 
 _REFRESH_PER_S = 2.0
@@ -56,7 +56,7 @@ class _Figures(ProgressColumn):
         task.completed = len(rows)
         failed = sum(row.outcome is Outcome.FAIL for row in rows)
         least = min(
-            (next(iter(row.rho.values())) for row in rows if row.rho), default=math.nan
+            (row.headline[1] for row in rows if row.headline), default=math.nan
         )
         minutes = (time.monotonic() - self._began) / 60
         pace = (len(rows) - self._before) / max(minutes, 1e-3)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.mtl import Monitor, Reading, Spec
 from taxinet_ros.core.run_statistics import RunStatistics, RunStatisticsCollector
+from taxinet_ros.core.stop_on import StopOn, stops
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -19,12 +20,14 @@ class Judgement:
     Attributes:
         readings: newest reading of each formula, in the order of the specs.
         complete: the horizon was reached and every sample was usable.
-        satisfied: complete, and every formula has robustness > 0.
+        stopped_early: not complete, but at the newest sample the judge's rule to stop was met.
+        satisfied: complete or stopped early, and every formula has robustness > 0.
         statistics: of the samples seen.
     """
 
     readings: tuple[Reading, ...]
     complete: bool
+    stopped_early: bool
     satisfied: bool
     statistics: RunStatistics
 
@@ -32,10 +35,21 @@ class Judgement:
 class Judge:
     """Judges one run, sample by sample."""
 
-    def __init__(self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int) -> None:
-        """``horizon_ns``: last stamp of the run; a gap longer than ``max_gap_ns`` voids it."""
+    def __init__(
+        self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int,
+        stop_on: StopOn = StopOn.NEVER,
+    ) -> None:
+        """Begin a run.
+
+        Args:
+            specs: formulas to judge by; the first is the headline.
+            horizon_ns: last stamp of the run [ns].
+            max_gap_ns: longest time without a sample [ns]; a longer one voids the run.
+            stop_on: what ends the run before its horizon.
+        """
         self._monitors = [Monitor(spec, horizon_ns, max_gap_ns=max_gap_ns) for spec in specs]
         self._readings: tuple[Reading, ...] = ()
+        self._stop_on = stop_on
         self._collector = RunStatisticsCollector()
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> tuple[Reading, ...]:
@@ -45,12 +59,20 @@ class Judge:
         return self._readings
 
     @property
+    def stopped_early(self) -> bool:
+        """Whether the run ends at the newest sample, before its horizon."""
+        return bool(self._readings) and stops(self._stop_on, self._readings)
+
+    @property
     def judgement(self) -> Judgement:
-        """The verdict so far; only a complete one may become PASS or FAIL."""
+        """The verdict so far; PASS or FAIL only if the run is complete or stopped early."""
         complete = bool(self._readings) and all(r.final and r.valid for r in self._readings)
+        stopped_early = self.stopped_early
         return Judgement(
             readings=self._readings,
             complete=complete,
-            satisfied=complete and all(reading.lower > 0 for reading in self._readings),
+            stopped_early=stopped_early,
+            satisfied=(complete or stopped_early)
+            and all(reading.lower > 0 for reading in self._readings),
             statistics=self._collector.statistics,
         )

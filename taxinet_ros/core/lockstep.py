@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from taxinet_ros.core.stop_on import StopOn
+
 WINDOW = 8
 """Most frames that a participant outside the control loop may lag; below the queues' depth."""
 
@@ -18,9 +20,13 @@ PROGRESS_EVERY = 4
 """Such a participant reports every so many steps, and at the last one."""
 
 
-def reports_progress(seq: int, last_seq: int) -> bool:
-    """Whether a participant outside the control loop reports at this step."""
-    return seq % PROGRESS_EVERY == PROGRESS_EVERY - 1 or seq == last_seq
+def reports_progress(seq: int, last_seq: int, stop_on: StopOn = StopOn.NEVER) -> bool:
+    """Whether a participant outside the control loop reports at this step.
+
+    Where a run may end early, any step may be its last.
+    """
+    any_may_be_last = stop_on is not StopOn.NEVER
+    return any_may_be_last or seq % PROGRESS_EVERY == PROGRESS_EVERY - 1 or seq == last_seq
 
 
 class Lockstep:
@@ -28,7 +34,7 @@ class Lockstep:
 
     def __init__(
         self, *, participants: Sequence[str], chain: Sequence[str], followers: Sequence[str],
-        last_seq: int,
+        last_seq: int, enders: Sequence[str] = (),
     ) -> None:
         """Name who takes part.
 
@@ -38,6 +44,8 @@ class Lockstep:
                 the command.
             followers: those that report progress.
             last_seq: number of the last control step.
+            enders: followers that may end the run at any frame, which is why time waits for them
+                as it does for the chain.
         """
         self.last_seq = last_seq
         self.seq = -1
@@ -45,6 +53,7 @@ class Lockstep:
         self._not_ready = set(participants)
         self._answered = dict.fromkeys(chain, -1)
         self._progress = {name: -1 for name in followers if name in participants}
+        self._enders = frozenset(enders)
 
     def ready(self, node: str) -> bool:
         """Note that ``node`` is ready; True if that was the last one awaited."""
@@ -74,6 +83,11 @@ class Lockstep:
         if node in self._progress:
             self._progress[node] = max(self._progress[node], seq)
 
+    def end(self, node: str) -> None:
+        """``node`` has seen the last frame that is out, and ends the run with it."""
+        self.last_seq = self.seq
+        self.progress(node, self.seq)
+
     @property
     def complete(self) -> bool:
         """Whether the last frame is answered and every follower has seen it."""
@@ -94,5 +108,9 @@ class Lockstep:
         for node in self._chain:
             if self._answered[node] != self.seq:
                 return [node]
-        need = self.last_seq if self.seq == self.last_seq else self.seq - WINDOW + 1
-        return [node for node, seq in self._progress.items() if seq < need]
+        return [node for node, seq in self._progress.items() if seq < self._needed(node)]
+
+    def _needed(self, node: str) -> int:
+        """The frame that a follower has to have seen by now."""
+        at_once = self.seq == self.last_seq or node in self._enders
+        return self.seq if at_once else self.seq - WINDOW + 1

@@ -16,6 +16,7 @@ from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains, steer
+from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, World
 
@@ -58,6 +59,7 @@ def run_closed_loop(
     *,
     specs: Sequence[Spec],
     gains: SteeringGains | None = None,
+    stop_on: StopOn = StopOn.NEVER,
     on_step: Callable[[Step], None] | None = None,
 ) -> Judgement:
     """Run one scenario to its end.
@@ -67,14 +69,15 @@ def run_closed_loop(
         perception: turns a camera frame, or the truth, into an estimate.
         specs: formulas to judge the ground truth by.
         gains: of the steering law; its defaults where None.
+        stop_on: what ends the run before its end; the deciding step is its last.
         on_step: called with every step, in order, before the world moves on.
 
     Returns:
-        The judgement over the whole run.
+        The judgement over the run.
     """
     gains = gains or SteeringGains()
     world = World(scenario, pictures=perception.needs_image)
-    judge = Judge(specs, world.last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS)
+    judge = Judge(specs, world.last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, stop_on)
     while True:
         now = world.observe()
         estimate = perception.estimate(now.image, now.state.tracking_error)
@@ -91,6 +94,6 @@ def run_closed_loop(
         readings = judge.push(now.stamp_ns, sample)
         if on_step is not None:
             on_step(Step(observation=now, estimate=estimate, command=command, readings=readings))
-        if now.seq == world.last_seq:
+        if now.seq == world.last_seq or judge.stopped_early:
             return judge.judgement
         world.advance(command)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.stop_on import StopOn
 
 
 class Outcome(enum.StrEnum):
@@ -21,7 +22,7 @@ class Outcome(enum.StrEnum):
 
     @property
     def judged(self) -> bool:
-        """Whether the run was whole and has a robustness."""
+        """Whether the run was judged: it was whole, or was stopped when that was decided."""
         return self in (Outcome.PASS, Outcome.FAIL)
 
 
@@ -37,6 +38,7 @@ class RunRequest:
         scenario: initial condition and environment.
         specs: formulas to judge by, as text.
         participants: node names that take part in the lockstep.
+        stop_on: what ends the run before its end.
     """
 
     run_id: str
@@ -46,6 +48,7 @@ class RunRequest:
     scenario: Scenario
     specs: tuple[str, ...]
     participants: tuple[str, ...]
+    stop_on: StopOn = StopOn.NEVER
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,7 +60,10 @@ class RunResult:
         kind, who: of an infrastructure error, else ''.
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
-        rho: robustness by formula name, where judged.
+        rho: robustness by formula name, where judged; of a run that was stopped early, those that
+            are known exactly.
+        rho_lower, rho_upper: ends of the interval by formula name; of a run that was stopped early.
+        stopped_early: whether it was, see :mod:`.stop_on`.
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
         wall_s: wall-clock time from request to answer [s].
@@ -69,6 +75,9 @@ class RunResult:
     detail: str = ''
     last_seq: int = -1
     rho: Mapping[str, float] = field(default_factory=dict)
+    rho_lower: Mapping[str, float] = field(default_factory=dict)
+    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    stopped_early: bool = False
     statistics: RunStatistics | None = None
     perception: str = ''
     fingerprint: str = ''

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-import math
 from typing import Any
 
 import numpy as np
@@ -14,26 +13,15 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 
+from taxinet_ros.bag.recorded_run import SCENARIO_FIELDS
 from taxinet_ros.core import camera
+from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
-
-_SCENARIO_FIELDS = {
-    'cross_track_m': 'cross_track',
-    'distance_m': 'distance',
-    'heading_rad': 'heading',
-    'clouds': 'clouds',
-    'rain': 'rain',
-    'time_of_day_s': 'time_of_day',
-    'date': 'date',
-    'shadows': 'shadows',
-    'aircraft': 'aircraft',
-    'duration_s': 'duration',
-}
 
 
 def time_of(stamp_ns: int) -> Time:
@@ -53,7 +41,7 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """The message that asks for a run."""
-    values = {name: getattr(request.scenario, key) for key, name in _SCENARIO_FIELDS.items()}
+    values = {name: getattr(request.scenario, key) for key, name in SCENARIO_FIELDS.items()}
     return taxinet.Scenario(
         header=header(0),
         run_id=request.run_id,
@@ -61,6 +49,7 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
         program=request.program,
         seed=request.seed,
         specs=list(request.specs),
+        stop_on=request.stop_on,
         participants=list(request.participants),
         **values,
     )
@@ -72,7 +61,7 @@ def scenario_of(message: taxinet.Scenario) -> Scenario:
     Raises:
         UsageError: a value is out of range.
     """
-    return Scenario(**{key: getattr(message, name) for key, name in _SCENARIO_FIELDS.items()})
+    return Scenario(**{key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()})
 
 
 def image_message(pixels: NDArray[np.uint8], stamp_ns: int) -> Image:
@@ -131,19 +120,6 @@ def odometry_message(state: AircraftState, stamp_ns: int) -> Odometry:
     message.twist.twist.linear.x = state.speed_mps
     message.twist.twist.angular.z = state.yaw_rate_radps
     return message
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Attitude as x, y, z, w from angles about x, y, z [rad], applied in the order z, y, x."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
 
 
 def error_message(

@@ -41,7 +41,7 @@ class GraphOptions:
     Attributes:
         perception: ``truth``, ``taxinet``, or a network's file.
         out: folder that takes one bag folder per run.
-        images: ``all`` or ``none`` of the camera frames go into the bags.
+        images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
     """
@@ -69,6 +69,10 @@ class GraphOptions:
 
 class Graph(Protocol):
     """A running graph that answers requests."""
+
+    @property
+    def domain(self) -> int:
+        """The ROS domain id that it has for itself."""
 
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
         """Run the requests one after the other until they end or ``on_result`` says False."""
@@ -144,6 +148,11 @@ class SampledGraph:
         self._executor = EventsExecutor(context=context)
         self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
+
+    @property
+    def domain(self) -> int:
+        """See :class:`Graph`."""
+        return int(self._context.get_domain_id())
 
     @property
     def seq(self) -> int:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -23,6 +24,7 @@ from taxinet_msgs.msg import (
     TrackingError,
     Verdict,
 )
+from visualization_msgs.msg import MarkerArray
 
 SIMULATOR = 'simulator'
 PERCEPTION = 'perception'
@@ -30,6 +32,7 @@ STEERING_CONTROLLER = 'steering_controller'
 MTL_MONITOR = 'mtl_monitor'
 RECORDER = 'recorder'
 SCENARIO_SAMPLER = 'scenario_sampler'
+SCENE_MARKERS = 'scene_markers'
 
 PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
 """Nodes that take part in the lockstep beside the simulator, which keeps it."""
@@ -175,5 +178,29 @@ TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
     ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS,
 )
+
+SCENE_RUNWAY = Topic(
+    name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),
+    subscribers=(), recorded=None,
+    carries='pavement, crossing and paint, in map',
+)
+SCENE_AIRCRAFT = Topic(
+    name='scene/aircraft', type=MarkerArray, qos=LOCKSTEP, publishers=(SCENE_MARKERS,),
+    subscribers=(), recorded=None,
+    carries='the aircraft and its path so far, in map',
+)
+SCENE_BASE = Topic(
+    name='scene/base_link', type=TransformStamped, qos=LOCKSTEP, publishers=(SCENE_MARKERS,),
+    subscribers=(), recorded=None,
+    carries='where base_link is in map',
+)
+SCENE_CAMERA = Topic(
+    name='scene/camera_optical', type=TransformStamped, qos=LATCHED, publishers=(SCENE_MARKERS,),
+    subscribers=(), recorded=None,
+    carries='where camera_optical is in base_link',
+)
+SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT, SCENE_BASE, SCENE_CAMERA)
+"""What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
+
 RUN_SCENARIO = 'run_scenario'
 RUN_SCENARIO_TYPE = RunScenario

@@ -11,6 +11,7 @@ from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.core.errors import UsageError
@@ -31,35 +32,40 @@ def run_node(
     Args:
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line.
         work: given the node and its executor, spins until the work is done and returns the exit
-            code; where None the node spins until it is stopped.
+            code, after an interrupt too, which is its own to handle; where None the node spins
+            until it is stopped, or until its future ``ended`` is done, if it has one.
     """
+    handlers, stopped = (
+        (SignalHandlerOptions.ALL, 0) if work is None else (SignalHandlerOptions.NO, 130)
+    )
     code = 0
     try:
-        rclpy.init()
+        rclpy.init(signal_handler_options=handlers)
         node = build()
         executor = EventsExecutor()
         executor.add_node(node)
         try:
             if work is None:
-                spin_until(executor, Future())
+                spin_until(executor, getattr(node, 'ended', Future()))
             else:
                 code = work(node, executor)
         finally:
             node.close()
     except _INTERRUPTS:
-        pass
+        code = stopped
     except UsageError as error:
-        code = _complain(str(error), 2)
+        code = complain(str(error), 2)
     except rclpy.exceptions.InvalidHandle as error:
-        code = _complain(str(error), 4)
+        code = complain(str(error), 4)
     except _BAD_ARGUMENTS as error:
         # What follows is where in the C code it was noticed.
-        code = _complain(' '.join(str(error).split(', at /')[0].split()), 2)
+        code = complain(' '.join(str(error).split(', at /')[0].split()), 2)
     finally:
         rclpy.try_shutdown()
     sys.exit(code)
 
 
-def _complain(line: str, code: int) -> int:
+def complain(line: str, code: int) -> int:
+    """Print one line on what is wrong; the exit code that goes with it."""
     print(f'error: {line}', file=sys.stderr)
     return code

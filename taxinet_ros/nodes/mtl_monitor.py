@@ -1,4 +1,8 @@
-"""The MTL monitor node: ground truth in, robustness during the run and a verdict at its end out."""
+"""The MTL monitor node: ground truth in, robustness during the run and a verdict at its end out.
+
+Where the scenario has the run stopped early, the verdict comes at the step that decides, and in
+place of the progress report on it: the simulator, which waits for one of the two, ends the run.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.loop import MAX_GAP_NS, signals
 from taxinet_ros.core.mtl import Spec, parse_spec
+from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
@@ -24,7 +29,8 @@ from taxinet_ros.nodes.convert import (
     statistics_fields,
 )
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.parameters import refuse_unknown
+from taxinet_ros.nodes.monitor_alone import MonitorAlone
+from taxinet_ros.nodes.parameters import any_given, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.steps import StepCollector
 
@@ -43,6 +49,7 @@ class MtlMonitor(Participant):
         self._progress = self.speak(interface.PROGRESS)
         self._specs: tuple[Spec, ...] = ()
         self._last_seq = -1
+        self._stop_on = StopOn.NEVER
         for topic in _INPUTS:
             self.listen(topic, functools.partial(self._collect, topic.name))
 
@@ -50,7 +57,10 @@ class MtlMonitor(Participant):
         """Build a fresh monitor for every formula of the run."""
         self._specs = tuple(parse_spec(text) for text in scenario.specs)
         self._last_seq = last_step(scenario_of(scenario))
-        self._judge = Judge(self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS)
+        self._stop_on = parse_stop_on(scenario.stop_on)
+        self._judge = Judge(
+            self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on
+        )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
 
     def _collect(self, topic: str, message: Any) -> None:
@@ -77,9 +87,10 @@ class MtlMonitor(Participant):
         results = [robustness_message(spec, reading, **now) for spec, reading in pairs]
         for result in results:
             self._robustness.publish(result)
-        if seq == self._last_seq:
+        stopped = self._judge.stopped_early
+        if stopped or seq == self._last_seq:
             self._conclude(results, stamp_ns)
-        if reports_progress(seq, self._last_seq):
+        if not stopped and reports_progress(seq, self._last_seq, self._stop_on):
             self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
 
     def _conclude(self, results: list[Any], stamp_ns: int) -> None:
@@ -89,14 +100,15 @@ class MtlMonitor(Participant):
             run_id=self.run_id,
             specs=results,
             complete=judgement.complete,
+            stopped_early=judgement.stopped_early,
             satisfied=judgement.satisfied,
             **statistics_fields(judgement.statistics),
         ))
 
 
 def main() -> None:
-    """Entry point of ``ros2 run taxinet_ros mtl_monitor``."""
-    run_node(MtlMonitor)
+    """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
+    run_node(lambda: (MonitorAlone if any_given(interface.MTL_MONITOR) else MtlMonitor)())
 
 
 if __name__ == '__main__':

@@ -50,10 +50,27 @@ def refuse_unknown(node: Node) -> None:
         UsageError: names the parameter, and the nearest known one.
     """
     known = list(node._parameters)
-    for name in node._parameter_overrides:
-        if name in known or name in _OF_RCLPY or name.startswith('qos_overrides.'):
+    for name in _given(node):
+        if name in known:
             continue
         near = difflib.get_close_matches(name, known, 1)
         own = sorted(set(known) - set(_OF_RCLPY))
         hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
         raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
+
+
+def any_given(name: str) -> bool:
+    """Whether the command line sets parameters of a node that is still to be made."""
+    probe = Node(name, start_parameter_services=False, enable_rosout=False)
+    try:
+        return bool(_given(probe))
+    finally:
+        probe.destroy_node()
+
+
+def _given(node: Node) -> list[str]:
+    """Names of the parameters that somebody set for a node, those of every node left out."""
+    return [
+        name for name in node._parameter_overrides
+        if name not in _OF_RCLPY and not name.startswith('qos_overrides.')
+    ]

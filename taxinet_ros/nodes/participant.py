@@ -85,7 +85,7 @@ class Participant(Node):
         """Finish what must not be lost; called once before the node goes away."""
 
     def _take(self, scenario: Scenario) -> None:
-        if scenario.run_id == self.run_id or self.get_name() not in scenario.participants:
+        if self.get_name() not in scenario.participants:
             return
         self.run_id = scenario.run_id
         self._scenario = scenario

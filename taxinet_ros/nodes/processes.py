@@ -81,7 +81,7 @@ class _Child:
             stderr=subprocess.STDOUT,
             # Ctrl-C in the terminal is for the campaign, which then ends its nodes in order.
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            preexec_fn=die_with_parent,
         )
 
     def obituary(self) -> str:
@@ -92,8 +92,8 @@ class _Child:
         return f'{how}: {lines[-1]}' if lines and code > 0 else how
 
 
-def _die_with_parent() -> None:
-    """Linux ends this child when the campaign's process goes away, however it goes."""
+def die_with_parent() -> None:
+    """For a child that is being started: Linux ends it when its parent goes, however it goes."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 

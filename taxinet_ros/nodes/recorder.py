@@ -25,13 +25,16 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_of
 from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import StepCollector
 
 _STEPPED = tuple(
@@ -74,13 +77,15 @@ class Recorder(Participant):
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.RECORDER, **node)
         self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
-        text = 'free space below which no bag is begun [MB]'
+        text = 'free space below which no bag is begun, and a tenth of it none goes on [MB]'
         self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
-        text = 'which camera frames go into the bags: all or none'
+        text = 'runs whose camera frames go into the bags: all, failures or none'
         images = declare(self, 'images', 'all', text)
         refuse_unknown(self)
         if images not in IMAGES:
             raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
+        self._images = images
+        self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self._topics = bag_topics(images == 'all')
         self._stepped = tuple(
             topic for topic in _STEPPED if images == 'all' or topic is not interface.IMAGE
@@ -109,16 +114,18 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._last_seq = last_step(scenario_of(scenario))
+        self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
             self._out / scenario.run_id,
             self._topics,
             metadata=self._facts(scenario),
-            attachments={'scenario.json': _scenario_json(scenario)},
+            attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
         )
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
+        self._late_frames.give_up()
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
@@ -137,6 +144,10 @@ class Recorder(Participant):
         status = deserialize_message(cdr, NodeStatus)
         if status.state != NodeStatus.READY or status.node in self._ready_for(status.run_id):
             return
+        if status.node == self.get_name():
+            # The bag's topics tell; and frames that are put in later shall leave no other trace.
+            status.listens = []
+            cdr = serialize_message(status)
         # Another node may be ready before this one has even heard of the run.
         self._reports[status.node] = (status.run_id, cdr)
         if self._writer is not None and status.run_id == self.run_id and self._head_known():
@@ -178,7 +189,7 @@ class Recorder(Participant):
         for seq, messages in self._held:
             self._write_step(seq, messages)
             self._written += 1
-            if reports_progress(seq, self._last_seq):
+            if reports_progress(seq, self._last_seq, self._stop_on):
                 stamp_ns = seq * CONTROL_PERIOD_NS
                 self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
         self._held.clear()
@@ -195,6 +206,12 @@ class Recorder(Participant):
         name = bag_name(topic)
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
+    def report(self, state: int, **what: Any) -> None:
+        """See :class:`Participant`; in trouble of its own the recorder writes no more."""
+        if state == NodeStatus.ERROR:
+            self.close()
+        super().report(state, **what)
+
     def _finish_if_whole(self) -> None:
         """Close the bag once the run has ended and everything that belongs to it is in."""
         if self._ended is None:
@@ -202,22 +219,46 @@ class Recorder(Participant):
         judged = Outcome(self._ended.outcome).judged
         if judged and self._verdict is None:
             return
-        if judged and self._written != self._last_seq + 1:
-            raise RuntimeError(f'{self._written} of {self._last_seq + 1} steps were recorded')
+        last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
+        if judged and self._written != last_seq + 1:
+            raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
         if not judged:
             self._write_rest()
         stamp_ns = self._ended.seq * CONTROL_PERIOD_NS
         if self._verdict is not None:
             self._write(interface.VERDICT, self._verdict, stamp_ns)
         self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
-        writer, self._writer = self._writer, None
+        writer = self._writer
         assert writer is not None
         writer.add_metadata('taxinet_outcome', {
             'outcome': self._ended.outcome, 'kind': self._ended.kind, 'who': self._ended.who,
             'detail': self._ended.detail, 'steps': str(self._written),
+            'perception': self._ended.perception, 'weights_sha256': self._ended.fingerprint,
         })
         writer.close()
-        self.report(NodeStatus.DONE, seq=self._ended.seq, stamp_ns=stamp_ns)
+        self._writer = None
+        if self._images == 'failures':
+            self._late_frames.begin(writer.folder, self._ended, self._min_free)
+        else:
+            self._done()
+
+    def _done(self) -> None:
+        """Tell that the bag is on disk and whole."""
+        assert self._ended is not None
+        seq = self._ended.seq
+        self.report(NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS)
+
+    def _on_frame(self, seq: int) -> None:
+        """Tell the simulator that this node is at work."""
+        if reports_progress(seq, self._last_seq):
+            stamp_ns = seq * CONTROL_PERIOD_NS
+            self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+
+    def _on_frames(self, trouble: str) -> None:
+        if trouble:
+            self.report(NodeStatus.ERROR, detail=trouble)
+        else:
+            self._done()
 
     def _write_rest(self) -> None:
         """Save what an aborted run left behind: steps held back, and the torn one."""
@@ -236,19 +277,6 @@ class Recorder(Participant):
             'index': str(scenario.index),
             'specs': json.dumps(list(scenario.specs)),
         }
-
-
-def _scenario_json(scenario: Scenario) -> bytes:
-    values = {
-        **scenario_of(scenario).to_human(),
-        'run_id': scenario.run_id,
-        'index': scenario.index,
-        'program': scenario.program,
-        'seed': scenario.seed,
-        'specs': list(scenario.specs),
-        'participants': list(scenario.participants),
-    }
-    return json.dumps(values, indent=2).encode() + b'\n'
 
 
 def main() -> None:

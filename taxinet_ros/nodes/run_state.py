@@ -11,6 +11,7 @@ from taxinet_msgs.msg import RunStatus, Verdict
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.lockstep import Lockstep
+from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.nodes import interface
@@ -24,18 +25,20 @@ class ActiveRun:
         """Build the world that the goal's scenario describes.
 
         Raises:
-            UsageError: the scenario has a value out of range.
+            UsageError: the scenario has a value out of range, or an unknown rule to stop.
         """
         message = goal.request.scenario
         self.goal = goal
         self.run_id: str = message.run_id
         self.participants = tuple(message.participants)
         self.world = World(scenario_of(message))
+        may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
         self.lockstep = Lockstep(
             participants=self.participants,
             chain=interface.CHAIN,
             followers=interface.FOLLOWERS,
             last_seq=self.world.last_seq,
+            enders=(interface.MTL_MONITOR,) if may_stop else (),
         )
         self.listens: dict[str, set[str]] = {}
         self.perception = {'perception': '', 'fingerprint': ''}

@@ -11,7 +11,7 @@ from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from taxinet_msgs.msg import NodeStatus, RunStatus
+from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
@@ -22,7 +22,12 @@ _WATCH_PERIOD_S = 0.1
 
 
 class ScenarioSampler(Node):
-    """Drives the graph run by run over the action ``run_scenario``."""
+    """Drives the graph run by run over the action ``run_scenario``.
+
+    Attributes:
+        seq: the control step that the run at hand has reached, as far as is known.
+        interrupted: whether :meth:`interrupt` was called.
+    """
 
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
@@ -40,7 +45,7 @@ class ScenarioSampler(Node):
         )
         self._goal: Any = None
         self._answer: Future | None = None
-        self._interrupted = False
+        self.interrupted = False
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
@@ -65,7 +70,7 @@ class ScenarioSampler(Node):
 
     def interrupt(self) -> None:
         """Cancel the run at hand, take its answer, and ask for no more."""
-        self._interrupted = True
+        self.interrupted = True
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
@@ -100,7 +105,7 @@ class ScenarioSampler(Node):
                 started = time.monotonic()
                 result = await self._run(request)
                 result = dataclasses.replace(result, wall_s=time.monotonic() - started)
-                if not on_result(request, result) or self._interrupted:
+                if not on_result(request, result) or self.interrupted:
                     break
             finished.set_result(None)
         except BaseException as error:
@@ -118,7 +123,8 @@ class ScenarioSampler(Node):
         return result
 
     async def _ask(self, request: RunRequest, answer: Future) -> None:
-        await self._server_found
+        if not self._client.server_is_ready():
+            await self._server_found
         if answer.done():
             return
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
@@ -128,7 +134,7 @@ class ScenarioSampler(Node):
             answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
             return
         self._goal = handle
-        if self._interrupted:
+        if self.interrupted:
             handle.cancel_goal_async()
         response = await handle.get_result_async()
         if not answer.done():
@@ -144,15 +150,16 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        if self._last_heard:
+        if self.interrupted and not self._client.server_is_ready():
+            # One Ctrl-C in a terminal may have ended the simulator too.
+            answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
+        elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
                 detail = f'silent for {silence_timeout_s:g} s'
                 answer.set_result(_broken('timeout', interface.SIMULATOR, detail, self.seq))
         elif self._client.server_is_ready():
             if not self._server_found.done():
                 self._server_found.set_result(None)
-        elif self._interrupted:
-            answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
         elif now - self._asked > server_timeout_s:
             detail = f'not found within {server_timeout_s:g} s'
             answer.set_result(_broken('not_ready', interface.SIMULATOR, detail, 0))
@@ -174,9 +181,19 @@ def _result_of(answer: Any) -> RunResult:
         last_seq=status.seq,
         perception=status.perception,
         fingerprint=status.fingerprint,
-        rho={spec.spec: spec.rho_lower for spec in verdict.specs} if judged else {},
-        statistics=statistics_of(verdict) if judged else None,
+        **(_judged(verdict) if judged else {}),
     )
+
+
+def _judged(verdict: Verdict) -> dict[str, Any]:
+    stopped = verdict.stopped_early
+    return {
+        'rho': {s.spec: s.rho_lower for s in verdict.specs if s.rho_lower == s.rho_upper},
+        'rho_lower': {s.spec: s.rho_lower for s in verdict.specs if stopped},
+        'rho_upper': {s.spec: s.rho_upper for s in verdict.specs if stopped},
+        'stopped_early': stopped,
+        'statistics': statistics_of(verdict),
+    }
 
 
 def main() -> None:

@@ -134,7 +134,9 @@ class Simulator(Node):
             run.heard()
             self._start_if_ready(run)
         elif status.state in _TROUBLE:
-            self._fail(run, _TROUBLE[status.state], status.node, status.detail)
+            mute = status.node == interface.RECORDER and status.state == NodeStatus.ERROR
+            kind = 'bag' if mute else _TROUBLE[status.state]
+            self._fail(run, kind, status.node, status.detail)
         elif status.state == NodeStatus.DONE and run.ending is not None:
             run.finish()
 
@@ -165,6 +167,8 @@ class Simulator(Node):
         run = self._of(verdict)
         if run is not None:
             run.verdict = verdict
+            if verdict.stopped_early:
+                run.lockstep.end(interface.MTL_MONITOR)
             run.heard()
             self._go_on(run)
 
@@ -228,7 +232,7 @@ class Simulator(Node):
             self._say(interface.IMAGE, image_message(now.image, now.stamp_ns))
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
-        if not verdict.complete:
+        if not (verdict.complete or verdict.stopped_early):
             detail = 'the monitor had no whole, finite sequence of samples to judge'
             self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
             return

@@ -1,56 +1,142 @@
-"""The sampler as a program: a campaign from ROS parameters, on a graph that runs already."""
+"""The sampler as a program: a campaign or a search on a graph that runs already."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any
 
+from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import Campaign, exit_code
-from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
+from taxinet_ros.campaign.interrupts import interrupts
+from taxinet_ros.campaign.lines import heading, row_line, summary
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.nodes.interface import PARTICIPANTS
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
-from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_lines import search_heading, search_summary
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.main import complain, run_node
 from taxinet_ros.nodes.spinning import spin_until
+from taxinet_ros.nodes.standalone_sampler import StandaloneSampler, parameter_words
+
+INFRA, INTERRUPTED = 4, 130
 
 
 def run_standalone() -> None:
     """Sample, run and tabulate as the parameters say, then exit."""
-    run_node(_CampaignNode, _work)
+    run_node(StandaloneSampler, _work)
 
 
-class _CampaignNode(ScenarioSampler):
-    """The sampler with the campaign's options as parameters."""
+def _work(node: StandaloneSampler, executor: Any) -> int:
+    with parameter_words():
+        if node.search is not None:
+            return _search(node, executor, node.search)
+        return _campaign(node, executor)
 
-    def __init__(self) -> None:
-        super().__init__()
-        text = 'Scenic program: a shipped word such as s_falsif, or a .scenic file'
-        program = declare(self, 'program', 's_falsif', text)
-        runs = declare(self, 'runs', 1, 'number of scenes', (1, 1_000_000))
-        seed = declare(self, 'seed', 0, 'seed of the scenes', (0, 2**31 - 1))
-        text = 'scenario values that replace what is drawn, key=value'
-        settings = declare(self, 'set', [''], text)
-        specs = declare(self, 'specs', list(DEFAULT_SPECS), 'formulas to judge by')
-        text = 'folder of the table, which must be new; one below bags/ that says so where empty'
-        out = declare(self, 'out', '', text)
-        text = 'node names that take part in the lockstep beside the simulator'
-        self.participants = tuple(declare(self, 'participants', list(PARTICIPANTS), text))
-        refuse_unknown(self)
-        self.options: CampaignOptions = make_options(
-            program=program, runs=runs, seed=seed, perception='',
-            settings=[text for text in settings if text], specs=specs,
-            out=Path(out) if out else None, processes=True,
+
+def _campaign(node: StandaloneSampler, executor: Any) -> int:
+    """The scenes that the program draws, as ``taxinet run`` has them."""
+    campaign = Campaign(node.campaign, node.participants, _shown(node))
+    with interrupts(node.interrupt), campaign:
+        node.get_logger().info(heading(node.campaign))
+        answers = _Answers(node, campaign.take)
+        _drive(node, executor, campaign.requests(), answers)
+    if campaign.rows:
+        _say(node, summary(campaign.rows, node.campaign).splitlines())
+    if answers.trouble:
+        return complain(answers.trouble, INFRA)
+    if node.interrupted and len(campaign.rows) < node.campaign.runs:
+        return INTERRUPTED
+    return exit_code(campaign.rows)
+
+
+def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> int:
+    """The scenes that a sampler chooses from what it is told, as ``taxinet falsify`` has them."""
+    search = Search(options, node.participants, _shown(node))
+
+    def interrupt() -> None:
+        search.interrupt()
+        node.interrupt()
+
+    def take(request: RunRequest, result: RunResult) -> bool:
+        search.take(request, result)
+        return True
+
+    resuming = f'-p resume:=true -p out:={options.campaign.out}'
+    with interrupts(interrupt), search:
+        node.get_logger().info(search_heading(options))
+        answers = _Answers(node, take)
+        _drive(node, executor, iter(search.next, None), answers)
+        learned = write_learned(search)
+    if search.rows or search.interrupted:
+        _say(node, [*search_summary(search, resuming), *learned])
+    if answers.trouble:
+        return complain(f'{answers.trouble}; {resuming} continues it', INFRA)
+    if search.interrupted and len(search.rows) < options.campaign.runs:
+        return INTERRUPTED
+    return exit_code(search.rows)
+
+
+def _drive(
+    node: StandaloneSampler, executor: Any, requests: Iterator[RunRequest], answers: _Answers
+) -> None:
+    """Have the graph run one request after the other."""
+    if node.rivals():
+        answers.trouble = (
+            'another sampler drives this graph; end it first (one that was killed is forgotten '
+            'after some 20 s), or give each graph its own ROS_DOMAIN_ID'
         )
+        return
+    spin_until(executor, node.start(executor, requests, answers))
 
 
-def _work(node: _CampaignNode, executor: Any) -> int:
-    def show(row: RunRow) -> None:
-        rho = ' '.join(f'{name} {value:+.3f}' for name, value in row.rho.items())
-        why = ' '.join(word for word in (row.kind, row.who, row.detail) if word)
-        node.get_logger().info(f'{row.run_id}: {row.outcome} {rho or why}')
+class _Answers:
+    """Takes the answers of the graph, and tells a run that broke from a graph that is not there.
 
-    with Campaign(node.options, node.participants, show) as campaign:
-        finished = node.start(executor, campaign.requests(), campaign.take)
-        whole = spin_until(executor, finished)
-    return exit_code(campaign.rows) if whole else 4
+    Attributes:
+        trouble: why the graph cannot be used, in a line; '' where it can.
+    """
+
+    def __init__(
+        self, node: StandaloneSampler, take: Callable[[RunRequest, RunResult], bool]
+    ) -> None:
+        self.trouble = ''
+        self._node = node
+        self._take = take
+        self._broken: set[int] = set()
+
+    def __call__(self, request: RunRequest, result: RunResult) -> bool:
+        """Take one answer; False ends the campaign."""
+        infra = result.outcome is Outcome.INFRA_ERROR
+        # A run whose second try finds no graph may be what broke it, so that is its result.
+        if infra and request.index not in self._broken:
+            self.trouble = _trouble(result, self._node.absent())
+            if self.trouble:
+                return False
+            self._broken.add(request.index)
+        return self._take(request, result)
+
+
+def _trouble(result: RunResult, absent: list[str]) -> str:
+    if result.kind == 'busy':
+        return (
+            'the simulator is busy with a run of somebody else; wait for its end, or give each '
+            'graph its own ROS_DOMAIN_ID'
+        )
+    if result.kind != 'not_ready':
+        return ''
+    if result.who == interface.SIMULATOR:
+        return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'
+    if absent:
+        names = ', '.join(absent)
+        return f'{names}: not in the graph; start it, or name in participants who takes part'
+    return f'{result.who}: {result.detail}; see what they say'
+
+
+def _shown(node: StandaloneSampler) -> Callable[[RunRow], None]:
+    return lambda row: _say(node, [row_line(row).plain])
+
+
+def _say(node: StandaloneSampler, lines: list[str]) -> None:
+    for line in lines:
+        node.get_logger().info(line.rstrip())

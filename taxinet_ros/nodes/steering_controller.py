@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from taxinet_msgs.msg import TrackingError
 
+from taxinet_ros.bag.recorded_run import words_of_gains
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains, steer
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import command_message, error_of
@@ -28,6 +30,9 @@ class SteeringController(Participant):
             for name, gain in GAIN_RANGES.items()
         })
         refuse_unknown(self)
+        usual = asdict(SteeringGains())
+        tuned = {name: x for name, x in asdict(self.gains).items() if x != usual[name]}
+        self.implementation = words_of_gains(tuned)
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer)
 

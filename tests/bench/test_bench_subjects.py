@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import pytest
 
+from taxinet_ros.bench import monitor
 from taxinet_ros.bench.camera import SUM
 from taxinet_ros.bench.run import SUBJECTS, run_subjects
 from taxinet_ros.bench.scenes import SCENES
@@ -43,11 +47,16 @@ def test_given_the_camera_when_measured_then_every_scenes_stages_add_up_to_its_f
     assert found['camera/new, dry']['repeats'] == 5
 
 
-def test_given_physics_and_monitor_when_measured_then_each_has_its_figures() -> None:
+def test_given_physics_and_monitor_when_measured_then_each_has_its_figures(monkeypatch) -> None:
+    monkeypatch.setitem(monitor.LENGTHS, '100k', 3_000)
     found = figures('monitor', 'physics')
 
-    names = [f'monitor/{spec} sample' for spec in SHIPPED]
-    assert list(found) == ['physics/control step', 'physics/new', *names]
+    names = [f'monitor/{spec} {kind}' for spec in SHIPPED for kind in ('sample', 'offline')]
+    assert list(found)[: 2 + len(names)] == ['physics/control step', 'physics/new', *names]
+    longer = {f'monitor/{spec} {kind} of {length}' for spec in ('phi_always', 'phi_eventually')
+              for kind in ('sample', 'offline') for length in ('1k', '10k', '100k')}  # fmt: skip
+    wider = {f'monitor/window of {seconds} s sample of 10k' for seconds in (10, 100, 1000)}
+    assert set(found) == {'physics/control step', 'physics/new', *names} | longer | wider
     assert all(figure['median_s'] > 0 for figure in found.values())
     step = found['physics/control step']
     assert step['real_time_factor'] == pytest.approx(0.1 / step['median_s'])
@@ -95,3 +104,44 @@ def test_given_bad_options_when_run_then_they_are_refused(
 ) -> None:
     with pytest.raises(UsageError, match=message):
         run_subjects(words, repeats, lambda done, total: None)
+
+
+@pytest.fixture
+def peer_python(tmp_path: Path, monkeypatch) -> str:
+    """A Python that has two other monitors, which do nothing."""
+    (tmp_path / 'rtamt.py').write_text(
+        'class StlDiscreteTimeSpecification:\n'
+        '    def __getattr__(self, name):\n'
+        '        return lambda *args: None\n'
+    )
+    (tmp_path / 'mtl.py').write_text('def parse(text):\n    return lambda *args, **words: 0.0\n')
+    monkeypatch.setenv('PYTHONPATH', os.fspath(tmp_path))
+    return sys.executable
+
+
+def test_given_a_python_with_other_monitors_when_measured_then_they_stand_beside_ours(
+    peer_python: str, monkeypatch
+) -> None:
+    monkeypatch.setitem(SUBJECTS, 'monitor', list)
+    found = run_subjects(['monitor'], 4, lambda done, total: None, peer_python)['figures']
+
+    formulas = ('phi_always', 'phi_eventually')
+    expected = {f'monitor/rtamt {name} offline': 4 for name in formulas}
+    expected |= {f'monitor/py-mtl {name} offline': 3 for name in formulas}
+    assert {name: figure['repeats'] for name, figure in found.items()} == expected
+    assert all(figure['cpu_s'] is None for figure in found.values())
+
+
+@pytest.mark.parametrize(
+    ('python', 'message'),
+    [
+        ('/nowhere/python', '--peers: cannot run /nowhere/python: No such file'),
+        ('/bin/false', '/bin/false has no rtamt, sentil or metric-temporal-logic; tests/core'),
+    ],
+)
+def test_given_no_such_python_when_measured_then_it_is_refused(
+    python: str, message: str, monkeypatch
+) -> None:
+    monkeypatch.setitem(SUBJECTS, 'monitor', list)
+    with pytest.raises(UsageError, match=message):
+        run_subjects(['monitor'], 1, lambda done, total: None, python)

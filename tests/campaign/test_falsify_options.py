@@ -46,7 +46,7 @@ BAD = {
     'no budget': ({'budget_min': 0.0}, '--budget 0: needs to be above 0'),
     'budget that is none': ({'budget_min': float('nan')}, '--budget nan'),
     'unknown rule': ({'until': 'bored'}, '--until bored: expected failures=K'),
-    'unknown images': ({'images': 'some'}, '--images some: unknown; known: all, none'),
+    'unknown images': ({'images': 'some'}, '--images some: unknown; known: all, failures, none'),
     'resume of nowhere': ({'resume': True, 'out': None}, '--resume: say with --out'),
 }
 

@@ -43,7 +43,7 @@ def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags
     assert (table['rho'] > 0).all()
     assert (table['rho'] == table['rho_phi_eventually']).all()
     assert list(pd.read_csv(out / 'runs.csv')['run_id']) == list(table['run_id'])
-    for bag, start in zip(table['bag'], table['cross_track'], strict=True):
+    for bag, start in zip(table['bag'], table['cross_track_m'], strict=True):
         assert read_info(out / bag).complete
         trace = read_trace(out / bag)
         assert len(trace['t_ns']) == 121
@@ -172,7 +172,8 @@ def test_given_the_demo_then_there_are_three_campaigns_and_two_pictures(tmp_path
     for perception in ('original', 'taxinet', 'truth'):
         table = pd.read_parquet(tmp_path / 'demo' / perception / 'runs.parquet')
         assert list(table['perception']) == [perception]
-        scenes.append(table[['cross_track', 'distance', 'heading', 'time_of_day', 'clouds']])
+        scene = ['cross_track_m', 'distance_m', 'heading_deg', 'time_of_day_h', 'clouds']
+        scenes.append(table[scene])
         trace = read_trace(tmp_path / 'demo' / perception / table['bag'][0])
         wrong = abs(trace['est_cte_m'] - trace['cte_m']).max()
         assert wrong == 0 if perception == 'truth' else wrong > 0.001

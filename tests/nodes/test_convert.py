@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image
 
+from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
@@ -91,7 +92,7 @@ def test_given_an_empty_image_then_it_is_refused():
     st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-math.pi + 1e-6, math.pi - 1e-6)
 )
 def test_given_an_attitude_then_its_quaternion_turns_the_axes_the_same_way(roll, pitch, yaw):
-    x, y, z, w = convert.quaternion(roll, pitch, yaw)
+    x, y, z, w = quaternion(roll, pitch, yaw)
     assert math.hypot(x, y, z, w) == pytest.approx(1)
     forward = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
     expected = (

@@ -69,6 +69,10 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         ('ground_truth_perception', 'weights:=x', "unknown parameter 'weights'"),
         ('recorder', 'min_free:=-5', 'min_free'),
         ('scenario_sampler', 'program:=nowhere', 'known: crossing'),
+        ('bag_player', 'bag:=gone.mcap', 'gone.mcap'),
+        ('scene_markers', 'colour:=red', "unknown parameter 'colour'"),
+        ('foxglove_server', 'port:=70000', 'allowed: 0..65535'),
+        ('scenario_sampler', 'sampler:=luck', "sampler 'luck' is unknown; known: random"),
     ],
 )
 def test_given_a_bad_parameter_then_the_node_says_so_in_one_line_and_leaves(

@@ -153,10 +153,20 @@ def make_sampler(
         UsageError: unknown word or option (the known ones are listed), a value that is not allowed,
             a negative seed, or a space with no dimension or with two of one name.
     """
+    values = check_sampler(name, options)
+    if seed < 0:
+        raise UsageError(f'seed is {seed}; it has to be 0 or more')
+    return Lagged(SAMPLERS[name].make(make_space(space), seed, runs, values))
+
+
+def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
+    """The value of every option of a sampler, the given ones and the defaults.
+
+    Raises:
+        UsageError: unknown word or option (the known ones are listed), or a value that is not
+            allowed.
+    """
     kind = SAMPLERS.get(name)
     if kind is None:
         raise UsageError(f'sampler {name!r} is unknown; known: {", ".join(SAMPLERS)}')
-    if seed < 0:
-        raise UsageError(f'seed is {seed}; it has to be 0 or more')
-    values = parse_options(name, kind.options, options)
-    return Lagged(kind.make(make_space(space), seed, runs, values))
+    return parse_options(name, kind.options, options)

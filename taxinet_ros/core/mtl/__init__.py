@@ -29,6 +29,7 @@ never evaluated: offline it raises, online the run is not valid from then on.
 
 from __future__ import annotations
 
+from taxinet_ros.core.mtl.assumptions import parse_bounds, parse_rates
 from taxinet_ros.core.mtl.ast import Formula, atoms, signal_names
 from taxinet_ros.core.mtl.offline import robustness
 from taxinet_ros.core.mtl.online import Monitor, Reading, Verdict, verdict_of
@@ -49,7 +50,9 @@ __all__ = [
     'Spec',
     'Verdict',
     'atoms',
+    'parse_bounds',
     'parse_formula',
+    'parse_rates',
     'parse_spec',
     'robustness',
     'signal_names',

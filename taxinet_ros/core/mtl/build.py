@@ -2,21 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Callable
 
-from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.envelope import Envelope
-from taxinet_ros.core.mtl.lower import AtomBound, JoinBound, LowerBound
-from taxinet_ros.core.mtl.lower_ahead import (
-    ChainAheadBound,
-    HighestAheadBound,
-    LowestAheadBound,
-    ShiftAheadBound,
+from taxinet_ros.core.mtl.lower import Asked, AtomBound, JoinBound, LowerBound
+from taxinet_ros.core.mtl.lower_chain import ChainAheadBound, ChainBackBound
+from taxinet_ros.core.mtl.lower_shift import ShiftAheadBound, ShiftBackBound
+from taxinet_ros.core.mtl.lower_window import AheadBound, WindowBound
+from taxinet_ros.core.mtl.normal import (
+    Core,
+    CoreAtom,
+    CoreChain,
+    CoreJoin,
+    CoreShift,
+    CoreWindow,
+    window_offsets,
 )
-from taxinet_ros.core.mtl.lower_back import ChainBackBound, ShiftBackBound, WindowBackBound
-from taxinet_ros.core.mtl.normal import Core, CoreAtom, CoreChain, CoreJoin, CoreShift, CoreWindow
 from taxinet_ros.core.mtl.window import INF
+
+MakeAtom = Callable[[CoreAtom, Asked], AtomBound]
+
+
+class Root:
+    """The node of a whole formula, which is asked at the first sample only.
+
+    Attributes:
+        bound: lower bound of the run's robustness.
+        wake_ns: before this time the bound cannot change, and :meth:`follow` need not be called.
+    """
+
+    __slots__ = ('_node', 'bound', 'wake_ns')
+
+    def __init__(self, node: LowerBound) -> None:
+        self._node = node
+        self.bound = node.floor
+        self.wake_ns = node.wake_ns
+
+    def follow(self, now_ns: int) -> None:
+        """Follow the trace, of which all is known up to ``now_ns``."""
+        node = self._node
+        node.step(now_ns)
+        if node.low < node.high:
+            # Adding zero turns -0.0 into 0.0, as offline.
+            self.bound = node.value[0] + 0.0
+        if now_ns >= node.final_ns:
+            self.wake_ns = INF
 
 
 class Builder:
@@ -24,117 +53,65 @@ class Builder:
 
     Args:
         stamps_ns: stamps of the trace, which the owner appends to.
-        margins: margins of each predicate, which the owner appends to.
-        envelope: what the signals can still do.
         horizon_ns: end of the run [ns].
-
-    Attributes:
-        nodes: every node built so far, operands before operators.
+        make_atom: makes the node of a predicate.
     """
 
-    def __init__(
-        self,
-        stamps_ns: Sequence[int],
-        margins: Mapping[ast.Compare, Sequence[float]],
-        envelope: Envelope,
-        horizon_ns: int,
-    ) -> None:
-        self.nodes: list[LowerBound] = []
+    def __init__(self, stamps_ns: list[int], horizon_ns: int, make_atom: MakeAtom) -> None:
         self._stamps_ns = stamps_ns
-        self._margins = margins
-        self._envelope = envelope
         self._horizon_ns = horizon_ns
+        self._make_atom = make_atom
 
     def build(self, core: Core, begin_ns: float, end_ns: float) -> LowerBound:
         """Node for a core formula that is asked at samples within [begin, end]."""
+        asked = self._asked(begin_ns, end_ns)
         match core:
             case CoreAtom():
-                node = self._atom(core, begin_ns, end_ns)
+                return self._make_atom(core, asked)
             case CoreJoin(lowest, cores):
                 children = [self.build(child, begin_ns, end_ns) for child in cores]
-                node = JoinBound(
-                    self._stamps_ns, begin_ns, end_ns, lowest=lowest, children=children
-                )
+                return JoinBound(asked, lowest=lowest, children=children)
             case CoreWindow():
-                node = self._window(core, begin_ns, end_ns)
+                return self._window(core, asked)
             case CoreChain():
-                node = self._chain(core, begin_ns, end_ns)
+                return self._chain(core, asked)
             case CoreShift():
-                node = self._shift(core, begin_ns, end_ns)
-        self.nodes.append(node)
-        return node
+                return self._shift(core, asked)
 
-    def _atom(self, core: CoreAtom, begin_ns: float, end_ns: float) -> LowerBound:
-        atom, negated, envelope = core.atom, core.negated, self._envelope
-        return AtomBound(
-            self._stamps_ns,
-            begin_ns,
-            end_ns,
-            margins=self._margins[atom],
-            negated=negated,
-            outlook=partial(envelope.least_margin, atom, negated),
-            moves=envelope.moves(atom),
-        )
-
-    def _window(self, core: CoreWindow, begin_ns: float, end_ns: float) -> LowerBound:
-        low_ns, high_ns = core.interval.low_ns, core.interval.high_ns
-        if core.past:
-            assert high_ns is not None, 'an unbounded window into the past is a chain'
-            return WindowBackBound(
-                self._stamps_ns,
-                begin_ns,
-                end_ns,
-                lowest=core.lowest,
-                window_ns=(low_ns, high_ns),
-                child=self.build(core.child, begin_ns - high_ns, end_ns - low_ns),
-            )
-        reach_ns = INF if high_ns is None else high_ns
-        child_end_ns = min(end_ns + reach_ns, self._horizon_ns)
-        kind = LowestAheadBound if core.lowest else HighestAheadBound
-        return kind(
-            self._stamps_ns,
-            begin_ns,
-            end_ns,
-            window_ns=(low_ns, reach_ns),
-            child=self.build(core.child, begin_ns + low_ns, child_end_ns),
+    def _asked(self, begin_ns: float, end_ns: float) -> Asked:
+        return Asked(
+            stamps_ns=self._stamps_ns,
+            begin_ns=begin_ns,
+            end_ns=end_ns,
             horizon_ns=self._horizon_ns,
         )
 
-    def _chain(self, core: CoreChain, begin_ns: float, end_ns: float) -> LowerBound:
+    def _window(self, core: CoreWindow, asked: Asked) -> LowerBound:
+        low_ns, high_ns = offsets = window_offsets(core.interval, core.past)
+        end_ns = min(asked.end_ns + high_ns, self._horizon_ns)
+        child = self.build(core.child, asked.begin_ns + low_ns, end_ns)
+        if child.settled and not core.past:
+            return AheadBound(asked, lowest=core.lowest, offsets=offsets, child=child)
+        return WindowBound(asked, lowest=core.lowest, offsets=offsets, child=child)
+
+    def _chain(self, core: CoreChain, asked: Asked) -> LowerBound:
         reach_ns = INF if core.reach_ns is None else core.reach_ns
+        begin_ns, end_ns = asked.begin_ns, asked.end_ns
         if core.past:
             begin_ns -= reach_ns
-            left = None if core.left is None else self.build(core.left, begin_ns, end_ns)
-            right = self.build(core.right, begin_ns, end_ns)
-            return ChainBackBound(
-                self._stamps_ns, begin_ns, end_ns, lowest=core.lowest, left=left, right=right
-            )
-        assert core.left is not None, 'an unbounded window ahead is a window'
-        end_ns = min(end_ns + reach_ns, self._horizon_ns)
-        guard = self.build(core.left, begin_ns, end_ns)
+        else:
+            end_ns = min(end_ns + reach_ns, self._horizon_ns)
+        left = None if core.left is None else self.build(core.left, begin_ns, end_ns)
         right = self.build(core.right, begin_ns, end_ns)
-        return ChainAheadBound(
-            self._stamps_ns, begin_ns, end_ns, lowest=core.lowest, left=guard, right=right
-        )
-
-    def _shift(self, core: CoreShift, begin_ns: float, end_ns: float) -> LowerBound:
+        asked = self._asked(begin_ns, end_ns)
         if core.past:
-            return ShiftBackBound(
-                self._stamps_ns,
-                begin_ns,
-                end_ns,
-                lowest=core.lowest,
-                delay_ns=core.delay_ns,
-                child=self.build(core.child, begin_ns - core.delay_ns, end_ns - core.delay_ns),
-            )
-        delay_ns, horizon_ns = core.delay_ns, self._horizon_ns
-        child_end_ns = min(end_ns + delay_ns, horizon_ns)
-        return ShiftAheadBound(
-            self._stamps_ns,
-            begin_ns,
-            end_ns,
-            lowest=core.lowest,
-            delay_ns=delay_ns,
-            child=self.build(core.child, begin_ns + delay_ns, child_end_ns),
-            horizon_ns=horizon_ns,
-        )
+            return ChainBackBound(asked, lowest=core.lowest, left=left, right=right)
+        assert left is not None, 'an unbounded window ahead is a window'
+        return ChainAheadBound(asked, lowest=core.lowest, left=left, right=right)
+
+    def _shift(self, core: CoreShift, asked: Asked) -> LowerBound:
+        delay_ns = -core.delay_ns if core.past else core.delay_ns
+        end_ns = min(asked.end_ns + delay_ns, self._horizon_ns)
+        child = self.build(core.child, asked.begin_ns + delay_ns, end_ns)
+        kind = ShiftBackBound if core.past else ShiftAheadBound
+        return kind(asked, lowest=core.lowest, delay_ns=core.delay_ns, child=child)

@@ -30,7 +30,7 @@ class Envelope:
         rates: greatest change per second of some signals, in the unit of the signal per second.
 
     Raises:
-        UsageError: an empty or NaN range, or a negative rate.
+        UsageError: an empty or NaN range, or a rate that is negative or not finite.
     """
 
     def __init__(
@@ -40,29 +40,32 @@ class Envelope:
         rates: Mapping[str, float] | None,
     ) -> None:
         for name, (low, high) in (bounds or {}).items():
-            if not low <= high:
-                raise UsageError(f'monitor: bounds of {name} are {low}..{high}, need low <= high')
+            if not (low <= high and low < INF and high > -INF):
+                raise UsageError(f'monitor: bounds of {name} are {low}:{high}, need low <= high')
         for name, rate in (rates or {}).items():
-            if not rate >= 0:
-                raise UsageError(f'monitor: rate of {name} is {rate}, needs to be >= 0 per second')
+            if not 0 <= rate < INF:
+                raise UsageError(
+                    f'monitor: rate of {name} is {rate}, needs to be >= 0 per second, and finite'
+                )
         self._bounds = {name: (bounds or {}).get(name, ANYTHING) for name in names}
         self._rates = {name: rate for name, rate in (rates or {}).items() if name in names}
         self._index = {name: index for index, name in enumerate(names)}
         self._last: Sequence[float] = ()
         self._last_ns = 0
 
-    def admits(self, stamp_ns: int, values: Sequence[float]) -> bool:
-        """Whether a sample keeps to the bounds, and to the rates since the last one."""
-        for value, (low, high) in zip(values, self._bounds.values(), strict=True):
+    def breach(self, stamp_ns: int, values: Sequence[float]) -> str:
+        """How a sample breaks the bounds, or the rates since the last one; '' where it does not."""
+        for (name, (low, high)), value in zip(self._bounds.items(), values, strict=True):
             if not low <= value <= high:
-                return False
+                return f'{name} is {value:g}, bounds are {low:g}:{high:g}'
         if not self._last:
-            return True
-        time_s = (stamp_ns - self._last_ns) / NS_PER_S * (1 + _CHECK_SLACK)
-        return all(
-            abs(values[self._index[name]] - self._last[self._index[name]]) <= rate * time_s
-            for name, rate in self._rates.items()
-        )
+            return ''
+        time_s = (stamp_ns - self._last_ns) / NS_PER_S
+        for name, rate in self._rates.items():
+            change = abs(values[self._index[name]] - self._last[self._index[name]])
+            if not change <= rate * (time_s * (1 + _CHECK_SLACK)):
+                return f'{name} changes by {change:g} in {time_s:g} s, its rate is {rate:g} per s'
+        return ''
 
     def accept(self, stamp_ns: int, values: Sequence[float]) -> None:
         """Take a sample as the last one."""
@@ -71,6 +74,10 @@ class Envelope:
     def moves(self, atom: ast.Compare) -> bool:
         """Whether the atom's reachable margins depend on the last sample."""
         return any(name in self._rates for name in ast.signal_names(atom))
+
+    def floor(self, atom: ast.Compare, negated: bool) -> float:
+        """Least margin (or negated margin) that any sample can have."""
+        return _least(atom, negated, self._bounds)
 
     def least_margin(self, atom: ast.Compare, negated: bool, until_ns: float) -> float:
         """Least margin (or negated margin) that is possible at a later sample up to a time."""
@@ -82,8 +89,12 @@ class Envelope:
             for name, rate in self._rates.items():
                 value, (low, high) = self._last[self._index[name]], box[name]
                 box[name] = max(low, value - rate * time_s), min(high, value + rate * time_s)
-        low, high = margin_range(atom, box)
-        return -high if negated else low
+        return _least(atom, negated, box)
+
+
+def _least(atom: ast.Compare, negated: bool, box: Mapping[str, Range]) -> float:
+    low, high = margin_range(atom, box)
+    return -high if negated else low
 
 
 def margin_range(atom: ast.Compare, box: Mapping[str, Range]) -> Range:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NoReturn
 
@@ -17,6 +18,7 @@ WORDS = frozenset(
     {
         *('not', 'and', 'or', 'implies'),
         *('always', 'eventually', 'until', 'historically', 'once', 'since'),
+        *('unless', 'release'),
         *('abs', 'min', 'max', 'sqrt', 'inf'),
     }
 )
@@ -25,7 +27,7 @@ WORDS = frozenset(
 _ALIASES = {
     'G': 'always', 'globally': 'always', '□': 'always', '◻': 'always',
     'F': 'eventually', '◇': 'eventually', '◊': 'eventually', '⋄': 'eventually',
-    'U': 'until', 'H': 'historically', 'O': 'once', 'S': 'since',
+    'U': 'until', 'H': 'historically', 'O': 'once', 'S': 'since', 'W': 'unless', 'R': 'release',
     '∧': 'and', '&': 'and', '&&': 'and', '∨': 'or', '|': 'or', '||': 'or',
     '¬': 'not', '!': 'not', '->': 'implies', '=>': 'implies', '→': 'implies', '⇒': 'implies',
     '∞': 'inf',
@@ -38,7 +40,7 @@ RESERVED = WORDS | {alias for alias in _ALIASES if alias.isalpha()}
 _TOKEN = re.compile(
     r'(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)'
     r'|(?P<name>[A-Za-z_][A-Za-z0-9_]*)'
-    r'|(?P<sign>->|=>|<=|>=|==|!=|&&|\|\||[-+*/()\[\]:,;<>=!&|□◻◇◊⋄∧∨¬→⇒≤≥∞−])'
+    r'|(?P<sign>->|=>|<->|<=|>=|==|!=|&&|\|\||\*\*|[-+*/()\[\]:,;<>=!&|□◻◇◊⋄∧∨¬→⇒≤≥∞−^≠{}])'
 )
 _SPACE = re.compile(r'\s*')
 
@@ -51,14 +53,16 @@ class Token:
         kind: what sort of token it is.
         text: its plain form (``always`` for ``G``).
         column: where it starts, counted from 1.
+        raw: what was typed.
     """
 
     kind: Kind
     text: str
     column: int
+    raw: str
 
     def __str__(self) -> str:
-        return 'the end of the text' if self.kind == 'end' else repr(self.text)
+        return 'the end of the text' if self.kind == 'end' else repr(self.raw)
 
 
 def fail(where: str, column: int, message: str) -> NoReturn:
@@ -86,7 +90,27 @@ def tokens(text: str, where: str) -> list[Token]:
             fail(where, at + 1, f'expected the end: a formula has at most {MAX_TOKENS} words')
         found.append(_token(match))
         at = _skip(text, match.end())
-    return [*found, Token('end', '', len(text) + 1)]
+    return [*found, Token('end', '', len(text) + 1, '')]
+
+
+def check_parentheses(found: Sequence[Token], where: str) -> None:
+    """Say which parenthesis lacks its fellow, before that leads to anything stranger.
+
+    Raises:
+        UsageError: a parenthesis that nothing opened, or that nothing closes.
+    """
+    opened: list[Token] = []
+    for token in found:
+        if token.text in ('(', '['):
+            opened.append(token)
+        elif token.text in (')', ']'):
+            if not opened:
+                fail(where, token.column, f'expected no {token}: nothing is open')
+            if opened.pop().text + token.text not in ('()', '[]'):
+                return
+    if opened and opened[-1].text == '(':
+        start = opened[-1].column
+        fail(where, found[-1].column, f"expected ')' to close '(' of column {start}")
 
 
 def _skip(text: str, at: int) -> int:
@@ -97,8 +121,8 @@ def _skip(text: str, at: int) -> int:
 def _token(match: re.Match[str]) -> Token:
     text, column = match.group(), match.start() + 1
     if match.lastgroup == 'number':
-        return Token('number', text, column)
+        return Token('number', text, column, text)
     plain = _SIGN_ALIASES.get(text, _ALIASES.get(text, text))
     if plain in WORDS:
-        return Token('word', plain, column)
-    return Token('name' if match.lastgroup == 'name' else 'sign', plain, column)
+        return Token('word', plain, column, text)
+    return Token('name' if match.lastgroup == 'name' else 'sign', plain, column, text)

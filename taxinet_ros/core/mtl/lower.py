@@ -13,131 +13,195 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from taxinet_ros.core.mtl.window import INF
+
+_NONE = sys.maxsize
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """The trace, and where on it a node is asked.
+
+    Attributes:
+        stamps_ns: stamps of the trace [ns], shared by all nodes; the owner appends to it.
+        begin_ns, end_ns: only samples with stamps in this closed range matter to the parents.
+        horizon_ns: end of the run [ns].
+    """
+
+    stamps_ns: Sequence[int]
+    begin_ns: float
+    end_ns: float
+    horizon_ns: int
 
 
 class LowerBound(ABC):
     """One node. After each :meth:`step` its public face holds for the trace so far.
 
-    Args:
-        stamps_ns: stamps of the trace [ns], shared by all nodes; the owner appends to it.
-        begin_ns, end_ns: only samples with stamps in this closed range matter to the parents.
-
     Attributes:
         value: lower bound by sample index; entries before :attr:`first` mean nothing, and samples
-            after ``end_ns`` have none.
+            after ``end_ns`` have none that counts.
+        rows: number of samples up to ``end_ns``.
         first: index of the first sample that matters.
         low, high: the last step changed no bounds but those of samples low <= i < high.
         monotone: the bounds are sorted, one way or the other.
+        settled: a bound that was given once never changes.
+        floor: no bound, of any sample that came or may come, is below.
+        steady_ns: before this time :meth:`future` is :attr:`floor`.
+        wake_ns: before this time every bound is :attr:`floor`, and no step need be made.
+        final_ns: from this time on no bound changes.
     """
 
-    __slots__ = ('begin_ns', 'end_ns', 'first', 'high', 'low', 'monotone', 'stamps_ns', 'value')
+    __slots__ = (
+        'begin_ns',
+        'end_ns',
+        'final_ns',
+        'first',
+        'floor',
+        'high',
+        'horizon_ns',
+        'low',
+        'monotone',
+        'rows',
+        'settled',
+        'stamps_ns',
+        'steady_ns',
+        'value',
+        'wake_ns',
+    )
 
-    def __init__(self, stamps_ns: Sequence[int], begin_ns: float, end_ns: float) -> None:
-        self.stamps_ns = stamps_ns
-        self.begin_ns = begin_ns
-        self.end_ns = end_ns
-        self.value: list[float] = []
-        self.first = 0
-        self.low, self.high = sys.maxsize, 0
-        self.monotone = False
+    value: Sequence[float]
+    final_ns: float
 
+    def __init__(self, asked: Asked, *operands: LowerBound) -> None:
+        self.stamps_ns = asked.stamps_ns
+        self.begin_ns, self.end_ns = asked.begin_ns, asked.end_ns
+        self.horizon_ns = asked.horizon_ns
+        self.rows = self.first = 0
+        self.low, self.high = _NONE, 0
+        self.monotone = self.settled = False
+        self.floor = self.steady_ns = self.wake_ns = -INF
+        # A window behind asks its operand earlier than it is asked itself.
+        self.final_ns = max([asked.end_ns, *(node.final_ns for node in operands)])
+
+    @abstractmethod
     def step(self, now_ns: int) -> None:
-        """Follow the trace, to which at most one sample was added; all is known up to ``now_ns``.
-
-        The nodes below must have followed before.
-        """
-        stamps_ns, value = self.stamps_ns, self.value
-        count = len(stamps_ns)
-        self.low, self.high = sys.maxsize, 0
-        if len(value) < count and stamps_ns[-1] <= self.end_ns:
-            value.append(-INF)
-            if stamps_ns[-1] < self.begin_ns:
-                self.first = count
-            else:
-                self.low, self.high = count - 1, count
-        self._update(now_ns)
+        """Follow the trace, to which samples were added; all is known up to ``now_ns``."""
 
     def future(self, now_ns: int) -> float:
         """Lower bound at every sample that may still come and matter; +inf if none can."""
         return INF if now_ns >= self.end_ns else self._future(now_ns)
 
-    def _touch(self, low: int, high: int) -> None:
-        # Some operands know more samples than this node: until looks beyond what it is asked.
-        low, high = max(low, self.first), min(high, len(self.value))
-        if low < high:
-            self.low, self.high = min(self.low, low), max(self.high, high)
-
-    @abstractmethod
-    def _update(self, now_ns: int) -> None:
-        """Bring ``value``, ``low`` and ``high`` up to date; new entries were appended as -inf."""
-
     @abstractmethod
     def _future(self, now_ns: int) -> float:
         """Lower bound at samples later than ``now_ns``, when there can be some."""
+
+    def _grow(self) -> bool:
+        """Count the samples that came in; these alone are the changed ones so far.
+
+        Returns whether there were any.
+        """
+        stamps, known, count = self.stamps_ns, self.rows, len(self.stamps_ns)
+        self.low, self.high = _NONE, 0
+        if known == count or stamps[known] > self.end_ns:
+            return False
+        self.rows = count if stamps[-1] <= self.end_ns else bisect_right(stamps, self.end_ns, known)
+        if stamps[known] < self.begin_ns:
+            self.first = known = bisect_left(stamps, self.begin_ns, known, self.rows)
+        if known < self.rows:
+            self.low, self.high = known, self.rows
+        return True
+
+    def _touch(self, low: int, high: int) -> None:
+        """Count samples low <= i < high among the changed ones, as far as they matter."""
+        # Some operands know more samples than this node: until looks beyond what it is asked.
+        low, high = max(low, self.first), min(high, self.rows)
+        if low < high:
+            self.low, self.high = min(self.low, low), max(self.high, high)
+
+
+class ListedBound(LowerBound):
+    """A node that keeps the bounds of its samples in a list."""
+
+    __slots__ = ()
+
+    value: list[float]
+
+    def __init__(self, asked: Asked, *operands: LowerBound) -> None:
+        super().__init__(asked, *operands)
+        self.value = []
+
+    def _grow(self) -> bool:
+        grown = super()._grow()
+        if grown:
+            self.value.extend([-INF] * (self.rows - len(self.value)))
+        return grown
 
 
 class AtomBound(LowerBound):
     """A predicate: known where there is a sample.
 
     Args:
-        stamps_ns, begin_ns, end_ns: see :class:`LowerBound`.
-        margins: margin of the predicate by sample index, shared; the owner appends to it.
-        negated: whether minus the margin is meant.
-        outlook: gives the least possible (negated) margin up to a time [ns].
-        moves: whether the outlook changes with the samples.
+        asked: where it is asked.
+        margins: (negated) margin of the predicate by sample index, shared; the owner appends to it.
+        floor: the least (negated) margin that any sample can have.
+        outlook: gives the least possible (negated) margin up to a time [ns], where that changes
+            with the samples; else None.
     """
 
-    __slots__ = ('_margins', '_moves', '_negated', '_outlook', '_static')
+    __slots__ = ('_outlook',)
 
     def __init__(
         self,
-        stamps_ns: Sequence[int],
-        begin_ns: float,
-        end_ns: float,
+        asked: Asked,
         *,
         margins: Sequence[float],
-        negated: bool,
-        outlook: Callable[[float], float],
-        moves: bool,
+        floor: float,
+        outlook: Callable[[float], float] | None,
     ) -> None:
-        super().__init__(stamps_ns, begin_ns, end_ns)
-        self._margins = margins
-        self._negated = negated
+        super().__init__(asked)
+        self.value = margins
+        self.settled = True
+        self.floor = floor
+        self.steady_ns = -INF if outlook else self.end_ns
         self._outlook = outlook
-        self._moves = moves
-        self._static = outlook(end_ns)
 
-    def _update(self, now_ns: int) -> None:
-        if self.high:
-            self.value[-1] = -self._margins[-1] if self._negated else self._margins[-1]
+    def step(self, now_ns: int) -> None:
+        """See the base; the margins themselves are there already."""
+        known, stamps = self.rows, self.stamps_ns
+        if known + 1 == len(stamps) and self.begin_ns <= stamps[known] <= self.end_ns:
+            # The usual case, without a call.
+            self.low, self.high = known, known + 1
+            self.rows = known + 1
+        else:
+            self._grow()
 
     def _future(self, now_ns: int) -> float:
-        return self._outlook(self.end_ns) if self._moves else self._static
+        return self._outlook(self.end_ns) if self._outlook else self.floor
 
 
-class JoinBound(LowerBound):
+class JoinBound(ListedBound):
     """Lowest or highest of nodes with the same range, sample by sample."""
 
     __slots__ = ('_children', '_pick')
 
-    def __init__(
-        self,
-        stamps_ns: Sequence[int],
-        begin_ns: float,
-        end_ns: float,
-        *,
-        lowest: bool,
-        children: Sequence[LowerBound],
-    ) -> None:
-        super().__init__(stamps_ns, begin_ns, end_ns)
+    def __init__(self, asked: Asked, *, lowest: bool, children: Sequence[LowerBound]) -> None:
+        super().__init__(asked, *children)
         self._pick: Callable[..., float] = min if lowest else max
         self._children = children
+        self.settled = all(child.settled for child in children)
+        self.floor = self._pick(child.floor for child in children)
+        self.steady_ns = min(child.steady_ns for child in children)
+        self.wake_ns = min(child.wake_ns for child in children)
 
-    def _update(self, now_ns: int) -> None:
+    def step(self, now_ns: int) -> None:
+        """See the base."""
+        self._grow()
         for child in self._children:
+            child.step(now_ns)
             self._touch(child.low, child.high)
         low, high = self.low, self.high
         if low < high:

@@ -1,79 +1,166 @@
-"""Values of predicates: the signed margin by which a comparison holds, at one sample."""
+"""Values of predicates: the signed margin by which a comparison holds.
+
+A comparison is compiled to Python once, for single samples or for whole columns of them. Both are
+made from one text and do the same IEEE operations in the same order, so online and offline agree to
+the last bit.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from taxinet_ros.core.mtl import ast
 
 Values = Sequence[float]
 """Signal values at one sample, in the order of the names that the margin was compiled with."""
 
-_Evaluator = Callable[[Values], float]
+Column = npt.NDArray[np.float64]
 
 
-def compile_margin(atom: ast.Compare, names: Sequence[str]) -> _Evaluator:
+class Margins:
+    """The margins of a formula's predicates, by sample of a growing trace.
+
+    Args:
+        formula: the formula.
+        names: signals that it reads, in the order of the values of a sample.
+    """
+
+    __slots__ = ('_appends', '_columns', '_evaluators')
+
+    def __init__(self, formula: ast.Formula, names: tuple[str, ...]) -> None:
+        atoms = ast.atoms(formula)
+        self._evaluators = [_compile_sample(atom, names) for atom in atoms]
+        self._columns: dict[ast.Compare, tuple[list[float], list[float]]]
+        self._columns = {atom: ([], []) for atom in atoms}
+        self._appends = [
+            (plain.append, negated.append) for plain, negated in self._columns.values()
+        ]
+
+    def of(self, values: Values) -> list[float]:
+        """Margin of each predicate at a sample; one that has no value is NaN or infinite."""
+        try:
+            return [evaluate(values) for evaluate in self._evaluators]
+        except (ZeroDivisionError, ValueError):
+            return [math.nan]
+
+    def append(self, margins: list[float]) -> None:
+        """Take the margins of a sample, as :meth:`of` gives them, for the next of the trace."""
+        for at, (append, append_negated) in enumerate(self._appends):
+            append(margins[at])
+            append_negated(-margins[at])
+
+    def column(self, atom: ast.Compare, negated: bool) -> Sequence[float]:
+        """The margins of a predicate, or minus them; they grow with the trace."""
+        return self._columns[atom][negated]
+
+
+def compile_margin(atom: ast.Compare, names: Sequence[str]) -> Callable[[Values], float]:
     """A function that gives an atom's margin: right - left for ``<=`` and ``<``, else left - right.
 
-    The offline and the online monitor both use it, so they agree to the last bit. The result is
-    NaN or infinite where the expression has no finite value (division by zero, the root of a
-    negative number, overflow); the caller must refuse such a sample.
+    The result is NaN or infinite where the expression has no finite value (division by zero, the
+    root of a negative number, overflow); the caller must refuse such a sample.
     """
-    small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
-    low, high = _compile(small, names), _compile(large, names)
+    evaluate = _compile_sample(atom, tuple(names))
 
     def margin(values: Values) -> float:
         try:
-            return high(values) - low(values)
+            return evaluate(values)
         except (ZeroDivisionError, ValueError):
             return math.nan
 
     return margin
 
 
-def _compile(expr: ast.Expr, names: Sequence[str]) -> _Evaluator:
+@functools.lru_cache
+def _compile_sample(atom: ast.Compare, names: tuple[str, ...]) -> Callable[[Values], float]:
+    """The same, but raising ZeroDivisionError or ValueError for some of what has no value."""
+    words = {'abs': abs, 'sqrt': math.sqrt, 'min': _least, 'max': _greatest}
+    margin: Callable[[Values], float] = _compile(atom, names, words)
+    return margin
+
+
+@functools.lru_cache
+def _compile_column(
+    atom: ast.Compare, names: tuple[str, ...]
+) -> Callable[[Sequence[Column]], Column]:
+    words = {'abs': np.abs, 'sqrt': np.sqrt, 'min': _least_of, 'max': _greatest_of}
+    margins: Callable[[Sequence[Column]], Column] = _compile(atom, names, words)
+    return margins
+
+
+def margin_column(
+    atom: ast.Compare, names: tuple[str, ...], columns: Sequence[Column], count: int
+) -> Column:
+    """The margins of an atom at all samples of a trace.
+
+    Args:
+        atom: the predicate.
+        names: signals that it may read.
+        columns: (count,) finite values of each.
+        count: number of samples, > 0.
+
+    Returns:
+        (count,) margins; NaN or infinite where there is no finite value.
+    """
+    try:
+        # What raises here has no finite value at some sample.
+        with np.errstate(divide='raise', invalid='raise', over='ignore', under='ignore'):
+            margins = _compile_column(atom, names)(columns)
+        return margins if np.ndim(margins) else np.full(count, margins)
+    except (FloatingPointError, ZeroDivisionError):
+        margin = compile_margin(atom, names)
+        rows = np.transpose(columns).tolist() if columns else [[]] * count
+        return np.array([margin(row) for row in rows])
+
+
+def _compile(atom: ast.Compare, names: Sequence[str], words: Mapping[str, Any]) -> Any:
+    small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
+    # Made of numbers, operators and the words above alone, for that is all that nodes hold.
+    text = f'lambda v: {_python(large, names)} - {_closed(small, names)}'
+    return eval(text, {'__builtins__': {}, **words})
+
+
+def _python(expr: ast.Expr, names: Sequence[str]) -> str:
     match expr:
         case ast.Number(value):
-            return lambda _: value
+            return repr(float(value))
         case ast.Signal(name):
-            index = names.index(name)
-            return lambda values: values[index]
+            return f'v[{names.index(name)}]'
         case ast.Negative(child):
-            inner = _compile(child, names)
-            return lambda values: -inner(values)
+            return f'-{_closed(child, names)}'
         case ast.Arithmetic(op, left, right):
-            return _arithmetic(op, _compile(left, names), _compile(right, names))
+            # Python groups to the left as well: a long sum needs no parentheses, of which Python
+            # takes 200 at most.
+            sum_in_product = op in '*/' and isinstance(left, ast.Arithmetic) and left.op in '+-'
+            first = (_closed if sum_in_product else _python)(left, names)
+            return f'{first} {op} {_closed(right, names)}'
         case ast.Function(name, args):
-            return _function(name, [_compile(arg, names) for arg in args])
+            return f'{name}({", ".join(_python(arg, names) for arg in args)})'
 
 
-def _arithmetic(op: ast.ArithmeticOp, left: _Evaluator, right: _Evaluator) -> _Evaluator:
-    match op:
-        case '+':
-            return lambda values: left(values) + right(values)
-        case '-':
-            return lambda values: left(values) - right(values)
-        case '*':
-            return lambda values: left(values) * right(values)
-        case '/':
-            return lambda values: left(values) / right(values)
+def _closed(expr: ast.Expr, names: Sequence[str]) -> str:
+    compound = isinstance(expr, ast.Negative | ast.Arithmetic)
+    return f'({_python(expr, names)})' if compound else _python(expr, names)
 
 
-def _function(name: ast.FunctionName, args: list[_Evaluator]) -> _Evaluator:
-    first = args[0]
-    match name:
-        case 'abs':
-            return lambda values: abs(first(values))
-        case 'sqrt':
-            return lambda values: math.sqrt(first(values))
-        case 'min':
-            return lambda values: _extreme(min, args, values)
-        case 'max':
-            return lambda values: _extreme(max, args, values)
-
-
-def _extreme(pick: Callable[..., float], args: list[_Evaluator], values: Values) -> float:
-    results = [arg(values) for arg in args]
+def _least(*args: float) -> float:
     # min and max drop a NaN or keep it, depending on the order; it must always come through.
-    return math.nan if any(map(math.isnan, results)) else pick(results)
+    return math.nan if any(map(math.isnan, args)) else min(args)
+
+
+def _greatest(*args: float) -> float:
+    return math.nan if any(map(math.isnan, args)) else max(args)
+
+
+def _least_of(*columns: Column) -> Column:
+    return functools.reduce(np.minimum, columns)
+
+
+def _greatest_of(*columns: Column) -> Column:
+    return functools.reduce(np.maximum, columns)

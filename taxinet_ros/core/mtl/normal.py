@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from taxinet_ros.core.mtl import ast
+from taxinet_ros.core.mtl.window import INF
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +77,12 @@ class CoreShift:
 
 
 Core = CoreAtom | CoreJoin | CoreWindow | CoreChain | CoreShift
+
+
+def window_offsets(interval: ast.Interval, past: bool) -> tuple[float, float]:
+    """Bounds of a window relative to the sample [ns]: ints, or +-inf where it is unbounded."""
+    high_ns = INF if interval.high_ns is None else interval.high_ns
+    return (-high_ns, -interval.low_ns) if past else (interval.low_ns, high_ns)
 
 
 def normalise(formula: ast.Formula, *, negated: bool = False) -> Core:

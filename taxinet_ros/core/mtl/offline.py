@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import math
-from bisect import bisect_left, bisect_right
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +11,7 @@ import numpy.typing as npt
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.margin import compile_margin
+from taxinet_ros.core.mtl.margin import Column, margin_column
 from taxinet_ros.core.mtl.normal import (
     Core,
     CoreAtom,
@@ -22,10 +20,15 @@ from taxinet_ros.core.mtl.normal import (
     CoreShift,
     CoreWindow,
     normalise,
+    window_offsets,
 )
 from taxinet_ros.core.mtl.window import INF, empty_value, slide
 
 Array = npt.NDArray[Any]
+Stamps = npt.NDArray[np.int64]
+
+_TOO_LATE_NS = 2**62
+"""A stamp and the longest window have to add up without overflow."""
 
 
 def robustness(
@@ -33,7 +36,7 @@ def robustness(
     stamps_ns: Sequence[int] | Array,
     signals: Mapping[str, Sequence[float] | Array],
 ) -> float:
-    """Robustness of a formula at the first sample of a trace; near-linear in its length.
+    """Robustness of a formula at the first sample of a trace; linear in its length.
 
     Args:
         formula: the formula.
@@ -48,15 +51,21 @@ def robustness(
             signal missing, of another length or not finite, or a predicate without finite value.
     """
     stamps = _checked_stamps(stamps_ns)
-    names = ast.signal_names(formula)
+    names, atoms, core = _prepare(formula)
     columns = [_checked_signal(name, signals, len(stamps)) for name in names]
-    rows = list(zip(*columns, strict=True)) if columns else [()] * len(stamps)
-    margins = {atom: _margins(atom, names, rows) for atom in ast.atoms(formula)}
+    margins = {atom: _margins(atom, names, columns, len(stamps)) for atom in atoms}
+    rho = _Evaluator(stamps, margins).at_first(core)
     # Adding zero turns -0.0 into 0.0, the sign of which would depend on the order of evaluation.
-    return _evaluate(normalise(formula), stamps, margins)[0] + 0.0
+    return rho + 0.0
 
 
-def _checked_stamps(stamps_ns: Sequence[int] | Array) -> list[int]:
+@functools.lru_cache
+def _prepare(formula: ast.Formula) -> tuple[tuple[str, ...], tuple[ast.Compare, ...], Core]:
+    """What of an evaluation is the same for all traces: signals, predicates, core form."""
+    return ast.signal_names(formula), ast.atoms(formula), normalise(formula)
+
+
+def _checked_stamps(stamps_ns: Sequence[int] | Array) -> Stamps:
     array = np.asarray(stamps_ns)
     if array.ndim != 1 or array.size == 0:
         raise UsageError(
@@ -64,84 +73,125 @@ def _checked_stamps(stamps_ns: Sequence[int] | Array) -> list[int]:
         )
     if array.dtype.kind not in 'iu':
         raise UsageError(f'trace: stamps are {array.dtype}, need integer nanoseconds')
-    stamps: list[int] = array.tolist()
+    stamps = array.astype(np.int64, copy=False)
+    if stamps[-1] >= _TOO_LATE_NS:
+        raise UsageError(f'trace: last stamp is {stamps[-1]} ns, needs to be below 2**62')
     if stamps[0] < 0:
         raise UsageError(f'trace: first stamp is {stamps[0]} ns, before the start of the run')
-    for index, (before, after) in enumerate(itertools.pairwise(stamps), start=1):
-        if after <= before:
-            word = 'repeats' if after == before else 'goes back'
-            raise UsageError(f'trace: stamp {word} at sample {index}: {before} then {after} ns')
+    wrong = stamps[1:] <= stamps[:-1]
+    if wrong.any():
+        at = wrong.argmax()
+        before, after = stamps[at], stamps[at + 1]
+        word = 'repeats' if after == before else 'goes back'
+        raise UsageError(f'trace: stamp {word} at sample {at + 1}: {before} then {after} ns')
     return stamps
 
 
 def _checked_signal(
     name: str, signals: Mapping[str, Sequence[float] | Array], count: int
-) -> list[float]:
+) -> Column:
     if name not in signals:
         raise UsageError(f'trace: signal {name!r} is missing; present: {", ".join(signals)}')
     array = np.asarray(signals[name], dtype=np.float64)
     if array.shape != (count,):
         raise UsageError(f'trace: signal {name!r} has shape {array.shape}, stamps have ({count},)')
-    bad = np.flatnonzero(~np.isfinite(array))
-    if bad.size:
-        raise UsageError(f'trace: signal {name!r} is {array[bad[0]]} at sample {bad[0]}')
-    values: list[float] = array.tolist()
-    return values
+    finite = np.isfinite(array)
+    if not finite.all():
+        at = finite.argmin()
+        raise UsageError(f'trace: signal {name!r} is {array[at]} at sample {at}')
+    return array
 
 
 def _margins(
-    atom: ast.Compare, names: Sequence[str], rows: Sequence[Sequence[float]]
-) -> list[float]:
-    margin = compile_margin(atom, names)
-    values = [margin(row) for row in rows]
-    for index, value in enumerate(values):
-        if not math.isfinite(value):
-            raise UsageError(f'trace: {atom} has margin {value} at sample {index}')
+    atom: ast.Compare, names: tuple[str, ...], columns: Sequence[Column], count: int
+) -> Column:
+    values = margin_column(atom, names, columns, count)
+    finite = np.isfinite(values)
+    if not finite.all():
+        at = finite.argmin()
+        raise UsageError(f'trace: {atom} has margin {values[at]} at sample {at}')
     return values
 
 
-def _evaluate(
-    core: Core, stamps: list[int], margins: Mapping[ast.Compare, list[float]]
-) -> list[float]:
-    match core:
-        case CoreAtom(atom, negated):
-            return [-value for value in margins[atom]] if negated else margins[atom]
-        case CoreJoin(lowest, children):
-            columns = [_evaluate(child, stamps, margins) for child in children]
-            return list(map(min if lowest else max, *columns))
-        case CoreWindow(lowest, past, interval, child):
-            low, high = offsets(interval, past)
-            values = _evaluate(child, stamps, margins)
-            return slide(stamps, values, range(len(stamps)), low, high, lowest)
-        case CoreChain(lowest, past, _, left, right):
-            guards = None if left is None else _evaluate(left, stamps, margins)
-            return _chain(lowest, past, guards, _evaluate(right, stamps, margins))
-        case CoreShift(lowest, past, delay, child):
-            return _shift(lowest, past, delay, stamps, _evaluate(child, stamps, margins))
+class _Evaluator:
+    """Evaluates core formulas on one trace."""
+
+    def __init__(self, stamps: Stamps, margins: Mapping[ast.Compare, Column]) -> None:
+        self._stamps = stamps
+        self._margins = margins
+
+    def at_first(self, core: Core) -> float:
+        """Value at the first sample alone, without the windows of the others."""
+        if isinstance(core, CoreJoin):
+            return (min if core.lowest else max)(map(self.at_first, core.children))
+        if not isinstance(core, CoreWindow) or core.past:
+            return float(self._values(core)[0])
+        low, high = window_offsets(core.interval, past=False)
+        first = self._stamps[0]
+        start = self._stamps.searchsorted(first + low, 'left')
+        stop = len(self._stamps)
+        if high != INF:
+            stop = self._stamps.searchsorted(first + high, 'right')
+        if start >= stop:
+            return empty_value(core.lowest)
+        window = self._values(core.child)[start:stop]
+        return float(window.min() if core.lowest else window.max())
+
+    def _values(self, core: Core) -> Column:
+        """Values at all samples."""
+        match core:
+            case CoreAtom(atom, negated):
+                return -self._margins[atom] if negated else self._margins[atom]
+            case CoreJoin(lowest, children):
+                first, *others = map(self._values, children)
+                for other in others:
+                    first = _extreme(lowest)(first, other)
+                return first
+            case CoreWindow():
+                return self._window(core)
+            case CoreChain(lowest, past, _, left, right):
+                if left is None:
+                    return _running(lowest, past, self._values(right))
+                return _chain(lowest, past, self._values(left), self._values(right))
+            case CoreShift():
+                return self._shift(core)
+
+    def _window(self, core: CoreWindow) -> Column:
+        low, high = window_offsets(core.interval, core.past)
+        values = self._values(core.child)
+        if (low, high) == (0, INF):
+            return _running(core.lowest, core.past, values)
+        stamps = self._stamps.tolist()
+        rows = range(len(stamps))
+        return np.array(slide(stamps, values.tolist(), rows, low, high, core.lowest))
+
+    def _shift(self, core: CoreShift) -> Column:
+        stamps, values = self._stamps, self._values(core.child)
+        if core.past:
+            sources = stamps.searchsorted(stamps - core.delay_ns, 'right') - 1
+        else:
+            sources = stamps.searchsorted(stamps + core.delay_ns, 'left')
+        # Beyond either end stands what an absent sample is worth: index n, and -1, which is n too.
+        return np.append(values, empty_value(core.lowest))[sources]
 
 
-def offsets(interval: ast.Interval, past: bool) -> tuple[float, float]:
-    """Bounds of a window relative to the sample [ns]: ints, or +-inf where it is unbounded."""
-    high = INF if interval.high_ns is None else interval.high_ns
-    return (-high, -interval.low_ns) if past else (interval.low_ns, high)
+def _extreme(lowest: bool) -> np.ufunc:
+    return np.minimum if lowest else np.maximum
 
 
-def _chain(lowest: bool, past: bool, left: list[float] | None, right: list[float]) -> list[float]:
-    own, other = (min, max) if lowest else (max, min)
-    acc = empty_value(lowest)
-    out = [acc] * len(right)
-    for row in range(len(right)) if past else reversed(range(len(right))):
-        acc = own(right[row], acc if left is None else other(left[row], acc))
-        out[row] = acc
-    return out
-
-
-def _shift(
-    lowest: bool, past: bool, delay: int, stamps: list[int], values: list[float]
-) -> list[float]:
+def _running(lowest: bool, past: bool, values: Column) -> Column:
+    """Extreme of all values up to each sample, or from it on."""
     if past:
-        sources = [bisect_right(stamps, stamp - delay) - 1 for stamp in stamps]
-    else:
-        sources = [bisect_left(stamps, stamp + delay) for stamp in stamps]
-    nothing = empty_value(lowest)
-    return [values[row] if 0 <= row < len(values) else nothing for row in sources]
+        return _extreme(lowest).accumulate(values)
+    return _extreme(lowest).accumulate(values[::-1])[::-1]
+
+
+def _chain(lowest: bool, past: bool, left: Column, right: Column) -> Column:
+    own, other = (min, max) if lowest else (max, min)
+    guards, goals = left.tolist(), right.tolist()
+    acc = empty_value(lowest)
+    out = [acc] * len(goals)
+    for row in range(len(goals)) if past else reversed(range(len(goals))):
+        acc = own(goals[row], other(guards[row], acc))
+        out[row] = acc
+    return np.array(out)

@@ -6,17 +6,19 @@ import enum
 import math
 import operator
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.build import Builder
+from taxinet_ros.core.mtl.build import Builder, Root
 from taxinet_ros.core.mtl.envelope import Envelope
-from taxinet_ros.core.mtl.lower import LowerBound
-from taxinet_ros.core.mtl.margin import compile_margin
-from taxinet_ros.core.mtl.normal import normalise
+from taxinet_ros.core.mtl.lower import Asked, AtomBound
+from taxinet_ros.core.mtl.margin import Margins
+from taxinet_ros.core.mtl.normal import CoreAtom, normalise
 from taxinet_ros.core.mtl.specs import SIGNALS, Spec
 from taxinet_ros.core.mtl.window import INF
+from taxinet_ros.core.types import NS_PER_S
 
 
 class Verdict(enum.IntEnum):
@@ -40,6 +42,8 @@ class Reading(NamedTuple):
         valid: no sample was rejected, and no gap was too long, so far.
         samples: number of samples that the interval rests on.
         rejected: number of samples refused.
+        trusted: no sample has broken the bounds and rates that were vouched for. From the first
+            that does, the interval is the one without them.
     """
 
     lower: float
@@ -49,6 +53,7 @@ class Reading(NamedTuple):
     valid: bool
     samples: int
     rejected: int
+    trusted: bool = True
 
 
 def verdict_of(lower: float, upper: float) -> Verdict:
@@ -82,6 +87,9 @@ class Monitor:
         rates: greatest change per second of signals that the user vouches for, by name.
         max_gap_ns: longest time without a sample [ns], from the start of the run to the horizon.
 
+    Attributes:
+        breach: how a sample broke what was vouched for, in one line; '' while none did.
+
     Raises:
         UsageError: a horizon or gap that is not positive, or bad bounds or rates.
     """
@@ -103,28 +111,17 @@ class Monitor:
                 raise UsageError(f'monitor: unknown signal {name!r}; known: {", ".join(SIGNALS)}')
         self.spec = spec
         self.horizon_ns = horizon_ns
-        self._max_gap_ns = max_gap_ns
+        self.breach = ''
+        self._max_gap_ns = INF if max_gap_ns is None else max_gap_ns
         self._names = ast.signal_names(spec.formula)
         self._envelope = Envelope(self._names, bounds, rates)
         self._assumes = bool(bounds or rates)
         self._stamps_ns: list[int] = []
-        self._margins: dict[ast.Compare, list[float]] = {a: [] for a in ast.atoms(spec.formula)}
-        self._evaluators = [
-            (compile_margin(atom, self._names), column) for atom, column in self._margins.items()
-        ]
-        self._nodes: list[LowerBound] = []
-        self._roots: tuple[LowerBound, LowerBound] | None = None
+        self._margins = Margins(spec.formula, self._names)
+        self._roots: tuple[Root, Root] | None = None
         self._last_ns = -1
         self._complete = False
-        self._reading = Reading(
-            lower=-INF,
-            upper=INF,
-            verdict=Verdict.UNKNOWN,
-            final=False,
-            valid=True,
-            samples=0,
-            rejected=0,
-        )
+        self._reading = Reading(-INF, INF, Verdict.UNKNOWN, False, True, 0, 0)
 
     @property
     def reading(self) -> Reading:
@@ -140,9 +137,9 @@ class Monitor:
 
         Returns:
             The new reading. The sample is refused, and the run not valid from then on, if its
-            stamp is negative, repeated or backward, if a signal that the formula reads or a
-            predicate is not finite, or if it breaks the bounds or rates. A sample from beyond the
-            horizon completes the run and is not looked at.
+            stamp is negative, repeated or backward, or if a signal that the formula reads or a
+            predicate is not finite. A sample from beyond the horizon completes the run and is not
+            looked at.
 
         Raises:
             UsageError: a signal that the formula reads is not in the sample.
@@ -150,83 +147,99 @@ class Monitor:
         stamp_ns = operator.index(stamp_ns)
         if stamp_ns > self.horizon_ns:
             return self._leave(stamp_ns)
-        values = self._values(sample)
-        margins = [evaluate(values) for evaluate, _ in self._evaluators]
-        if stamp_ns <= self._last_ns or not _finite(values, margins):
-            return self._invalidate(rejected=1)
-        gap = self._gap_to(stamp_ns)
-        self._last_ns = stamp_ns
-        if gap or not self._reading.valid:
-            return self._invalidate(rejected=0)
-        if self._assumes and not self._envelope.admits(stamp_ns, values):
-            return self._invalidate(rejected=1)
-        self._stamps_ns.append(stamp_ns)
-        for (_, column), margin in zip(self._evaluators, margins, strict=True):
-            column.append(margin)
-        self._envelope.accept(stamp_ns, values)
-        return self._follow(stamp_ns)
-
-    def _values(self, sample: Mapping[str, float]) -> list[float]:
         try:
-            return [float(sample[name]) for name in self._names]
+            values = [float(sample[name]) for name in self._names]
         except KeyError as error:
             raise UsageError(
                 f'monitor: {self.spec.name} reads {error}, the sample has {", ".join(sample)}'
             ) from None
+        margins = self._margins.of(values)
+        last_ns = self._last_ns
+        # The sum of finite numbers may overflow, but that of others is never finite.
+        if stamp_ns <= last_ns or not (
+            math.isfinite(sum(margins, sum(values))) or _finite(values, margins)
+        ):
+            return self._invalidate(rejected=1)
+        self._last_ns = stamp_ns
+        if stamp_ns - (last_ns if last_ns > 0 else 0) > self._max_gap_ns or not self._reading.valid:
+            return self._invalidate(rejected=0)
+        self._stamps_ns.append(stamp_ns)
+        self._margins.append(margins)
+        if self._assumes:
+            self._check(stamp_ns, values)
+        return self._follow(stamp_ns)
 
-    def _gap_to(self, stamp_ns: int) -> bool:
-        if self._max_gap_ns is None:
-            return False
-        return stamp_ns - max(self._last_ns, 0) > self._max_gap_ns
+    def _check(self, stamp_ns: int, values: list[float]) -> None:
+        """Hold a sample against what was vouched for; if it does not keep to it, trust no more."""
+        breach = self._envelope.breach(stamp_ns, values)
+        if breach:
+            self.breach = f'at {stamp_ns / NS_PER_S:g} s {breach}'
+            self._envelope = Envelope(self._names, None, None)
+            self._assumes = False
+            self._roots = None
+        self._envelope.accept(stamp_ns, values)
 
     def _leave(self, stamp_ns: int) -> Reading:
         """Complete the run: its clock went beyond the horizon."""
         if self._complete or not self._reading.valid:
             return self._reading
-        if self._gap_to(stamp_ns) or not self._stamps_ns:
+        if stamp_ns - max(self._last_ns, 0) > self._max_gap_ns or not self._stamps_ns:
             return self._invalidate(rejected=0)
         self._last_ns = self.horizon_ns
         return self._follow(self.horizon_ns)
 
     def _invalidate(self, rejected: int) -> Reading:
         old = self._reading
-        self._reading = Reading(
-            lower=old.lower,
-            upper=old.upper,
-            verdict=Verdict.UNKNOWN,
-            final=False,
-            valid=False,
-            samples=old.samples,
-            rejected=old.rejected + rejected,
+        self._reading = old._replace(
+            verdict=Verdict.UNKNOWN, final=False, valid=False, rejected=old.rejected + rejected
         )
         return self._reading
 
     def _follow(self, now_ns: int) -> Reading:
-        lower_root, upper_root = self._roots or self._start(now_ns)
-        for node in self._nodes:
-            node.step(now_ns)
-        self._complete = now_ns >= self.horizon_ns
-        # Adding zero turns -0.0 into 0.0, as offline.
-        lower, upper = lower_root.value[0] + 0.0, 0.0 - upper_root.value[0]
-        self._reading = Reading(
-            lower=lower,
-            upper=upper,
-            verdict=verdict_of(lower, upper),
-            final=self._complete,
-            valid=True,
-            samples=len(self._stamps_ns),
-            rejected=0,
+        lower_root, upper_root = self._roots or self._start()
+        if now_ns >= lower_root.wake_ns:
+            lower_root.follow(now_ns)
+        if now_ns >= upper_root.wake_ns:
+            upper_root.follow(now_ns)
+        lower, upper = lower_root.bound, 0.0 - upper_root.bound
+        old = self._reading
+        same = lower == old.lower and upper == old.upper
+        self._complete = final = now_ns >= self.horizon_ns
+        # A named tuple's own constructor takes half as long again as all of this.
+        self._reading = tuple.__new__(
+            Reading,
+            (
+                lower,
+                upper,
+                old.verdict if same else verdict_of(lower, upper),
+                final,
+                True,
+                len(self._stamps_ns),
+                0,
+                not self.breach,
+            ),
         )
         return self._reading
 
-    def _start(self, first_ns: int) -> tuple[LowerBound, LowerBound]:
+    def _start(self) -> tuple[Root, Root]:
         """Build the nodes for the formula and for its negation; both are asked at sample 0."""
-        builder = Builder(self._stamps_ns, self._margins, self._envelope, self.horizon_ns)
-        formula = self.spec.formula
-        lower = builder.build(normalise(formula), first_ns, first_ns)
-        upper = builder.build(normalise(formula, negated=True), first_ns, first_ns)
-        self._nodes, self._roots = builder.nodes, (lower, upper)
+        builder = Builder(self._stamps_ns, self.horizon_ns, self._atom)
+        first_ns = self._stamps_ns[0]
+        lower, upper = (
+            Root(builder.build(normalise(self.spec.formula, negated=negated), first_ns, first_ns))
+            for negated in (False, True)
+        )
+        self._roots = lower, upper
         return self._roots
+
+    def _atom(self, core: CoreAtom, asked: Asked) -> AtomBound:
+        atom, negated, envelope = core.atom, core.negated, self._envelope
+        return AtomBound(
+            asked,
+            margins=self._margins.column(atom, negated),
+            floor=envelope.floor(atom, negated),
+            outlook=partial(envelope.least_margin, atom, negated) if envelope.moves(atom) else None,
+        )
 
 
 def _finite(values: list[float], margins: list[float]) -> bool:

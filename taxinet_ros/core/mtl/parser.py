@@ -1,9 +1,9 @@
 """Formula text to formula nodes, by operator precedence.
 
-Loosest to tightest: implies; or; and; until, since; not and the unary temporal operators;
-comparison; + -; * /; unary minus. This is the precedence of the rtamt library's grammar, except
-that a chain of ``implies``, which tools group differently, must be parenthesised. A window is
-``[a:b]`` or ``[a,b]`` in seconds or with a unit (s, ms, us, ns), and its end may be ``inf``.
+Loosest to tightest: implies; or; and; until, since, unless, release; not and the unary temporal
+operators; comparison; + -; * /; unary minus. This is the precedence of the rtamt library's grammar,
+except that a chain of ``implies``, which tools group differently, must be parenthesised. A window
+is ``[a:b]`` or ``[a,b]`` in seconds or with a unit (s, ms, us, ns), and its end may be ``inf``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import NoReturn, cast
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.lexer import RESERVED, Token, fail, tokens
+from taxinet_ros.core.mtl.hints import hint
+from taxinet_ros.core.mtl.lexer import RESERVED, Token, check_parentheses, fail, tokens
 
 MAX_DEPTH = 50
 """Deepest nesting of parentheses and prefix operators."""
@@ -27,6 +28,7 @@ _EXACT = decimal.Context(
 _IMPLIES, _OR, _AND, _UNTIL, _PREFIX, _COMPARE, _SUM, _PRODUCT, _MINUS = range(1, 10)
 _POWER = {
     'implies': _IMPLIES, 'or': _OR, 'and': _AND, 'until': _UNTIL, 'since': _UNTIL,
+    'unless': _UNTIL, 'release': _UNTIL,
     '<=': _COMPARE, '<': _COMPARE, '>=': _COMPARE, '>': _COMPARE,
     '+': _SUM, '-': _SUM, '*': _PRODUCT, '/': _PRODUCT,
 }  # fmt: skip
@@ -75,6 +77,7 @@ class _Parser:
         self._where = where
 
     def whole(self) -> ast.Formula:
+        check_parentheses(self._tokens, self._where)
         start = self._peek
         node = self._binary(_IMPLIES)
         if self._peek.text == ';':
@@ -94,7 +97,10 @@ class _Parser:
 
     def _expected(self, what: str, token: Token | None = None) -> NoReturn:
         token = token or self._peek
-        fail(self._where, token.column, f'expected {what}, got {token}')
+        place = self._tokens.index(token)
+        before = self._tokens[place - 1] if place else None
+        told = hint(token, before, [*self._signals, *self._named])
+        self._fail(token, f'expected {what}, got {token}{told}')
 
     def _take(self, text: str) -> None:
         if self._peek.text != text:
@@ -127,7 +133,7 @@ class _Parser:
             right = self._binary(power + 1)
             node = self._joined(op, interval, (node, start), (right, right_start))
             done = op.text
-        if self._peek.text in ('=', '==', '!=') and not _is_formula(node):
+        if self._peek.text in ('=', '==', '!=', '≠', '^', '**') and not _is_formula(node):
             self._expected(_COMPARISON)
         return node
 
@@ -135,7 +141,10 @@ class _Parser:
         if op.text == done == 'implies':
             self._fail(op, "expected parentheses in a chain of 'implies': a implies (b implies c)")
         if _POWER[op.text] == _COMPARE and isinstance(left, ast.Compare):
-            self._fail(op, f"expected 'and', got {op}: write {left} and ... {op.text} ...")
+            middle = f'{left} and {left.right} {op.text} ...'
+            self._fail(op, f"expected 'and', got {op}; write it as two: {middle}")
+        if op.raw == '=>' and not _is_formula(left):
+            self._expected(_COMPARISON, op)
 
     def _joined(self, op: Token, interval: ast.Interval, left: _Placed, right: _Placed) -> _Node:
         power = _POWER[op.text]
@@ -146,8 +155,7 @@ class _Parser:
             return ast.Arithmetic(cast(ast.ArithmeticOp, op.text), low, high)
         first, second = self._formula(*left), self._formula(*right)
         if power == _UNTIL:
-            word = cast(ast.BinaryTemporalOp, op.text)
-            return ast.TemporalPair(word, interval, first, second)
+            return _pair(op.text, interval, first, second)
         return ast.Logic(cast(ast.LogicOp, op.text), first, second)
 
     def _prefix(self) -> _Node:
@@ -193,13 +201,17 @@ class _Parser:
         if token.text in self._named:
             return self._named[token.text]
         if token.text not in self._signals:
-            known = ', '.join([*self._signals, *self._named])
-            self._fail(token, f'expected a signal, got unknown {token}; known: {known}')
+            known = [*self._signals, *self._named]
+            told = hint(token, None, known)
+            listed = ', '.join(known)
+            self._fail(token, f'expected a signal, got unknown {token}{told}; known: {listed}')
         return ast.Signal(token.text)
 
     def _function(self, token: Token) -> ast.Function:
         name = cast(ast.FunctionName, token.text)
-        self._take('(')
+        if self._peek.text != '(':
+            self._expected(f"'(' after {name}")
+        self._next()
         args = [self._argument()]
         while self._peek.text == ',':
             self._next()
@@ -218,6 +230,7 @@ class _Parser:
     def _interval(self) -> ast.Interval:
         if self._peek.text != '[':
             return ast.Interval()
+        start = self._at
         self._next()
         low_token = self._peek
         low_ns = self._bound()
@@ -229,13 +242,18 @@ class _Parser:
             self._next()
         else:
             high_ns = self._bound()
+        if self._peek.kind in ('name', 'word'):
+            self._expected(f"']' or a unit ({', '.join(_UNIT_NS)})")
         self._take(']')
         if high_ns is not None and low_ns > high_ns:
-            self._fail(low_token, 'expected a window [a:b] with a <= b')
+            seen = ''.join(t.raw for t in self._tokens[start : self._at])
+            self._fail(low_token, f'expected a window [a:b] with a <= b, got {seen}')
         return ast.Interval(low_ns, high_ns)
 
     def _bound(self) -> int:
         token = self._next()
+        if token.text == '-':
+            self._fail(token, "expected 0 seconds or more; 'once' and 'historically' look back")
         if token.kind != 'number':
             self._expected('a number of seconds', token)
         unit = self._next().text if self._peek.text in _UNIT_NS else 's'
@@ -248,6 +266,19 @@ class _Parser:
         if whole_ns > _MAX_WINDOW_NS:
             self._fail(token, f"expected at most {_MAX_WINDOW_NS // 10**9} s, or 'inf'")
         return int(whole_ns)
+
+
+def _pair(
+    word: str, interval: ast.Interval, left: ast.Formula, right: ast.Formula
+) -> ast.Formula:
+    """Until and since are nodes; unless (weak until) and release are said with until."""
+    if word == 'unless':
+        lasting = ast.Temporal('always', ast.Interval(0, interval.high_ns), left)
+        return ast.Logic('or', ast.TemporalPair('until', interval, left, right), lasting)
+    if word == 'release':
+        neither = ast.TemporalPair('until', interval, ast.Not(left), ast.Not(right))
+        return ast.Not(neither)
+    return ast.TemporalPair(cast(ast.BinaryTemporalOp, word), interval, left, right)
 
 
 def _is_formula(node: _Node) -> bool:

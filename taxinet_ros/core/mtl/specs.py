@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -80,7 +80,9 @@ _NAMED = re.compile(r'\s*([A-Za-z_][A-Za-z0-9_]*)\s*=(?![=>])(.*)', re.DOTALL)
 _NAME = re.compile(r'[a-z][a-z0-9_]*')
 
 
-def parse_spec(text: str, predicates: Mapping[str, str] | None = None) -> Spec:
+def parse_spec(
+    text: str, predicates: Mapping[str, str] | None = None, signals: Collection[str] = SIGNALS
+) -> Spec:
     """Read a requirement as a user writes it.
 
     Args:
@@ -88,32 +90,48 @@ def parse_spec(text: str, predicates: Mapping[str, str] | None = None) -> Spec:
             named ``spec_`` and a hash of its parenthesised text, so its name does not depend on
             spacing or aliases.
         predicates: formulas by name that the formula may use.
+        signals: names that the formula may read.
 
     Raises:
         UsageError: an unknown name, a bad name, or a bad formula.
     """
     word = text.strip()
     if word in SHIPPED:
-        return SHIPPED[word]
+        return _readable(SHIPPED[word], signals)
     named = _NAMED.fullmatch(text)
     if named is not None:
         # Spaces for the name keep the columns of error messages those of the typed text.
-        return _named(named.group(1), ' ' * named.start(2) + named.group(2), predicates)
+        return _named(named.group(1), ' ' * named.start(2) + named.group(2), predicates, signals)
     if word.isidentifier() and word not in (predicates or {}):
         raise UsageError(
             f'spec: unknown name {word!r}; known: {", ".join(SHIPPED)}; or write NAME=FORMULA'
         )
-    formula = parse(text, SIGNALS, predicates)
+    formula = parse(text, signals, predicates)
     digest = hashlib.sha256(str(formula).encode()).hexdigest()[:8]
     return Spec(name=f'spec_{digest}', formula=formula, text=str(formula))
 
 
-def _named(name: str, body: str, predicates: Mapping[str, str] | None) -> Spec:
-    if not _NAME.fullmatch(name) or name in RESERVED or name in SIGNALS:
+def _readable(spec: Spec, signals: Collection[str]) -> Spec:
+    missing = [name for name in ast.signal_names(spec.formula) if name not in signals]
+    if missing:
         raise UsageError(
-            f'spec: name {name!r} needs to be snake_case and no signal or operator, e.g. my_spec'
+            f'spec {spec.name}: reads {missing[0]}, which is no signal; known: {", ".join(signals)}'
         )
-    formula = parse(body, SIGNALS, predicates, where=f'spec {name}')
+    return spec
+
+
+def _named(
+    name: str, body: str, predicates: Mapping[str, str] | None, signals: Collection[str]
+) -> Spec:
+    if name in signals:
+        raise UsageError(
+            f'spec: {name!r} is a signal, no name; a comparison is one of <=, <, >=, >'
+        )
+    if not _NAME.fullmatch(name) or name in RESERVED:
+        raise UsageError(
+            f'spec: name {name!r} needs to be snake_case and no operator, e.g. my_spec'
+        )
+    formula = parse(body, signals, predicates, where=f'spec {name}')
     shipped = SHIPPED.get(name)
     if shipped is not None and shipped.formula != formula:
         raise UsageError(f'spec: {name!r} is shipped as {shipped.text}; choose another name')

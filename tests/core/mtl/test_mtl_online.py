@@ -162,10 +162,32 @@ def test_given_a_predicate_without_a_value_when_pushed_then_the_run_is_not_valid
     assert [r.valid for r in readings] == [True, False, False]
 
 
-def test_given_bounds_when_pushed_then_the_lower_end_is_finite_and_a_breach_not_valid() -> None:
-    _, readings = watch([0.0, 3.0, 41.0], 'phi_always', bounds={'cte': (-40.0, 40.0)})
+def test_given_bounds_when_pushed_then_the_lower_end_is_finite() -> None:
+    monitor, readings = watch([0.0, 3.0, 39.0], 'phi_always', bounds={'cte': (-40.0, 40.0)})
     assert [r.lower for r in readings] == [-38.5, -38.5, -38.5]
-    assert [r.valid for r in readings] == [True, True, False]
+    assert [r.trusted for r in readings] == [True] * 3
+    assert monitor.breach == ''
+
+
+@pytest.mark.parametrize(
+    ('limits', 'breach'),
+    [
+        ({'bounds': {'cte': (-2.0, 2.0)}}, 'at 2 s cte is 3, bounds are -2:2'),
+        ({'rates': {'cte': 1.5}}, 'at 2 s cte changes by 3 in 1 s, its rate is 1.5 per s'),
+        ({'rates': {'cte': 1.5, 'he': 0.0}}, 'at 2 s cte changes by 3 in 1 s'),
+    ],
+)
+def test_given_a_broken_assumption_when_pushed_then_the_interval_is_that_without_it(
+    limits: dict[str, dict[str, float]], breach: str
+) -> None:
+    values = [0.0, 0.0, 3.0, *[0.5] * 28]
+    monitor, readings = watch(values, **limits)
+    _, without = watch(values)
+    assert readings[1].lower > without[1].lower == -INF
+    assert [r.trusted for r in readings] == [True] * 2 + [False] * 29
+    assert [r._replace(trusted=True) for r in readings[2:]] == without[2:]
+    assert (readings[-1].valid, readings[-1].final, readings[-1].lower) == (True, True, 1.0)
+    assert monitor.breach.startswith(breach)
 
 
 def test_given_a_rate_when_the_end_is_near_then_satisfaction_is_known_early() -> None:
@@ -176,9 +198,11 @@ def test_given_a_rate_when_the_end_is_near_then_satisfaction_is_known_early() ->
 
 
 @pytest.mark.parametrize('jump', [1.5, -1.5])
-def test_given_a_rate_when_a_sample_jumps_then_the_run_is_not_valid(jump: float) -> None:
+def test_given_a_rate_when_a_sample_jumps_then_it_is_trusted_no_more(jump: float) -> None:
     _, readings = watch([0.0, 1.0, 1.0 + jump], 'phi_always', rates={'cte': 1.0})
-    assert [r.valid for r in readings] == [True, True, False]
+    assert [r.trusted for r in readings] == [True, True, False]
+    assert [r.lower for r in readings[:2]] == [pytest.approx(-28.5, abs=1e-3)] * 2
+    assert readings[2].lower == -INF
 
 
 def test_given_a_signal_at_its_rate_when_pushed_then_rounding_never_widens_the_interval() -> None:
@@ -223,7 +247,9 @@ def test_given_a_sample_without_a_signal_when_pushed_then_it_raises() -> None:
         ({'horizon_ns': 1, 'max_gap_ns': 0}, 'max_gap is 0 ns'),
         ({'horizon_ns': 1, 'bounds': {'cte': (1.0, 0.0)}}, 'bounds of cte'),
         ({'horizon_ns': 1, 'bounds': {'cte': (math.nan, 0.0)}}, 'bounds of cte'),
+        ({'horizon_ns': 1, 'bounds': {'cte': (INF, INF)}}, 'bounds of cte'),
         ({'horizon_ns': 1, 'rates': {'cte': -1.0}}, 'rate of cte'),
+        ({'horizon_ns': 1, 'rates': {'cte': INF}}, 'rate of cte'),
         ({'horizon_ns': 1, 'rates': {'lateral': 1.0}}, "unknown signal 'lateral'; known: cte"),
     ],
 )

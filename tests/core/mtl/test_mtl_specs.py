@@ -43,8 +43,8 @@ def test_given_a_predicate_name_when_read_then_it_is_the_formula() -> None:
     [
         ('phi_alway', 'known: phi_always, phi_eventually, on_runway'),
         ('Slow=G speed<6', 'snake_case'),
-        ('cte=1', 'no signal'),
-        ('until = cte<1', 'no signal or operator'),
+        ('cte=1', "'cte' is a signal, no name; a comparison is one of <=, <, >=, >"),
+        ('until = cte<1', 'no operator'),
         ('slow = G spee<6', "spec slow: column 10: expected a signal, got unknown 'spee'"),
         ('phi_always = G abs(cte) <= 2', 'choose another name'),
     ],

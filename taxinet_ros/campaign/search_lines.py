@@ -5,13 +5,20 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 
+from taxinet_ros.campaign.lines import (
+    GRAPH_OF_OTHERS,
+    off_runway_words,
+    rho_words,
+    scene_words,
+    stopped_words,
+    table_line,
+)
 from taxinet_ros.campaign.rates import Rate, summarise
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.estimate import Estimate
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.stop_rule import failure_estimate, off_runway_estimate
-from taxinet_ros.cli.lines import scene_words
 
 
 def search_heading(options: SearchOptions) -> str:
@@ -19,23 +26,29 @@ def search_heading(options: SearchOptions) -> str:
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     verb = 'resuming' if options.resume else 'searching'
+    graph = f'perception {campaign.perception}, {workers}'
     return (
         f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
-        f'{options.sampler}, seed {campaign.seed}, perception {campaign.perception}, {workers} '
-        f'-> {campaign.out}'
+        f'{options.sampler}, seed {campaign.seed}, '
+        f'{GRAPH_OF_OTHERS if campaign.standing_graph else graph} -> {campaign.out}'
     )
 
 
-def search_summary(search: Search) -> list[str]:
-    """What came of it: counts, rates with their intervals, the worst run, where the table is."""
+def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
+    """What came of it: counts, rates with their intervals, the worst run, where the table is.
+
+    Args:
+        search: that has ended.
+        resuming: what to add to the command to continue it.
+    """
     rows, campaign = search.rows, search.options.campaign
     counts = summarise(rows).counts
     lines = [', '.join(f'{n} {outcome}' for outcome, n in counts.items() if n) or 'no run ended']
-    lines += [*_rate_lines(rows), *_worst(rows)]
-    lines.append(f'table: {campaign.out / "runs.csv"}, runs.parquet; bags: {campaign.out}/<run>/')
+    lines += [*_rate_lines(rows), *stopped_words(rows), *_worst(rows)]
+    lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:
-        lines.append(f'ended before its {campaign.runs} runs: {why}; --resume continues it')
+        lines.append(f'ended before its {campaign.runs} runs: {why}; {resuming} continues it')
     return lines
 
 
@@ -50,17 +63,18 @@ def _rate_lines(rows: Sequence[RunRow]) -> list[str]:
         return []
     speed = statistics.median(row.real_time_factor for row in judged)
     failed, off = failure_estimate(rows), off_runway_estimate(rows)
-    if failed is None or off is None:
+    if failed is None:
         return [
-            f'{sum(bool(row.left_runway) for row in judged)} off the runway, median '
-            f'{speed:.1f}x real time; this sampler says nothing on how often the program fails'
+            f'{off_runway_words(judged)}, median {speed:.1f}x real time; this sampler says nothing '
+            'on how often the program fails'
         ]
     satisfied = Rate(1 - failed.rate.rate, 1 - failed.rate.high, 1 - failed.rate.low)
     drawn = all(row.weight == 1 for row in judged)
     worth = '' if drawn else f', weighted: worth {failed.effective:.0f} independent runs'
+    left = '' if off is None else f', off the runway {_rate_words(off.rate)}'
     return [
-        f'under the program itself: satisfied {_rate_words(satisfied)}, off the runway '
-        f'{_rate_words(off.rate)} (95 % intervals{worth})',
+        f'under the program itself: satisfied {_rate_words(satisfied)}{left} '
+        f'(95 % intervals{worth})',
         f'{failed.failures} of {failed.runs} judged runs failed, median {speed:.1f}x real time',
     ]
 
@@ -73,6 +87,5 @@ def _worst(rows: Sequence[RunRow]) -> list[str]:
     judged = [row for row in rows if row.outcome.judged]
     if not judged:
         return []
-    worst = min(judged, key=lambda row: next(iter(row.rho.values())))
-    rho = next(iter(worst.rho.values()))
-    return [f'worst: run {worst.index}, rho {rho:+.2f}: {scene_words(worst)}']
+    worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
+    return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']

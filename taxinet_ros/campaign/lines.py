@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 
@@ -11,6 +12,9 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.rates import summarise
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
+
+GRAPH_OF_OTHERS = 'on the graph that runs'
+"""Said where the nodes were started by somebody else."""
 
 _STYLES = {
     Outcome.PASS: 'green',
@@ -25,9 +29,10 @@ def heading(options: CampaignOptions) -> str:
     """What is about to run."""
     runs = 'run' if options.runs == 1 else 'runs'
     layout = 'separate processes' if options.processes else 'one process'
+    graph = f'perception {options.perception}, {layout}'
     return (
-        f'{options.runs} {runs} of {options.program}, seed {options.seed}, perception '
-        f'{options.perception}, {layout} -> {options.out}'
+        f'{options.runs} {runs} of {options.program}, seed {options.seed}, '
+        f'{GRAPH_OF_OTHERS if options.standing_graph else graph} -> {options.out}'
     )
 
 
@@ -36,16 +41,27 @@ def row_line(row: RunRow) -> Text:
     text = Text(f'{row.index:5d}  ')
     text.append(f'{row.outcome:<5}', style=_STYLES[row.outcome])
     if row.outcome.judged:
-        headline = next(iter(row.rho.values()))
-        text.append(f' rho {headline:+7.2f}  |CTE| <= {row.max_cross_track_m:4.1f} m  ')
+        text.append(f' {rho_words(row, 7)}  |CTE| <= {row.max_cross_track_m:4.1f} m  ')
         text.append('off runway  ' if row.left_runway else ' ' * 12, style='red')
         text.append(f'{row.real_time_factor:5.1f}x  ')
+        if row.stopped_early:
+            text.append(f'stopped at {row.stopped_s:.1f} s  ')
     else:
         words = [word for word in (row.kind, row.who) if word]
         text.append(f' {" ".join(words)}: ' if words else ' ')
         text.append(f'{row.detail}  ')
     text.append(scene_words(row), style='dim')
     return text
+
+
+def rho_words(row: RunRow, width: int = 0) -> str:
+    """The headline's robustness, or the bounds that a run that was stopped early has of it."""
+    lower, upper = row.headline or (math.nan, math.nan)
+    if math.isfinite(lower) and lower < upper < math.inf:
+        return f'rho {lower:+.2f} to {upper:+.2f}'
+    sign = '<=' if lower < upper < math.inf else '>=' if lower < upper else ''
+    value = lower if sign == '>=' else upper
+    return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
 
 
 def scene_words(row: RunRow) -> str:
@@ -60,17 +76,44 @@ def scene_words(row: RunRow) -> str:
     )
 
 
+def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
+    """Where table and bags are."""
+    here = not options.standing_graph or any(row.bag for row in rows)
+    bags = f'{options.out}/<run>/' if here else "where the graph's recorder puts them"
+    return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
+
+
 def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     """What came of it all: counts, rate with its interval, speed, and where the table is."""
     figures = summarise(rows)
     lines = [', '.join(f'{n} {outcome}' for outcome, n in figures.counts.items() if n)]
     if figures.judged:
         value, low, high = figures.satisfied
-        off = sum(bool(row.left_runway) for row in rows)
         speed = statistics.median(row.real_time_factor for row in rows if row.outcome.judged)
         lines.append(
             f'satisfied {value:.0%} (95 % interval {low:.0%}-{high:.0%}), '
-            f'{off} off the runway, median {speed:.1f}x real time'
+            f'{off_runway_words(rows)}, median {speed:.1f}x real time'
         )
-    lines.append(f'table: {options.out / "runs.csv"}, runs.parquet; bags: {options.out}/<run>/')
+        lines += stopped_words(rows)
+    lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
+
+
+def off_runway_words(rows: Sequence[RunRow]) -> str:
+    """How many runs left the runway; of a run that was stopped before, nobody knows."""
+    off = sum(bool(row.left_runway) for row in rows)
+    stopped = any(row.stopped_early and not row.left_runway for row in rows)
+    return f'{off} off the runway{" before they were stopped" if stopped else ""}'
+
+
+def stopped_words(rows: Sequence[RunRow]) -> list[str]:
+    """How many runs were stopped early and what that saved; no line where none was."""
+    stopped = [row for row in rows if row.stopped_early]
+    if not stopped:
+        return []
+    whole_s = sum(row.duration or 0.0 for row in rows if row.outcome.judged)
+    saved_s = sum((row.duration or 0.0) - row.sim_s for row in stopped)
+    return [
+        f'{len(stopped)} stopped early, which saved {saved_s:.0f} of {whole_s:.0f} s of simulated '
+        f'time ({saved_s / whole_s:.0%})'
+    ]

@@ -1,0 +1,237 @@
+"""Checks of a bag as a run of the lockstep: stamps, whole steps, and the verdict made once more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from taxinet_ros.bag.decode import decode
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.findings import Check, Finding, ranges
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
+from taxinet_ros.bag.run_topics import (
+    COMMAND,
+    ESTIMATE,
+    NODE_STATUS,
+    ODOMETRY,
+    ONCE,
+    ROBUSTNESS,
+    RUN_STATUS,
+    SCENARIO,
+    TRUTH,
+    VERDICT,
+    is_topic,
+)
+from taxinet_ros.core.types import NS_PER_S
+
+PERIOD_NS = NS_PER_S // 10
+"""Control period of the lockstep, as :data:`taxinet_ros.core.aircraft.CONTROL_PERIOD_NS`."""
+
+MOST_STEPS = 100_000
+"""Steps beyond are not looked at: no run is nearly as long."""
+
+_KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
+_ENDED = 2
+
+
+class Interval(NamedTuple):
+    """Robust satisfaction interval of one formula after one step."""
+
+    lower: float
+    upper: float
+
+
+@dataclass
+class RunRecord:
+    """The numbers of a run, step by step, and what is wrong with its messages.
+
+    Attributes:
+        once: messages of the topics that speak once, by relative name, in order.
+        counts: messages by relative topic name and step.
+        values: messages that the verdict depends on, by relative topic name and step.
+        robustness: by step and name of the formula.
+        stamps: findings on stamps and contents.
+    """
+
+    once: dict[str, list[Any]] = field(default_factory=dict)
+    counts: dict[str, dict[int, int]] = field(default_factory=dict)
+    values: dict[str, dict[int, Any]] = field(default_factory=dict)
+    robustness: dict[int, dict[str, Interval]] = field(default_factory=dict)
+    stamps: list[Finding] = field(default_factory=list)
+    latest: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def scenario(self) -> Any:
+        """The scenario message, or None: then it is no run of ours."""
+        return next(iter(self.once.get(SCENARIO, ())), None)
+
+    @property
+    def ending(self) -> Any:
+        """The message that told how the run ended, or None."""
+        told = self.once.get(RUN_STATUS, ())
+        return next((m for m in told if m.state == _ENDED), None)
+
+    def note(self, stored: StoredMessage) -> None:
+        """Take in a message; what is wrong with it alone becomes a finding."""
+        name, stamp = stored.topic.name, stored.stamp_ns
+        if stamp < self.latest.get(name, 0):
+            self._wrong(name, stamp, f'{name}: stamp goes back from {self.latest[name]} ns')
+        self.latest[name] = max(stamp, self.latest.get(name, 0))
+        try:
+            message = decode(stored.topic, stored.cdr)
+        except BagError as error:
+            self._wrong(name, stamp, str(error))
+            return
+        try:
+            self._keep(name, stamp, message)
+        except (AttributeError, TypeError, ValueError) as error:
+            self._wrong(name, stamp, f'{name}: {error}')
+
+    def _keep(self, name: str, stamp: int, message: Any) -> None:
+        once = next((topic for topic in ONCE if is_topic(name, topic)), None)
+        if once is not None:
+            _check_fields(once, message)
+            if len(told := self.once.setdefault(once, [])) < MOST_STEPS:
+                told.append(message)
+            return
+        step = stamp // PERIOD_NS
+        if step > MOST_STEPS:
+            return
+        steps = self.counts.setdefault(name, {})
+        steps[step] = steps.get(step, 0) + 1
+        header = getattr(message, 'header', None)
+        if header is not None and _stamp(header.stamp) != stamp:
+            self._wrong(name, stamp, f'{name}: header says {_stamp(header.stamp)} ns')
+        if is_topic(name, ROBUSTNESS):
+            reading = Interval(float(message.rho_lower), float(message.rho_upper))
+            self.robustness.setdefault(step, {})[str(message.spec)] = reading
+        kept = next((topic for topic in _KEPT if is_topic(name, topic)), None)
+        if kept is not None:
+            self.values.setdefault(kept, {}).setdefault(step, message)
+
+    def _wrong(self, name: str, stamp: int, what: str) -> None:
+        if len(self.stamps) < MOST_STEPS:
+            where = f'{name} at {stamp / NS_PER_S:.3f} s'
+            self.stamps.append(Finding(where=where, what=what.removeprefix(f'{name}: ')))
+
+
+def read_record(path: Path) -> RunRecord:
+    """Read the numbers of a run, passing over damage.
+
+    Raises:
+        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
+    """
+    record = RunRecord()
+    for stored in stored_messages(path, on_damage=lambda error: None):
+        record.note(stored)
+    return record
+
+
+def check_stamps(record: RunRecord) -> Check:
+    """Whether time never goes back, and messages carry the stamp that they are filed under."""
+    found = record.stamps
+    more = Finding(where=f'and {len(found) - 5} more', what='as these')
+    return Check(
+        name='stamps', looked_at='every message decodes, and time never goes back',
+        findings=tuple(found) if len(found) <= 6 else (*found[:5], more),
+    )
+
+
+def check_steps(record: RunRecord, info: BagInfo) -> Check:
+    """Whether every control step is whole: each topic spoke, exactly as often as it should."""
+    if record.scenario is None:
+        return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
+    last = last_seq(record)
+    found = [*_once_troubles(record), *_step_troubles(record, info, last)]
+    return Check(
+        name='steps', looked_at=f'{last + 1} control steps, every topic in each',
+        findings=tuple(found),
+    )
+
+
+def last_seq(record: RunRecord) -> int:
+    """The last control step that is to be whole: the run's, or of an aborted run the one before.
+
+    -1 where the bag does not tell of any.
+    """
+    if record.ending is None:
+        return max((step for steps in record.counts.values() for step in steps), default=0) - 1
+    seq = int(record.ending.seq)
+    return min(seq if record.ending.outcome in ('PASS', 'FAIL') else seq - 1, MOST_STEPS)
+
+
+def _once_troubles(record: RunRecord) -> Iterator[Finding]:
+    ending = record.ending
+    judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
+    expected = {SCENARIO: 1, RUN_STATUS: 1}
+    if judged:
+        expected |= {VERDICT: 1, NODE_STATUS: len(record.scenario.participants)}
+    for topic, number in expected.items():
+        there = len(record.once.get(topic, ()))
+        if there != number:
+            why = 'the bag ends before the run does' if topic == RUN_STATUS else ''
+            yield Finding(where=topic, what=f'{there} messages, not {number}; {why}'.rstrip('; '))
+
+
+def _step_troubles(record: RunRecord, info: BagInfo, last: int) -> Iterator[Finding]:
+    lacking: dict[str, list[str]] = {}
+    for topic, each in _stepped(record, info):
+        steps = record.counts.get(topic, {})
+        missing = ranges(step for step in range(last + 1) if steps.get(step, 0) < each)
+        twice = ranges(step for step, count in steps.items() if count > each)
+        if missing:
+            lacking.setdefault(missing, []).append(topic)
+        if twice:
+            yield Finding(where=f'step {twice}', what=f'{topic} more than {each} x')
+    for steps_without, topics in lacking.items():
+        yield Finding(where=f'step {steps_without}', what=f'without {", ".join(topics)}')
+
+
+def _stepped(record: RunRecord, info: BagInfo) -> Iterator[tuple[str, int]]:
+    """Topics that speak in every step, and how often."""
+    for topic in info.topics:
+        if not any(is_topic(topic.name, once) for once in ONCE):
+            number = len(record.scenario.specs) if is_topic(topic.name, ROBUSTNESS) else 1
+            yield topic.name, number
+
+
+def whole_steps(record: RunRecord, info: BagInfo) -> int:
+    """How many control steps of a run have all their messages."""
+    counts = [(record.counts.get(topic, {}), each) for topic, each in _stepped(record, info)]
+    numbers = {step for steps, _ in counts for step in steps}
+    return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
+
+
+def check_verdict(record: RunRecord) -> Check:
+    """Whether judging the recorded truth once more gives the recorded robustness, bit for bit."""
+    if record.scenario is None:
+        return Check(name='verdict', looked_at='no scenario of ours in it', skipped=True)
+    # Only here, for it brings in the whole world: a second of imports.
+    from taxinet_ros.bag.rejudge import verdict_findings
+
+    steps, found = verdict_findings(record)
+    return Check(
+        name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
+        'bit for bit', findings=tuple(found),
+    )
+
+
+def _check_fields(once: str, message: Any) -> None:
+    """Raise AttributeError, TypeError or ValueError where a message of a run lacks what it tells.
+
+    The definition, too, comes from the bag.
+    """
+    if once == SCENARIO:
+        _ = len(message.participants), [str(spec) for spec in message.specs]
+    elif once == RUN_STATUS:
+        _ = int(message.state), str(message.outcome), int(message.seq)
+    elif once == VERDICT:
+        for spec in message.specs:
+            _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
+
+
+def _stamp(time: Any) -> int:
+    return int(time.sec) * NS_PER_S + int(time.nanosec)
+

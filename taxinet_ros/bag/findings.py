@@ -1,0 +1,57 @@
+"""What a check of a bag came to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+RECOVER = 'taxinet bag recover {bag} --out NEW'
+"""The command that writes what is sound into a new bag, with the bag's path to be filled in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes:
+        where: byte, step, topic or file.
+        what: what is wrong there, on one line.
+        mend: command that mends it, with ``{bag}`` for the bag's path; '' where none does.
+    """
+
+    where: str
+    what: str
+    mend: str = ''
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One question to a bag, and its answer.
+
+    Attributes:
+        name: one word.
+        looked_at: what was looked at, on one line; where ``skipped``, why it was not.
+        findings: what is wrong; empty where all is well.
+        skipped: the question does not arise, or cannot be answered.
+    """
+
+    name: str
+    looked_at: str
+    findings: tuple[Finding, ...] = ()
+    skipped: bool = False
+
+
+def ranges(numbers: Iterable[int]) -> str:
+    """Whole numbers in a few words, e.g. ``3, 7-9``; the first of very many."""
+    parts: list[tuple[int, int]] = []
+    for number in sorted(set(numbers)):
+        if parts and parts[-1][1] == number - 1:
+            parts[-1] = (parts[-1][0], number)
+        else:
+            parts.append((number, number))
+    return _joined([f'{a}' if a == b else f'{a}-{b}' for a, b in parts])
+
+
+def _joined(words: Sequence[str], most: int = 6) -> str:
+    more = f' and {len(words) - most} more' if len(words) > most else ''
+    return ', '.join(words[:most]) + more

@@ -1,0 +1,179 @@
+"""A recorded run judged once more, or by a requirement that nobody had thought of when it ran.
+
+The monitor, its inputs and their order are those of the run, so a formula that judged the run gets
+the recorded robustness to the last bit.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from taxinet_ros.bag.errors import BagError, BagForeign
+from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples
+from taxinet_ros.core.loop import MAX_GAP_NS
+from taxinet_ros.core.mtl import Monitor, Reading, Spec, parse_spec, signal_names
+from taxinet_ros.core.types import NS_PER_S
+
+
+class BagVerdict(enum.StrEnum):
+    """What a bag says of a requirement. Only SATISFIED is a success."""
+
+    SATISFIED = 'SATISFIED'
+    VIOLATED = 'VIOLATED'
+    MARGINAL = 'MARGINAL'
+    """Robustness zero, or zero at best; counts as a failure."""
+    INCOMPLETE = 'INCOMPLETE'
+    """The run ends early, or the bag is damaged: there is an interval, and no verdict."""
+    INVALID = 'INVALID'
+    """A sample was not finite, or one is missing amid the others; the interval ends before it."""
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run was judged and has not satisfied the requirement."""
+        return self in (BagVerdict.VIOLATED, BagVerdict.MARGINAL)
+
+    @property
+    def judged(self) -> bool:
+        """Whether there is a verdict at all."""
+        return self.failed or self is BagVerdict.SATISFIED
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpecVerdict:
+    """One requirement, put to one bag.
+
+    Attributes:
+        spec: the requirement.
+        verdict: what the bag says of it.
+        lower, upper: ends of the robust satisfaction interval; both rho where the run was whole.
+        decided_s: first moment from which zero is out of the interval [s], or None.
+        recorded: ends of the interval that the bag itself has for this formula, or None.
+        same: whether that is the interval found here, to the last bit; None where it has none.
+    """
+
+    spec: Spec
+    verdict: BagVerdict
+    lower: float
+    upper: float
+    decided_s: float | None
+    recorded: tuple[float, float] | None
+    same: bool | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedBag:
+    """A bag and what it says of some requirements.
+
+    Attributes:
+        path: as given.
+        verdicts: one for each requirement, in order; none where nothing could be read.
+        end_s: simulated time of the last sample [s], -1 without any.
+        duration_s: how long the run was to last [s]; NaN where the bag does not tell.
+        stopped_early: the run was ended on purpose, because its verdict was in.
+        trouble: one line on what of the bag is damaged or missing, or ''.
+        foreign: it is no bag, or no run of this package.
+    """
+
+    path: Path
+    verdicts: tuple[SpecVerdict, ...] = ()
+    end_s: float = -1.0
+    duration_s: float = math.nan
+    stopped_early: bool = False
+    trouble: str = ''
+    foreign: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the run, as far as its place tells."""
+        return self.path.stem if self.path.is_file() else self.path.name
+
+    @property
+    def sound(self) -> bool:
+        """Whether every requirement has a verdict, and the same that was recorded, if any was."""
+        return bool(self.verdicts) and all(
+            one.verdict.judged and one.same is not False for one in self.verdicts
+        )
+
+
+def judge_bag(path: Path, specs: Sequence[Spec] = ()) -> JudgedBag:
+    """Judge a recorded run. What is wrong with the bag is told in the result, not raised.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        specs: requirements; where empty, those that judged the run.
+
+    Raises:
+        UsageError: there is nothing at ``path``.
+    """
+    try:
+        samples = read_samples(path, signals_of(specs) if specs else None)
+    except BagError as error:
+        return JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))
+    chosen = specs or [parse_spec(text) for text in samples.specs]
+    return JudgedBag(
+        path=path,
+        verdicts=tuple(spec_verdict(samples, spec, follow(samples, spec)) for spec in chosen),
+        end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
+        duration_s=samples.duration_ns / NS_PER_S,
+        stopped_early=samples.stopped_early,
+        trouble=samples.trouble,
+    )
+
+
+def signals_of(specs: Sequence[Spec]) -> set[str]:
+    """Names of all signals that some requirements read."""
+    return {name for spec in specs for name in signal_names(spec.formula)}
+
+
+def follow(samples: RunSamples, spec: Spec) -> list[Reading]:
+    """The monitor's reading after each sample, as during the run; one that knows nothing if none.
+
+    Raises:
+        UsageError: the run was to last no time at all.
+    """
+    monitor = Monitor(spec, samples.duration_ns, max_gap_ns=MAX_GAP_NS)
+    pairs = zip(samples.stamps_ns, samples.samples, strict=True)
+    return [monitor.push(stamp, sample) for stamp, sample in pairs] or [monitor.reading]
+
+
+def spec_verdict(samples: RunSamples, spec: Spec, readings: Sequence[Reading]) -> SpecVerdict:
+    """What the readings of one requirement come to."""
+    last = readings[-1]
+    moments = zip(samples.stamps_ns, readings, strict=False)
+    decided_ns = next((stamp for stamp, reading in moments if _decided(reading)), None)
+    recorded = samples.recorded.get(spec.text)
+    return SpecVerdict(
+        spec=spec, verdict=_verdict(samples, last), lower=last.lower, upper=last.upper,
+        decided_s=None if decided_ns is None else decided_ns / NS_PER_S,
+        recorded=None if recorded is None else (recorded.lower, recorded.upper),
+        same=None if recorded is None else _same(samples, readings, recorded),
+    )
+
+
+def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
+    if samples.trouble:
+        return BagVerdict.INCOMPLETE
+    if not last.valid:
+        return BagVerdict.INVALID
+    if not (last.final or samples.stopped_early) or not _decided(last):
+        return BagVerdict.INCOMPLETE
+    if last.lower > 0:
+        return BagVerdict.SATISFIED
+    return BagVerdict.VIOLATED if last.upper < 0 else BagVerdict.MARGINAL
+
+
+def _decided(reading: Reading) -> bool:
+    return reading.lower > 0 or reading.upper <= 0
+
+
+def _same(samples: RunSamples, readings: Sequence[Reading], recorded: Recorded) -> bool:
+    if recorded.stamp_ns not in samples.stamps_ns:
+        return False
+    here = readings[samples.stamps_ns.index(recorded.stamp_ns)]
+    ends = struct.pack('<2d', recorded.lower, recorded.upper)
+    return struct.pack('<2d', here.lower, here.upper) == ends

@@ -1,0 +1,73 @@
+"""Many recorded runs judged, by several processes; how many does not show in the result."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from itertools import repeat
+from multiprocessing.connection import wait
+from pathlib import Path
+
+from taxinet_ros.bag.judged_bag import JudgedBag, judge_bag
+from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.mtl import Spec
+
+_CHUNK = 8
+"""Bags handed to a process at a time; fewer than two chunks are not worth starting one."""
+
+
+def judge_bags(
+    paths: Sequence[Path], specs: Sequence[Spec], workers: int
+) -> Iterator[JudgedBag]:
+    """Judge bags, see :func:`.judged_bag.judge_bag`, in the order of their paths.
+
+    Args:
+        paths: run folders or ``.mcap`` files.
+        specs: requirements; where empty, those that judged each run.
+        workers: processes to do it in; 1 is this one.
+
+    Raises:
+        UsageError: there is nothing at a path.
+        InfraError: a worker process died.
+    """
+    if workers == 1 or len(paths) < 2 * _CHUNK:
+        yield from (judge_bag(path, specs) for path in paths)
+        return
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(workers, context, _end_with_parent) as pool:
+        try:
+            with _interrupts_blocked():
+                answers = pool.map(judge_bag, paths, repeat(tuple(specs)), chunksize=_CHUNK)
+            yield from answers
+        except BrokenProcessPool as error:
+            raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Let Ctrl-C wait: a process that starts now never hears of it, for its parent will end it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_with_parent() -> None:
+    """In a worker: a parent that was killed cannot tell its workers to stop."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch(sentinel: int = parent.sentinel) -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,118 @@
+"""What a bag says of its own run: enough to run it once more."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.decode import decoded_messages
+from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.steering import SteeringGains
+from taxinet_ros.core.stop_on import parse_stop_on
+
+SCENARIO_FIELDS = {
+    'cross_track_m': 'cross_track',
+    'distance_m': 'distance',
+    'heading_rad': 'heading',
+    'clouds': 'clouds',
+    'rain': 'rain',
+    'time_of_day_s': 'time_of_day',
+    'date': 'date',
+    'shadows': 'shadows',
+    'aircraft': 'aircraft',
+    'duration_s': 'duration',
+}
+"""Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
+
+_RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]*')
+_HEAD = ('/scenario', '/node_status', '/clock')
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedRun:
+    """The run that a bag holds.
+
+    Attributes:
+        request: what was asked of the graph.
+        perception: the word of the perception that took part, e.g. ``taxinet``; '' if untold.
+        fingerprint: sha256 of its weights, or ''.
+        gains: steering gains that differed from the law's defaults.
+    """
+
+    request: RunRequest
+    perception: str
+    fingerprint: str
+    gains: Mapping[str, float]
+
+
+def read_run(path: Path) -> RecordedRun:
+    """Read what run a bag holds.
+
+    Raises:
+        BagEmpty: the bag ends before it tells.
+        BagForeign: what it tells is not of this package.
+        UsageError: there is no bag, or a value of its scenario is out of range.
+    """
+    scenario: Any = None
+    kinds: dict[str, Any] = {}
+    for topic, _, message in decoded_messages(path, _HEAD.__contains__):
+        if topic == '/scenario':
+            scenario = message
+        elif topic == '/node_status':
+            kinds.setdefault(message.node, message)
+        else:
+            break
+    if scenario is None:
+        raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
+    try:
+        eyes, law = kinds.get('perception'), kinds.get('steering_controller')
+        return RecordedRun(
+            request=_request(scenario),
+            perception=eyes.implementation if eyes else '',
+            fingerprint=eyes.fingerprint if eyes else '',
+            gains=gains_of_words(law.implementation) if law else {},
+        )
+    except (AttributeError, TypeError, ValueError) as error:
+        raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def words_of_gains(gains: Mapping[str, float]) -> str:
+    """Steering gains as a controller reports them; the inverse of :func:`gains_of_words`."""
+    return ' '.join(f'{name}={value!r}' for name, value in gains.items())
+
+
+def gains_of_words(words: str) -> dict[str, float]:
+    """Steering gains out of a controller's report.
+
+    Raises:
+        ValueError: it is none.
+        UsageError: a gain is out of range.
+    """
+    pairs = (word.split('=') for word in words.split())
+    gains = {name: float(value) for name, value in pairs}
+    if unknown := set(gains) - set(SteeringGains.__dataclass_fields__):
+        raise ValueError(f'unknown steering gain {min(unknown)!r}')
+    SteeringGains(**gains)
+    return gains
+
+
+def _request(message: Any) -> RunRequest:
+    # A run's name becomes a folder's.
+    if not _RUN_ID.fullmatch(message.run_id):
+        raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
+    values = {key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()}
+    return RunRequest(
+        run_id=message.run_id, index=int(message.index), program=message.program,
+        seed=int(message.seed), scenario=Scenario(**values), specs=tuple(message.specs),
+        participants=tuple(message.participants),
+        # Bags from before there was a choice lack it.
+        stop_on=parse_stop_on(getattr(message, 'stop_on', '')),
+    )

@@ -1,0 +1,108 @@
+"""The verdict of a recorded run made once more, from the truth in its bag."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from taxinet_ros.bag.check_run import PERIOD_NS, Interval, RunRecord, last_seq
+from taxinet_ros.bag.findings import Finding, ranges
+from taxinet_ros.bag.recorded_run import SCENARIO_FIELDS
+from taxinet_ros.bag.run_topics import COMMAND, ESTIMATE, ODOMETRY, TRUTH, VERDICT
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.mtl import Monitor, parse_spec
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.world import last_step
+
+
+def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
+    """Judge the recorded samples and compare.
+
+    Returns:
+        Number of steps judged, and what differs from what was recorded.
+    """
+    try:
+        monitors = _monitors(record.scenario)
+    except (UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
+        return 0, [Finding(where='/scenario', what=f'cannot be judged: {error}')]
+    readings: dict[str, Interval] = {}
+    differing: dict[str, list[int]] = {name: [] for name in monitors}
+    steps = 0
+    while steps <= last_seq(record) and (sample := _sample(record, steps)) is not None:
+        for name, monitor in monitors.items():
+            reading = monitor.push(steps * PERIOD_NS, sample)
+            readings[name] = Interval(reading.lower, reading.upper)
+            told = record.robustness.get(steps, {}).get(name)
+            if told is not None and not _same(told, readings[name]):
+                differing[name].append(steps)
+        steps += 1
+    found = [
+        Finding(where=f'step {ranges(wrong)}', what=f'{name}: another interval was recorded')
+        for name, wrong in differing.items() if wrong
+    ]
+    if steps == last_seq(record) + 1:
+        found += _verdict_troubles(record, readings)
+    else:
+        found.append(Finding(where=f'step {steps}', what='no samples from here on'))
+    return steps, found
+
+
+def _monitors(scenario: Any) -> dict[str, Monitor]:
+    fields = {key: getattr(scenario, name) for key, name in SCENARIO_FIELDS.items()}
+    horizon_ns = last_step(Scenario(**fields)) * PERIOD_NS
+    specs = [parse_spec(text) for text in scenario.specs]
+    return {spec.name: Monitor(spec, horizon_ns, max_gap_ns=MAX_GAP_NS) for spec in specs}
+
+
+def _sample(record: RunRecord, step: int) -> dict[str, float] | None:
+    odometry, truth, estimate, command = (
+        record.values.get(topic, {}).get(step) for topic in (ODOMETRY, TRUTH, ESTIMATE, COMMAND)
+    )
+    if odometry is None or truth is None or estimate is None or command is None:
+        return None
+    try:
+        return signals(
+            cte_m=float(truth.cross_track_error), he_rad=float(truth.heading_error),
+            x_m=float(odometry.pose.pose.position.x),
+            speed_mps=float(odometry.twist.twist.linear.x),
+            estimate=TrackingError(
+                cte_m=float(estimate.cross_track_error), he_rad=float(estimate.heading_error),
+                valid=bool(estimate.valid),
+            ),
+            command=TaxiCommand(
+                steering_rad=float(command.steering_angle), speed_mps=float(command.speed)
+            ),
+        )
+    except (AttributeError, TypeError, ValueError):
+        return None
+
+
+def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[Finding]:
+    """What the run's judgement says against the one made here."""
+    verdict = next(iter(record.once.get(VERDICT, ())), None)
+    if verdict is None:
+        return []
+    found = []
+    for spec in verdict.specs:
+        here = readings.get(str(spec.spec))
+        told = Interval(float(spec.rho_lower), float(spec.rho_upper))
+        if here is None or not _same(told, here):
+            text = f'{spec.spec}: recorded {_words(told)}, from the truth {_words(here)}'
+            found.append(Finding(where=VERDICT, what=text))
+    outcome = record.ending.outcome if record.ending is not None else ''
+    satisfied = all(interval.lower > 0 for interval in readings.values())
+    if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
+        found.append(Finding(where='run_status', what=f'{outcome}, but the truth says otherwise'))
+    return found
+
+
+def _words(interval: Interval | None) -> str:
+    return 'nothing' if interval is None else f'[{interval.lower:g}, {interval.upper:g}]'
+
+
+def _same(one: Interval, other: Interval) -> bool:
+    """Equal to the last bit."""
+    return struct.pack('<2d', *one) == struct.pack('<2d', *other)

@@ -1,0 +1,101 @@
+"""The world of a recorded run once more: states and pictures out of scenario and commands.
+
+The recorded attitude is a quaternion, whose rounding does not give the angles back to the bit, and
+the picture follows from the angles. So the aircraft is not read off the bag but driven again: the
+scenario and the recorded commands determine every state, and the recorded odometry and truth, which
+must come out equal to the bit, prove that they did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.decode import decoded_messages
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.attitude import quaternion
+from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.core.world import Observation, World
+
+_ODOMETRY, _COMMAND = '/ground_truth/odom', '/taxi_command'
+
+
+class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
+    """Driven again, the aircraft is elsewhere: another version or machine has recorded the bag."""
+
+
+def observations(
+    path: Path, wanted: Callable[[int], bool] = lambda seq: True
+) -> Iterator[Observation]:
+    """Yield every recorded control step once more, in order.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        wanted: whether the picture of a control step is to be made; the default makes all.
+
+    Raises:
+        WorldDiffers: a state does not come out as recorded; those before were yielded.
+        BagError, UsageError: the bag cannot be read, see :func:`.recorded_run.read_run`.
+    """
+    recorded, commands = _states_and_commands(path)
+    world = World(read_run(path).request.scenario)
+    for seq in range(world.last_seq + 1):
+        if seq not in recorded:
+            return
+        now = world.observe(picture=wanted(seq))
+        _compare(path, seq, recorded[seq], _numbers(now.state))
+        yield now
+        if seq not in commands:
+            return
+        try:
+            world.advance(commands[seq])
+        except InfraError:  # The simulator broke here when it was recorded, too.
+            return
+
+
+def _states_and_commands(
+    path: Path,
+) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
+    states: dict[int, dict[str, float]] = {}
+    commands: dict[int, TaxiCommand] = {}
+    for topic, stamp_ns, message in decoded_messages(path, (_ODOMETRY, _COMMAND).__contains__):
+        seq = stamp_ns // CONTROL_PERIOD_NS
+        if topic == _ODOMETRY:
+            states[seq] = _odometry_numbers(message)
+        else:
+            commands[seq] = TaxiCommand(
+                steering_rad=message.steering_angle, speed_mps=message.speed
+            )
+    return states, commands
+
+
+def _odometry_numbers(message: Any) -> dict[str, float]:
+    position, attitude = message.pose.pose.position, message.pose.pose.orientation
+    return {
+        'x': position.x, 'y': position.y, 'z': position.z,
+        'qx': attitude.x, 'qy': attitude.y, 'qz': attitude.z, 'qw': attitude.w,
+        'speed': message.twist.twist.linear.x, 'yaw rate': message.twist.twist.angular.z,
+    }
+
+
+def _numbers(state: AircraftState) -> dict[str, float]:
+    x, y, z, w = quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad)
+    return {
+        'x': state.x_m, 'y': state.y_m, 'z': state.z_m, 'qx': x, 'qy': y, 'qz': z, 'qw': w,
+        'speed': state.speed_mps, 'yaw rate': state.yaw_rate_radps,
+    }
+
+
+def _compare(path: Path, seq: int, before: dict[str, float], now: dict[str, float]) -> None:
+    for name, value in before.items():
+        if now[name] != value:
+            raise WorldDiffers(
+                f'{path}: step {seq}: {name} of the aircraft is {value!r} in the bag and '
+                f'{now[name]!r} when driven again: recorded by another version or on another '
+                'machine',
+                path=path,
+            )

@@ -1,0 +1,219 @@
+"""The monitored signals of a run, out of its bag, with what was recorded of its judgement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from taxinet_ros.bag.decode import decode
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
+from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.run_topics import (
+    COMMAND,
+    ESTIMATE,
+    ODOMETRY,
+    ROBUSTNESS,
+    SCENARIO,
+    TRUTH,
+    VERDICT,
+    is_topic,
+)
+from taxinet_ros.bag.sound_messages import sound_messages
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.loop import signals
+from taxinet_ros.core.mtl import parse_spec, signal_names
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+
+_SOURCES = {
+    'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
+    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE,
+}
+"""The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
+
+_UNKNOWN = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
+_SILENT = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
+
+
+class Recorded(NamedTuple):
+    """The newest that a bag has of one formula: stamp of the sample [ns], ends of its interval."""
+
+    stamp_ns: int
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSamples:
+    """A run as a monitor sees it.
+
+    Attributes:
+        duration_ns: how long it was to last [ns].
+        specs: formulas that judged it, as text.
+        stamps_ns: of the control steps, ascending [ns].
+        samples: signals by name, one mapping for each stamp; those not asked for are NaN.
+        recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
+        stopped_early: the run was ended on purpose, because its verdict was in.
+        trouble: one line on what of the bag is damaged or missing, or ''.
+    """
+
+    duration_ns: int
+    specs: tuple[str, ...]
+    stamps_ns: tuple[int, ...]
+    samples: tuple[Mapping[str, float], ...]
+    recorded: Mapping[str, Recorded]
+    stopped_early: bool
+    trouble: str
+
+
+def read_samples(path: Path, names: Collection[str] | None = None) -> RunSamples:
+    """Read the samples of a run; damage is told in the result, not raised.
+
+    Only control steps of which every topic is there count, as with the monitor during the run.
+    Messages belong together by the stamp in their header.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        names: signals that are needed; where None, those that the run's own formulas read.
+
+    Raises:
+        BagEmpty: the bag ends before it tells which run it holds.
+        BagForeign: it is no bag, or no run of this package.
+        UsageError: there is nothing at ``path``.
+    """
+    reader, trouble = _read_sound(path, names) or _read_damaged(path, names)
+    if reader.scenario is None:
+        kind = BagEmpty if trouble else BagForeign
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
+    if path.is_dir() and not (path / METADATA_FILE).is_file():
+        trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
+    return reader.run(trouble[0] if trouble else '')
+
+
+_Read = tuple['_Reader', list[str]]
+_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, UsageError)
+
+
+def _read_sound(path: Path, names: Collection[str] | None) -> _Read | None:
+    """The quick way, for bags as they should be."""
+    reader, files = _Reader(names), storage_files(path)
+    if len(files) > 1:
+        return None
+    try:
+        for stored in sound_messages(files[0], reader.wants):
+            reader.note(stored)
+    except _UNREADABLE:
+        return None
+    return reader, []
+
+
+def _read_damaged(path: Path, names: Collection[str] | None) -> _Read:
+    """The slow way, which says what is wrong."""
+    reader, trouble = _Reader(names), list[str]()
+    for stored in stored_messages(path, reader.wants, lambda error: trouble.append(str(error))):
+        try:
+            reader.note(stored)
+        except BagCorrupt as error:
+            trouble.append(str(error))
+        except _UNREADABLE as error:
+            raise BagForeign(f'{path}: topic {stored.topic.name}: {error}', path=path) from error
+    return reader, trouble
+
+
+@dataclass
+class _Reader:
+    """What the messages have told so far."""
+
+    names: Collection[str] | None
+    scenario: Any = None
+    steps: dict[str, dict[int, Any]] = field(default_factory=dict)
+    verdict: Any = None
+    last: list[StoredMessage] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._relative: dict[str, str] = {}
+        self._plan(self.names or ())
+
+    def wants(self, topic: str) -> bool:
+        """Whether a topic is read; the run's own formulas may call for more of them."""
+        if topic not in self._relative:
+            known = {SCENARIO, VERDICT, ROBUSTNESS, *_SOURCES.values()}
+            self._relative[topic] = next((one for one in known if is_topic(topic, one)), '')
+        return self._relative[topic] in self._wanted
+
+    def note(self, stored: StoredMessage) -> None:
+        """Take in a message."""
+        relative = self._relative[stored.topic.name]
+        if relative == ROBUSTNESS:
+            # Decoded only if there is no verdict, which repeats the last ones.
+            if self.last and self.last[0].stamp_ns < stored.stamp_ns:
+                self.last.clear()
+            self.last.append(stored)
+            return
+        message = decode(stored.topic, stored.cdr)
+        if relative == SCENARIO:
+            self.scenario = message
+            if self.names is None:
+                specs = [parse_spec(text) for text in message.specs]
+                self._plan({name for spec in specs for name in signal_names(spec.formula)})
+        elif relative == VERDICT:
+            self.verdict = message
+        else:
+            self.steps[relative].setdefault(_stamp(message), message)
+
+    def run(self, trouble: str) -> RunSamples:
+        """All of it."""
+        whole = set.intersection(*(set(messages) for messages in self.steps.values()))
+        stamps = tuple(sorted(whole))
+        return RunSamples(
+            duration_ns=round(float(self.scenario.duration) * NS_PER_S),
+            specs=tuple(map(str, self.scenario.specs)),
+            stamps_ns=stamps,
+            samples=tuple(self._sample(stamp) for stamp in stamps),
+            recorded=self._recorded(),
+            stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
+            trouble=trouble,
+        )
+
+    def _plan(self, names: Collection[str]) -> None:
+        self.steps = {topic: self.steps.get(topic, {})
+                      for topic in (TRUTH, *(_SOURCES[name] for name in names))}
+        self._wanted = {SCENARIO, VERDICT, ROBUSTNESS, *self.steps}
+
+    def _sample(self, stamp_ns: int) -> dict[str, float]:
+        truth, odometry, estimate, command = (
+            self.steps.get(topic, {}).get(stamp_ns)
+            for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
+        )
+        assert truth is not None
+        return signals(
+            cte_m=float(truth.cross_track_error),
+            he_rad=float(truth.heading_error),
+            x_m=float(odometry.pose.pose.position.x) if odometry else math.nan,
+            speed_mps=float(odometry.twist.twist.linear.x) if odometry else math.nan,
+            estimate=TrackingError(
+                cte_m=float(estimate.cross_track_error), he_rad=float(estimate.heading_error),
+                valid=bool(estimate.valid),
+            ) if estimate else _UNKNOWN,
+            command=TaxiCommand(
+                steering_rad=float(command.steering_angle), speed_mps=float(command.speed)
+            ) if command else _SILENT,
+        )
+
+    def _recorded(self) -> dict[str, Recorded]:
+        if self.verdict is not None:
+            told = list(self.verdict.specs)
+        else:
+            told = [decode(stored.topic, stored.cdr) for stored in self.last]
+        return {
+            str(one.formula): Recorded(_stamp(one), float(one.rho_lower), float(one.rho_upper))
+            for one in told
+        }
+
+
+def _stamp(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)

@@ -1,0 +1,119 @@
+"""A run of some campaign, found again: what was run, and how it was judged.
+
+A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it is there, for a bag has
+the scenario to the last bit; else the campaign's ledger, so a bag that was deleted is not missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.decode import decoded_messages
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+
+_VERDICT = '/monitor/verdict'
+_NO_FACTS: Mapping[str, Any] = {}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgedRun:
+    """One run.
+
+    Attributes:
+        run_id, seed, scenario: as it was asked for.
+        specs: formulas as text, the headline first.
+        outcome: how it ended.
+        rho: robustness by the formula's name, as far as it is known.
+        perception, fingerprint: the swap word or network's file, and the hash of the weights.
+        gains: steering gains that differ from the defaults.
+    """
+
+    run_id: str
+    seed: int
+    scenario: Scenario
+    specs: tuple[str, ...]
+    outcome: Outcome
+    rho: Mapping[str, float]
+    perception: str
+    fingerprint: str
+    gains: Mapping[str, float]
+
+    @property
+    def headline(self) -> str:
+        """Name of the first formula."""
+        return parse_spec(self.specs[0]).name
+
+
+def find_run(path: Path) -> JudgedRun:
+    """The run whose folder is, or was, ``path``.
+
+    Raises:
+        UsageError: there is none, its bag is damaged, or it has no scenario.
+    """
+    whole = path.resolve()
+    if (whole / LEDGER_NAME).is_file():
+        raise UsageError(f'{path}: a campaign{_example(path)}')
+    ledger = whole.parent / LEDGER_NAME
+    content = read_ledger(ledger) if ledger.is_file() else None
+    facts = content.campaign if content else _NO_FACTS
+    if any(whole.glob('*.mcap')):
+        try:
+            return _of_bag(path, facts)
+        except BagError as error:
+            raise UsageError(str(error)) from error
+    rows = {row.run_id: row for row in content.rows} if content else {}
+    if whole.name not in rows:
+        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, as its bag is named')
+    return _of_row(rows[whole.name], facts)
+
+
+def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
+    told = read_info(path).metadata.get('taxinet_outcome', {})
+    outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
+    run = read_run(path)
+    rho: dict[str, float] = {}
+    if outcome.judged:
+        for _, _, verdict in decoded_messages(path, lambda topic: topic.endswith(_VERDICT)):
+            rho = {spec.spec: spec.rho_upper for spec in verdict.specs}
+    return JudgedRun(
+        run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
+        specs=run.request.specs, outcome=outcome, rho=rho,
+        # A bag knows of a network's weights, not of their file.
+        perception=facts.get('perception') or run.perception,
+        fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
+    )
+
+
+def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
+    values = {key: getattr(row, key) for key in HUMAN_KEYS}
+    if None in values.values():
+        raise UsageError(f'{row.run_id}: {row.outcome}, no scene was drawn')
+    formulas: Mapping[str, str] = facts.get('specs', {})
+    return JudgedRun(
+        run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
+        specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
+        outcome=row.outcome, rho=row.rho, perception=row.perception,
+        fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
+    )
+
+
+def _example(campaign: Path) -> str:
+    """What to say to somebody who names a campaign in place of a run."""
+    rows = read_ledger(campaign / LEDGER_NAME).rows
+    failed = [row for row in rows if row.outcome is Outcome.FAIL]
+    if not failed:
+        return ', and none of its runs failed'
+    worst = min(failed, key=lambda row: min(row.rho.values(), default=0.0))
+    return f'; name one of its {len(failed)} failed runs, as in {campaign / worst.run_id}'

@@ -1,0 +1,160 @@
+"""``taxinet bag info``: what is in a bag, for people or as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from taxinet_ros.bag.facts import Judged, RunFacts, read_facts
+from taxinet_ros.bag.layout import storage_files
+from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.writer import RUN_METADATA
+from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
+
+_LABEL_WIDTH = 11
+
+
+def show_info(bag: Path, *, as_json: bool) -> int:
+    """Print what a bag holds.
+
+    Returns:
+        Exit code: 0 whole, 3 unfinished or damaged, 1 not readable.
+
+    Raises:
+        UsageError: there is nothing at ``bag``.
+    """
+    return exit_code_of(bag, lambda: _show(bag, as_json))
+
+
+def _show(bag: Path, as_json: bool) -> int:
+    info = read_info(bag)
+    facts = read_facts(bag)
+    if as_json:
+        print(json.dumps(_plain(info, facts), indent=2))
+    else:
+        console = Console(highlight=False)
+        for label, text in [*_run_lines(info, facts), *_bag_lines(info)]:
+            console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
+    return WHOLE if info.complete else LOSSY
+
+
+def _run_lines(info: BagInfo, facts: RunFacts | None) -> Iterator[tuple[str, str]]:
+    if facts is None:
+        yield 'run', 'none of taxinet_ros: there is no scenario in it'
+        return
+    version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
+    drawn = f'{facts.program}, seed {facts.seed}, index {facts.index}' if facts.program else 'alone'
+    yield 'run', f'{facts.run_id} ({drawn}), recorded by taxinet_ros {version}'
+    yield 'outcome', _outcome(facts)
+    for name, judged in facts.judged.items():
+        yield '', f'{name}: {_rho(judged)}, of {judged.formula}'
+    yield 'scene', scene_words(facts.scene)
+    perception = facts.nodes.get('perception')
+    if perception is not None:
+        weights = perception.fingerprint
+        yield 'perception', perception.implementation + (f', weights {weights}' if weights else '')
+    law = facts.nodes.get('steering_controller')
+    if law is not None:
+        yield 'gains', law.implementation or 'as shipped'
+    if facts.figures:
+        yield 'figures', ', '.join(_figures(facts.figures))
+
+
+def _bag_lines(info: BagInfo) -> Iterator[tuple[str, str]]:
+    yield 'bag', 'whole' if info.complete else f'NOT WHOLE: {info.trouble}'
+    if not info.complete:
+        yield '', f'taxinet bag recover {info.path} --out NEW'
+    for number, file in enumerate(storage_files(info.path)):
+        yield ('' if number else 'files'), f'{file.name}  {file.stat().st_size / 1e6:.1f} MB'
+    start, end = info.start_ns / 1e9, info.end_ns / 1e9
+    yield 'time', f'{info.duration_s:.1f} s simulated, from {start:.1f} to {end:.1f} s'
+    yield 'messages', str(sum(info.counts.values()))
+    width = max((len(topic.name) for topic in info.topics), default=0)
+    for number, topic in enumerate(info.topics):
+        label = '' if number else 'topics'
+        yield label, f'{topic.name:<{width}} {info.counts[topic.name]:6d}  {topic.type}'
+    if info.attachments:
+        yield 'attached', ', '.join(info.attachments)
+
+
+def scene_words(scene: Mapping[str, Any]) -> str:
+    """A scenario, given in the units people read, in one line."""
+    minutes = round(scene['time_of_day'] * 60)
+    rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
+    return (
+        f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
+        f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
+        f'{minutes // 60:02d}:{minutes % 60:02d}, {scene["clouds"]}{rain}, '
+        f'shadows {"on" if scene["shadows"] else "off"}, {scene["aircraft"]}, '
+        f'{scene["duration"]:g} s'
+    )
+
+
+def _outcome(facts: RunFacts) -> str:
+    why = ' '.join(word for word in (facts.kind, facts.who) if word)
+    words = facts.outcome or 'unknown: the bag ends before the run does'
+    detail = f' ({": ".join(part for part in (why, facts.detail) if part)})' if why else ''
+    return f'{words}{detail}, {facts.steps} control steps judged'
+
+
+def _rho(judged: Judged) -> str:
+    if judged.final:
+        return f'rho {judged.lower:+.3f}'
+    return f'rho within [{judged.lower:+.3f}, {judged.upper:+.3f}]'
+
+
+_FIGURES = {
+    'max_cross_track_error': ('|CTE| at most', 1.0, 'm'),
+    'settle_time': ('settled after', 1.0, 's'),
+    'estimate_cte_error_mean_abs': ('estimate of CTE off by', 1.0, 'm'),
+    'estimate_he_error_mean_abs': ('of HE by', 180 / math.pi, 'deg on average'),
+}
+"""Words, factor and unit for some fields of a verdict."""
+
+
+def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
+    yield 'left the runway' if figures.get('left_runway') else 'stayed on the runway'
+    if figures.get('stopped_early'):
+        yield 'stopped early'
+    for name, (words, factor, unit) in _FIGURES.items():
+        value = figures.get(name)
+        if value is not None and math.isfinite(value):
+            yield f'{words} {value * factor:.2f} {unit}'
+    if figures.get('unusable_estimates'):
+        yield f'{figures["unusable_estimates"]:.0f} frames without estimate'
+
+
+def _plain(info: BagInfo, facts: RunFacts | None) -> dict[str, Any]:
+    return {
+        'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,
+        'run': None if facts is None else finite(asdict(facts)),
+        'files': [
+            {'name': file.name, 'bytes': file.stat().st_size} for file in storage_files(info.path)
+        ],
+        'start_ns': info.start_ns, 'end_ns': info.end_ns,
+        'messages': sum(info.counts.values()),
+        'topics': [
+            {'name': topic.name, 'type': topic.type, 'messages': info.counts[topic.name],
+             'type_hash': topic.type_hash}
+            for topic in info.topics
+        ],
+        'attachments': list(info.attachments),
+        'metadata': {name: words for name, words in info.metadata.items() if name != 'rosbag2'},
+    }
+
+
+def finite(value: Any) -> Any:
+    """``value`` with every number that JSON has no word for as text: ``inf``, ``-inf``, ``nan``."""
+    if isinstance(value, Mapping):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value

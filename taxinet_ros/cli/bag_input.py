@@ -1,0 +1,44 @@
+"""What commands that run a bag's run once more have in common."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.recorded_run import RecordedRun
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import PERCEPTION, check_perception
+
+
+@contextlib.contextmanager
+def readable_bags() -> Iterator[None]:
+    """Make a bag that cannot be read the user's mistake, for 1 is a difference here."""
+    try:
+        yield
+    except BagError as error:
+        raise UsageError(str(error)) from error
+
+
+def perception_of(run: RecordedRun, asked: str | None) -> tuple[str, str]:
+    """Word or file of the perception to use, and its fingerprint.
+
+    Args:
+        run: the recorded run.
+        asked: what the user wants instead of the run's own, or None.
+
+    Raises:
+        UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
+    """
+    word = asked or run.perception
+    if not asked and word not in PERCEPTION:
+        kind = f'a {word} file of sha256 {run.fingerprint[:12]}…' if word else 'not told'
+        raise UsageError(
+            f"{run.request.run_id}: the run's own perception is {kind}; name one with --perception"
+        )
+    return word, check_perception(word)
+
+
+def perception_words(word: str, fingerprint: str) -> str:
+    """A perception for people."""
+    return f'{word} ({fingerprint[:8]})' if fingerprint else word

@@ -1,0 +1,151 @@
+"""``taxinet monitor``: judges recorded runs, without ROS, and draws what was known when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.bag.judged_bag import JudgedBag, follow, signals_of, spec_verdict
+from taxinet_ros.bag.judged_bags import judge_bags
+from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.run_samples import read_samples
+from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.requirements import add_requirements, addable, campaign_bags
+from taxinet_ros.campaign.spec_files import read_specs
+from taxinet_ros.cli.monitor_lines import as_document, bag_lines, summary_lines
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import Spec, parse_spec
+
+VIOLATED, LOSSY = 1, 3
+_PICTURE = '.png'
+
+
+def run_monitor(
+    places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
+    workers: int,
+) -> int:
+    """Judge bags and print what they say.
+
+    Args:
+        places: run folders, ``.mcap`` files, or folders of campaigns.
+        specs: requirements as text or files of them; where empty, each bag's own.
+        plot: PNG file, or where there are several bags a folder, to draw to.
+        add: put the requirements into the tables of the campaigns.
+        as_json: print one JSON document.
+        workers: processes that judge.
+
+    Returns:
+        Exit code: 3 where a bag is incomplete, damaged, or contradicts what was recorded in it;
+        else 1 where a requirement is violated; else 0.
+
+    Raises:
+        UsageError: bad input.
+        InfraError: a worker process died.
+    """
+    chosen = [parse_spec(text) for text in read_specs(specs)]
+    found = {place: _bags(place) for place in places}
+    bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
+    if plot is not None:
+        _check_plot(plot, bags)
+    to_add = {place: addable(place, chosen) for place in places} if add else {}
+    if add and not chosen:
+        raise UsageError('--add: say with --spec which requirement to add')
+    judged = _judged(bags, chosen, workers, as_json=as_json, named=places)
+    notes = []
+    for place, new in to_add.items():
+        counts = add_requirements(place, new, judged)
+        notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
+    if plot is not None:
+        notes += [f'picture: {_draw(judged[bag], plot)}' for bag in bags
+                  if judged[bag].verdicts and judged[bag].end_s >= 0]
+    if as_json:
+        print(as_document(judged.values()))
+    else:
+        lines = summary_lines(list(judged.values())) if len(judged) > 1 else []
+        for line in (*lines, *notes):
+            Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return _exit_code(judged.values())
+
+
+def _bags(place: Path) -> list[Path]:
+    """The bags at a place that the user named."""
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
+    if any(place.glob(f'*.{STORAGE_ID}')):
+        return [place]
+    bags = campaign_bags(place)
+    if not bags:
+        what = 'no run of it left a bag' if (place / LEDGER_NAME).is_file() else 'holds no bag'
+        raise UsageError(f'{place}: {what}')
+    return bags
+
+
+def _judged(
+    bags: Sequence[Path], specs: Sequence[Spec], workers: int, *, as_json: bool,
+    named: Sequence[Path],
+) -> dict[Path, JudgedBag]:
+    """Judge all of them, and print each as soon as it is known."""
+    console = Console(highlight=False, stderr=as_json)
+    judged = {}
+    with stage_bars(console) as show:
+        for bag in judge_bags(bags, specs, workers):
+            if bag.foreign and bag.path in named:
+                raise UsageError(bag.trouble)
+            judged[bag.path] = bag
+            if not as_json:
+                for line in bag_lines(bag):
+                    console.print(line, soft_wrap=True)
+            if len(bags) > 1:
+                show('judging', len(judged), len(bags))
+    return judged
+
+
+def _exit_code(bags: Iterable[JudgedBag]) -> int:
+    judged = list(bags)
+    if not all(bag.sound for bag in judged):
+        return LOSSY
+    return VIOLATED if any(one.verdict.failed for bag in judged for one in bag.verdicts) else 0
+
+
+def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
+    if plot.suffix == _PICTURE and len(bags) > 1:
+        raise UsageError(f'--plot {plot}: there are {len(bags)} bags; name a folder')
+    if plot.suffix not in ('', _PICTURE):
+        raise UsageError(f'--plot {plot}: write NAME.png, or name a folder')
+    folder = plot.parent if plot.suffix else plot
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
+
+
+def _draw(bag: JudgedBag, plot: Path) -> Path:
+    from taxinet_ros.analysis.robustness_picture import JudgedSpec, robustness_picture
+
+    specs = [one.spec for one in bag.verdicts]
+    samples = read_samples(bag.path, signals_of(specs))
+    judged = []
+    for spec in specs:
+        readings = follow(samples, spec)
+        judged.append(JudgedSpec(verdict=spec_verdict(samples, spec, readings), readings=readings))
+    path = plot if plot.suffix else plot / f'{bag.name}{_PICTURE}'
+    try:
+        robustness_picture(
+            samples.stamps_ns, samples.samples, judged, path, title=_title(bag),
+            end_s=bag.duration_s,
+        )
+    except OSError as error:
+        raise UsageError(f'--plot {path}: cannot be written: {error.strerror}') from error
+    return path
+
+
+def _title(bag: JudgedBag) -> str:
+    if bag.end_s >= bag.duration_s:
+        return bag.name
+    why = 'stopped early' if bag.stopped_early else 'incomplete'
+    return f'{bag.name}   ({why}: {bag.end_s:g} of {bag.duration_s:g} s)'

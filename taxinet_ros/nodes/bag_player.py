@@ -1,0 +1,279 @@
+"""Executable ``bag_player``: a recorded run on its topics again, at any rate, with its clock.
+
+It keeps to the wall clock and asks nobody for answers: nodes run freely beside it. (In lockstep,
+into one node, a run is played by ``taxinet bag replay``.) Messages go out as they were stored.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from typing import Any
+
+from rclpy.clock import Clock as RclClock
+from rclpy.clock import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.campaign.interrupts import interrupts
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import time_of
+from taxinet_ros.nodes.main import complain, run_node
+from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.playback import Portion, known_topics, open_bag, portions, window
+from taxinet_ros.nodes.recorded_topics import is_latched, message_class, recorded_qos
+from taxinet_ros.nodes.spinning import spin_until
+
+_TICK_S = 0.002
+_DELIVERY_S = 5.0
+_MOST_AT_ONCE = 8
+"""Portions in one go for a player that is late: its subscribers hold 16 messages of a topic."""
+
+INFRA, INTERRUPTED = 4, 130
+
+
+class BagPlayer(Node):
+    """Publishes what a bag holds when it is due.
+
+    Attributes:
+        trouble: why it could not be played, in a line; '' where it could.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        """Read parameters and bag; ``node`` goes to :class:`rclpy.node.Node`.
+
+        Raises:
+            UsageError: one line on the parameter or the bag that is wrong.
+        """
+        super().__init__('bag_player', **node)
+        self.trouble = ''
+        self._declare()
+        self._publishers_by_topic = self._speak()
+        self._finished: Future | None = None
+        self._paused_at: float | None = None
+        self._started = False
+        self._heard: set[str] = set()
+        self._under_way: set[Publisher] = set()
+        self._count, self._late_s = 0, 0.0
+        self._begun_at = time.monotonic()
+        self._rewind()
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        steady = RclClock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_TICK_S, self._tick, clock=steady)
+
+    def play(self, executor: Any) -> int:
+        """Spin until everything is played.
+
+        Returns:
+            Exit code: 0, 4 where nobody came to listen, 130 after an interrupt.
+        """
+        finished = self._finished = Future(executor=executor)
+        with interrupts(functools.partial(self._finish, INTERRUPTED)):
+            if self._awaited:
+                names = ', '.join(sorted(self._awaited))
+                self.get_logger().info(f'waiting for subscribers of {names}')
+            spin_until(executor, finished)
+        code = int(finished.result())
+        return complain(self.trouble, code) if self.trouble else code
+
+    def close(self) -> None:
+        """Stop; nothing is lost."""
+        self._timer.cancel()
+
+    # Parameters ------------------------------------------------------------------------------
+
+    def _declare(self) -> None:
+        bag = declare(self, 'bag', '', 'what to play: a run folder or an .mcap file')
+        self._rate = declare(
+            self, 'rate', 1.0, 'recorded seconds per second of the wall clock', (0.01, 1000.0)
+        )
+        offset = declare(
+            self, 'start_offset', 0.0, 'begin so far into the recording [s]', (0.0, 1e9)
+        )
+        text = 'play so much of the recording [s]; 0: to its end'
+        duration = declare(self, 'playback_duration', 0.0, text, (0.0, 1e9))
+        self._loop = declare(self, 'loop', False, 'begin again at the end, until stopped')
+        # An empty list would have no type, so one empty text stands for none.
+        exclude = declare(self, 'exclude', [''], 'recorded topics to leave out')
+        text = 'topics that somebody has to subscribe to before the first message goes out'
+        wait_for = declare(self, 'wait_for', [''], text)
+        text = 'wall-clock time for those subscribers to come [s]'
+        self._patience_s = declare(self, 'wait_timeout', 30.0, text, (0.1, 3600.0))
+        refuse_unknown(self)
+        self._info = open_bag(bag)
+        self._part = window(self._info, offset, duration)
+        self._excluded = known_topics(self._info, exclude, 'exclude')
+        self._awaited = known_topics(self._info, wait_for, 'wait_for')
+        for name in sorted(self._awaited & self._excluded):
+            raise UsageError(f'bag_player: {name} stands in exclude and in wait_for; drop one')
+
+    def _speak(self) -> dict[str, Publisher]:
+        """Publishers by recorded name; topics of types that are not installed are left out."""
+        publishers, self._latched = {}, set()
+        for topic in self._info.topics:
+            if topic.name in self._excluded:
+                continue
+            kind = message_class(topic)
+            if kind is None:
+                self.get_logger().warning(
+                    f'left out: {topic.name}, for {topic.type} is not installed here'
+                )
+                continue
+            qos = recorded_qos(topic)
+            if is_latched(qos):
+                self._latched.add(topic.name)
+            publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
+        if not publishers:
+            raise UsageError(f'bag_player: nothing is left of {self._info.path} to play')
+        self._own_clock = None
+        if not {interface.CLOCK.name} & (publishers.keys() | self._excluded):
+            clock = interface.CLOCK
+            self._own_clock = self.create_publisher(clock.type, clock.name, clock.qos)
+        return publishers
+
+    # Playing ---------------------------------------------------------------------------------
+
+    def _rewind(self) -> None:
+        self._portions = portions(
+            self._info.path, self._publishers_by_topic.keys(), self._part, self._latched
+        )
+        self._next = next(self._portions, None)
+        self._origin: float | None = None
+
+    def _tick(self) -> None:
+        if self._finished is None or self._finished.done() or self._paused_at is not None:
+            return
+        try:
+            if self._started or self._may_start():
+                self._play_what_is_due()
+        except BagError as error:
+            self.trouble = ' '.join(str(error).split())
+            self._finish(2)
+
+    def _may_start(self) -> bool:
+        missing = sorted(
+            name for name in self._awaited
+            if not self._publishers_by_topic[name].get_subscription_count()
+        )
+        if missing and time.monotonic() - self._begun_at > self._patience_s:
+            self.trouble = (
+                f'bag_player: nobody subscribed to {", ".join(missing)} within '
+                f'{self._patience_s:g} s; start who is to listen, in the same ROS_DOMAIN_ID'
+            )
+            self._finish(INFRA)
+        if missing:
+            return False
+        self._started = True
+        seconds = (self._part.end_ns - self._part.start_ns) / NS_PER_S
+        self.get_logger().info(
+            f'playing {self._info.path}: {len(self._publishers_by_topic)} topics, '
+            f'{seconds:g} s at rate {self._rate:g}'
+        )
+        self._warn_of_rivals()
+        return True
+
+    def _warn_of_rivals(self) -> None:
+        for name, publisher in self._publishers_by_topic.items():
+            shared = name.lstrip('/') == interface.NODE_STATUS.name
+            if not shared and self.count_publishers(publisher.topic_name) > 1:
+                self.get_logger().warning(
+                    f'{publisher.topic_name} is published by another node too: exclude it here, or '
+                    f'rename it: -r {_relative(name)}:=recorded{name}'
+                )
+
+    def _play_what_is_due(self) -> None:
+        for _ in range(_MOST_AT_ONCE):
+            if self._next is None:
+                self._end()
+                return
+            now = time.monotonic()
+            if self._origin is None:
+                self._origin = now
+            due = self._origin + (self._next.stamp_ns - self._part.start_ns) / 1e9 / self._rate
+            if due > now:
+                return
+            self._late_s = max(self._late_s, now - due)
+            waited = self._publish(self._next)
+            self._origin += waited
+            self._next = next(self._portions, None)
+
+    def _end(self) -> None:
+        if self._loop:
+            self._rewind()
+            return
+        self._deliver(*self._publishers_by_topic.values())
+        self.get_logger().info(f'played {self._count} messages, at most {self._late_s:.3f} s late')
+        self._finish(0)
+
+    def _publish(self, portion: Portion) -> float:
+        """Send what was recorded at one time; the time [s] spent on waiting for its arrival.
+
+        What is latched sets nodes up for what follows, and a topic's first message shows that
+        both ends have found each other, so nothing overtakes those.
+        """
+        waited = 0.0
+        if self._own_clock is not None:
+            self._own_clock.publish(Clock(clock=time_of(portion.stamp_ns)))
+        for message in portion.messages:
+            name = message.topic.name
+            latched, first = name in self._latched, name not in self._heard
+            if not latched:
+                waited += self._deliver(*self._under_way)
+                self._under_way.clear()
+            publisher = self._publishers_by_topic[name]
+            publisher.publish(message.cdr)
+            self._count += 1
+            self._heard.add(name)
+            if latched:
+                # Fast DDS asks for its acknowledgement every 3 s, so all are awaited at once.
+                self._under_way.add(publisher)
+            elif first:
+                waited += self._deliver(publisher)
+        return waited
+
+    def _deliver(self, *publishers: Publisher) -> float:
+        """Wait until reliable subscribers have everything, but not for ever for one that hangs.
+
+        Returns:
+            How long that took [s].
+        """
+        begun = time.monotonic()
+        for publisher in publishers:
+            left = max(0.0, begun + _DELIVERY_S - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
+        return time.monotonic() - begun
+
+    def _on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if request.data and self._paused_at is None:
+            self._paused_at = time.monotonic()
+        elif not request.data and self._paused_at is not None:
+            if self._origin is not None:
+                self._origin += time.monotonic() - self._paused_at
+            self._paused_at = None
+        answer.success, answer.message = True, 'paused' if request.data else 'playing'
+        return answer
+
+    def _finish(self, code: int) -> None:
+        if self._finished is not None and not self._finished.done():
+            self._finished.set_result(code)
+
+
+def _relative(name: str) -> str:
+    """The name to publish by: a bag's are the graph's own, so a namespace may go before them."""
+    return name if name == interface.CLOCK.name else name.lstrip('/')
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros bag_player``."""
+    run_node(BagPlayer, BagPlayer.play)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,150 @@
+"""Executable ``foxglove_server``: the graph's topics, live, for the Foxglove app on this machine.
+
+Messages are passed on as they come, with their ROS definitions, at simulated time; the scene that
+``scene_markers`` draws is among them. It listens on 127.0.0.1 only.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message, serialize_message
+
+from taxinet_ros.bag.canonical import stamp_of_cdr
+from taxinet_ros.bag.definitions import message_definition
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.onlooker import Onlooker
+from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.recorded_topics import is_latched
+from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
+
+if TYPE_CHECKING:
+    from foxglove import Channel
+    from foxglove.websocket import WebSocketServer
+
+HOST, PORT = '127.0.0.1', 8765
+LOOKING_ON = 'looking on'
+"""What the executable says on stdout when it has found a graph, or a player of one."""
+
+NOT_INSTALLED = 'foxglove-sdk is not installed; pip install -c constraints.txt foxglove-sdk'
+
+
+class FoxgloveServer(Onlooker):
+    """Passes on every topic of the table to whoever connects.
+
+    Attributes:
+        port: where it listens.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        """Open the server; ``node`` goes to :class:`rclpy.node.Node`.
+
+        Raises:
+            UsageError: foxglove-sdk is not installed, or the port is taken.
+        """
+        super().__init__('foxglove_server', **node)
+        port = declare(self, 'port', PORT, 'TCP port on 127.0.0.1; 0: any', (0, 65535))
+        refuse_unknown(self)
+        self._held: dict[str, tuple[int, bytes]] = {}
+        self._aircraft = Aircraft()
+        self._server = self._open(port)
+        self.port = int(self._server.port)
+        topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
+        self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
+        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers()), 0)
+        self._say(interface.SCENE_CAMERA, serialize_message(camera_transform()), 0)
+        for topic in topics:
+            self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
+        print(f'listening on ws://{HOST}:{self.port}', flush=True)
+
+    def found(self) -> None:
+        """See :class:`.Onlooker`."""
+        print(LOOKING_ON, flush=True)
+
+    def close(self) -> None:
+        """Hang up."""
+        super().close()
+        self._server.stop()
+
+    def _open(self, port: int) -> WebSocketServer:
+        try:
+            import foxglove
+            from foxglove.websocket import Capability
+        except ImportError:
+            raise UsageError(f'foxglove_server: {NOT_INSTALLED}') from None
+        self._sinks = foxglove.Context()
+        try:
+            return foxglove.start_server(
+                name='taxinet_ros', host=HOST, port=port, capabilities=[Capability.Time],
+                server_listener=_Latecomers(self), context=self._sinks,
+            )
+        except RuntimeError as error:
+            raise UsageError(
+                f'foxglove_server: port {port}: {" ".join(str(error).split())}; choose another one'
+            ) from error
+
+    def _channel(self, topic: Topic) -> Channel:
+        from foxglove import Channel, Schema
+
+        definition = message_definition(topic.type_name).encode()
+        return Channel(
+            self.resolve_topic_name(topic.name), message_encoding='cdr', context=self._sinks,
+            schema=Schema(name=topic.type_name, encoding='ros2msg', data=definition),
+        )
+
+    def repeat(self, path: str) -> None:
+        """Say once more what was said last on a latched topic, by its full name."""
+        for name, (stamp_ns, cdr) in list(self._held.items()):
+            if self._channels[name].topic() == path:
+                self._channels[name].log(cdr, log_time=stamp_ns)
+
+    def _pass_on(self, topic: Topic, cdr: bytes) -> None:
+        stamp_ns = stamp_of_cdr(cdr)
+        if topic in (interface.CLOCK, interface.SCENARIO):
+            self._server.broadcast_time(stamp_ns)
+        if topic is interface.SCENARIO:
+            # A run begins: time goes back, and the app forgets what it was told before.
+            for still in (interface.SCENE_RUNWAY, interface.SCENE_CAMERA):
+                self.repeat(self._channels[still.name].topic())
+        self._say(topic, cdr, stamp_ns)
+        if topic is interface.ODOMETRY:
+            odometry = deserialize_message(cdr, Odometry)
+            markers = self._aircraft.markers(odometry)
+            self._say(
+                interface.SCENE_BASE, serialize_message(base_transform(odometry)), stamp_ns
+            )
+            self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
+
+    def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
+        if is_latched(topic.qos):
+            self._held[topic.name] = stamp_ns, cdr
+        self._channels[topic.name].log(cdr, log_time=stamp_ns)
+
+
+class _Latecomers:
+    """Gives those who subscribe late what is latched; called in a thread of the server's."""
+
+    def __init__(self, server: FoxgloveServer) -> None:
+        self._server = server
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        self._server.repeat(channel.topic)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith('on_'):
+            return lambda *_: None
+        raise AttributeError(name)
+
+
+def main() -> None:
+    """Entry point of ``ros2 run taxinet_ros foxglove_server``."""
+    run_node(FoxgloveServer)
+
+
+if __name__ == '__main__':
+    main()

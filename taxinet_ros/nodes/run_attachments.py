@@ -1,0 +1,52 @@
+"""The files that go into a run's bag: the scene in the units people read, and the program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from taxinet_msgs.msg import Scenario
+
+from taxinet_ros.campaign.facts import FACTS_NAME
+from taxinet_ros.campaign.programs import SUFFIX
+from taxinet_ros.nodes.convert import scenario_of
+
+
+def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
+    """Files by name.
+
+    A run of a campaign has the text of the Scenic program that its scene was drawn from, which
+    stands in the campaign's folder; a run that somebody asked for by hand has none.
+
+    Args:
+        scenario: the run's.
+        out: the folder that takes the bags.
+    """
+    files = {'scenario.json': _scenario_json(scenario)}
+    text = _program_text(scenario.program, out / FACTS_NAME)
+    if text:
+        files[f'{scenario.program}{SUFFIX}'] = text.encode()
+    return files
+
+
+def _program_text(program: str, facts_file: Path) -> str:
+    """What the campaign's facts hold of a program, or ''."""
+    try:
+        facts = json.loads(facts_file.read_bytes())
+        return str(facts['program_text']) if Path(facts['program']).stem == program else ''
+    except (OSError, ValueError, KeyError, TypeError):
+        return ''
+
+
+def _scenario_json(scenario: Scenario) -> bytes:
+    values = {
+        **scenario_of(scenario).to_human(),
+        'run_id': scenario.run_id,
+        'index': scenario.index,
+        'program': scenario.program,
+        'seed': scenario.seed,
+        'specs': list(scenario.specs),
+        'stop_on': scenario.stop_on,
+        'participants': list(scenario.participants),
+    }
+    return json.dumps(values, indent=2).encode() + b'\n'

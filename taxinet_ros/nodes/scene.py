@@ -1,0 +1,132 @@
+"""The runway, the aircraft and its path as markers, and where the frames are: for 3-D viewers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion, TransformStamped, Vector3
+from nav_msgs.msg import Odometry
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from taxinet_ros.core import camera, runway
+from taxinet_ros.core.attitude import quaternion
+from taxinet_ros.core.shadow import OUTLINE
+from taxinet_ros.core.types import AircraftState
+from taxinet_ros.nodes.convert import header, stamp_of
+from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME
+
+_ASPHALT, _CONCRETE = (0.30, 0.30, 0.32), (0.38, 0.38, 0.39)
+_PAINT, _AIRFRAME, _PATH = (0.95, 0.95, 0.90), (0.98, 0.95, 0.90), (0.95, 0.45, 0.10)
+_THICKNESS_M = 0.02
+_PAINT_LIFT_M = 0.03
+_CROSSING_LENGTH_M = 600.0
+_PATH_WIDTH_M = 0.3
+
+Triangle = tuple[tuple[float, float, float], ...]
+
+
+def runway_markers() -> MarkerArray:
+    """Pavement, crossing and all paint, in ``map``."""
+    pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
+    pavement.pose.position = Point(x=runway.LENGTH_M / 2, z=-_THICKNESS_M / 2)
+    pavement.scale = Vector3(x=runway.LENGTH_M, y=runway.WIDTH_M, z=_THICKNESS_M)
+    crossing = _marker('crossing', Marker.CUBE, _CONCRETE)
+    crossing.pose.position = Point(x=runway.CROSSING_X_M, z=-_THICKNESS_M)
+    crossing.pose.orientation = _quaternion(*quaternion(0.0, 0.0, runway.CROSSING_YAW_RAD))
+    crossing.scale = Vector3(x=_CROSSING_LENGTH_M, y=runway.CROSSING_WIDTH_M, z=_THICKNESS_M)
+    paint = _triangles('paint', _paint_triangles(), _PAINT)
+    return MarkerArray(markers=[pavement, crossing, paint])
+
+
+def camera_transform() -> TransformStamped:
+    """Where ``camera_optical`` is in ``base_link``."""
+    level = AircraftState(
+        x_m=0.0, y_m=0.0, z_m=2.0, roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0, speed_mps=0.0,
+        yaw_rate_radps=0.0,
+    )
+    _, to_optical, _ = camera.pose(level)
+    transform = TransformStamped(header=header(0, BASE_FRAME), child_frame_id=CAMERA_FRAME)
+    x, y, z = camera.CAMERA_OFFSET_M
+    transform.transform.translation = Vector3(x=x, y=y, z=z)
+    turned = Rotation.from_matrix(to_optical.T).as_quat()
+    transform.transform.rotation = _quaternion(*turned.tolist())
+    return transform
+
+
+def base_transform(odometry: Odometry) -> TransformStamped:
+    """Where ``base_link`` is in ``map``."""
+    at = odometry.pose.pose
+    transform = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
+    transform.transform.translation = Vector3(x=at.position.x, y=at.position.y, z=at.position.z)
+    transform.transform.rotation = at.orientation
+    return transform
+
+
+class Aircraft:
+    """The aircraft and the path that it has come in the run at hand."""
+
+    def __init__(self) -> None:
+        """Begin without a path."""
+        self._body = _triangles('aircraft', _aircraft_triangles(), _AIRFRAME)
+        self._path = _marker('path', Marker.LINE_STRIP, _PATH)
+        self._path.scale.x = _PATH_WIDTH_M
+        self._last_ns = -1
+
+    def markers(self, odometry: Odometry) -> MarkerArray:
+        """Both where the odometry says, in its frame; time that goes back begins a new path."""
+        stamp_ns = stamp_of(odometry.header.stamp)
+        at = odometry.pose.pose
+        if stamp_ns < self._last_ns:
+            self._path.points = []
+        self._last_ns = stamp_ns
+        self._path.points.append(Point(x=at.position.x, y=at.position.y, z=_PAINT_LIFT_M * 2))
+        self._body.pose = Pose(position=at.position, orientation=at.orientation)
+        self._body.header = self._path.header = odometry.header
+        return MarkerArray(markers=[self._body, self._path])
+
+
+def _marker(namespace: str, kind: int, colour: tuple[float, float, float]) -> Marker:
+    red, green, blue = colour
+    return Marker(
+        header=header(0), ns=namespace, type=kind, action=Marker.ADD,
+        color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
+    )
+
+
+def _triangles(
+    namespace: str, triangles: Iterable[Triangle], colour: tuple[float, float, float]
+) -> Marker:
+    marker = _marker(namespace, Marker.TRIANGLE_LIST, colour)
+    marker.scale = Vector3(x=1.0, y=1.0, z=1.0)
+    marker.points = [Point(x=x, y=y, z=z) for corners in triangles for x, y, z in corners]
+    return marker
+
+
+def _paint_triangles() -> list[Triangle]:
+    """Each painted patch as a fan: the patches are convex, or as good as."""
+    return [
+        tuple((x, y, _PAINT_LIFT_M) for x, y in (marking.polygon[0], left, right))
+        for marking in runway.markings()
+        for left, right in pairwise(marking.polygon[1:])
+    ]
+
+
+@cache
+def _aircraft_triangles() -> tuple[Triangle, ...]:
+    """The hulls of the parts that also throw its shadow, about the reference point."""
+    found = []
+    for part in OUTLINE:
+        # A flat part has no hull; qhull moves its corners by a hair (QJ) and finds one.
+        faces = part[ConvexHull(part, qhull_options='QJ').simplices]
+        found += [tuple(map(tuple, face)) for face in np.round(faces, 3).tolist()]
+    return tuple(found)
+
+
+def _quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
+    return Quaternion(x=x, y=y, z=z, w=w)

@@ -1,0 +1,224 @@
+"""``taxinet bag info | doctor | recover | export``: what is printed, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from bag_faults import chunks_of
+from PIL import Image
+from whole_runs import RUN_ID, STEPS, WEIGHTS, write_run
+
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.cli.main import main
+
+Taxinet = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a whole run, one cut off, and one with a flipped bit."""
+    folder = tmp_path_factory.mktemp('bags')
+    file = write_run(folder / 'run')
+    data = bytearray(file.read_bytes())
+    (_, end) = chunks_of(bytes(data))[9]
+    (folder / 'cut').mkdir()
+    (folder / 'cut' / 'cut_0.mcap').write_bytes(data[:end + 20])
+    data[end - 6] ^= 1
+    (folder / 'flipped').mkdir()
+    (folder / 'flipped' / 'flipped_0.mcap').write_bytes(data)
+    (folder / 'garbage.mcap').write_bytes(b'garbage' * 9)
+    (folder / 'sqlite').mkdir()
+    (folder / 'sqlite' / 's_0.db3').touch()
+    (folder / 'empty').mkdir()
+    return folder
+
+
+@pytest.fixture
+def taxinet(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Taxinet:
+    """Types ``taxinet bag …`` beside the bags; new files go into ``new/``."""
+    monkeypatch.setenv('COLUMNS', '200')
+
+    def call(*words: str) -> tuple[int, str, str]:
+        full = [word.replace('NEW', str(tmp_path)) for word in words]
+        monkeypatch.setattr('sys.argv', ['taxinet', 'bag', *full])
+        monkeypatch.chdir(made)
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capfd.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return call
+
+
+def test_given_a_run_when_asked_for_info_then_people_see_run_scene_and_outcome(
+    taxinet: Taxinet,
+) -> None:
+    code, out, err = taxinet('info', 'run')
+    assert (code, err) == (0, '')
+    for words in (
+        f'run        {RUN_ID} (program, seed 7, index 3), recorded by taxinet_ros 1.2.3',
+        'outcome    PASS, 16 control steps judged',
+        'on_runway: rho +12.7',
+        'CTE -2.50 m (left positive), HE +8.0 deg, 640 m past the threshold, 2020-03-20 09:15, '
+        'broken, rain 30 %',
+        f'perception taxinet, weights {WEIGHTS}',
+        'gains      heading_gain=1.5',
+        'stayed on the runway, |CTE| at most 2.50 m',
+        'bag        whole',
+        '/taxi_command                    16  taxinet_msgs/msg/TaxiCommand',
+        'attached   manifest.json, scenario.json',
+    ):
+        assert words in out
+
+
+def test_given_json_when_asked_for_info_then_it_is_one_object(taxinet: Taxinet) -> None:
+    code, out, _ = taxinet('info', 'run', '--json')
+    values = json.loads(out)
+    assert (code, values['whole'], values['messages']) == (0, True, 135)
+    assert values['run']['scene']['heading'] == pytest.approx(8)
+    assert values['run']['judged']['on_runway']['lower'] > 12
+    code, out, _ = taxinet('info', 'cut', '--json')
+    values = json.loads(out)
+    assert (code, values['whole']) == (3, False)
+    assert values['run']['judged']['phi_eventually']['lower'] == '-inf'
+
+
+@pytest.mark.parametrize(('bag', 'code'), [('run', 0), ('cut', 3), ('flipped', 3)])
+def test_given_a_bag_when_the_doctor_looks_then_exit_code_and_json_agree(
+    taxinet: Taxinet, bag: str, code: int
+) -> None:
+    said, out, err = taxinet('doctor', bag)
+    assert (said, err) == (code, '')
+    assert ('nothing is wrong' in out) == (code == 0)
+    assert (f'mended by: taxinet bag recover {bag} --out NEW' in out) == (code == 3)
+    said, out, _ = taxinet('doctor', bag, '--json')
+    values = json.loads(out)
+    assert (said, values['sound']) == (code, code == 0)
+    assert len(values['checks']) >= 7
+
+
+def test_given_damaged_bags_when_recovered_then_the_new_ones_are_whole(
+    taxinet: Taxinet, made: Path, tmp_path: Path
+) -> None:
+    before = {path: path.read_bytes() for path in made.rglob('*') if path.is_file()}
+    code, out, err = taxinet('recover', 'flipped', '--out', 'NEW/f')
+    assert (code, err) == (3, '')
+    assert 'damage: flipped/flipped_0.mcap: at byte' in out
+    assert '15 whole control steps of 16 planned, ended as PASS, into' in out
+    assert 'lost 1 of 135 messages' in out, 'a camera frame lies in a chunk of its own'
+    code, out, _ = taxinet('recover', 'cut', '--out', 'NEW/c')
+    assert code == 3
+    assert 'lost what was being written when the recording ended' in out
+    code, out, _ = taxinet('recover', 'run', '--out', 'NEW/run')
+    assert code == 0
+    assert 'lost' not in out
+    assert (tmp_path / 'run' / 'run_0.mcap').read_bytes() == before[made / 'run' / 'run_0.mcap']
+    for name in ('f', 'c', 'run'):
+        assert taxinet('info', f'NEW/{name}')[0] == 0
+    assert {path: path.read_bytes() for path in made.rglob('*') if path.is_file()} == before
+
+
+def test_given_tables_when_exported_then_files_hold_them_with_units(
+    taxinet: Taxinet, tmp_path: Path
+) -> None:
+    code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
+    assert (code, err) == (0, '')
+    assert out.startswith(f'table: {tmp_path}/t.csv (16 rows, ')
+    trace = pd.read_csv(tmp_path / 't.csv')
+    assert trace['cte_m'][0] == pytest.approx(-2.5)
+    assert taxinet('export', 'run', '--out', 'NEW/c.csv', '--topics', 'taxi_command')[0] == 0
+    assert 'steering_angle [rad]' in pd.read_csv(tmp_path / 'c.csv').columns
+    assert taxinet('export', 'run', '--out', 'NEW/all', '--format', 'parquet')[0] == 0
+    names = {path.name for path in (tmp_path / 'all').iterdir()}
+    assert {'taxi_command.parquet', 'ground_truth.odom.parquet'} <= names
+    assert 'camera.image_raw.parquet' not in names
+    odometry = pd.read_parquet(tmp_path / 'all' / 'ground_truth.odom.parquet')
+    assert odometry.attrs['units']['pose.pose.position.x'] == 'm'
+
+
+def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
+    taxinet: Taxinet, tmp_path: Path
+) -> None:
+    assert taxinet('export', 'run', '--out', 'NEW/f.mp4') == (
+        0, f'film: {tmp_path}/f.mp4 ({STEPS} frames)\n', ''
+    )
+    film = cv2.VideoCapture(str(tmp_path / 'f.mp4'))
+    assert film.get(cv2.CAP_PROP_FPS) == 10
+    frames = [film.read()[1] for _ in range(STEPS)]
+    film.release()
+    assert frames[0].shape == (960, 1080, 3)
+    # The recorded frames are plain grey, lighter at every step; below them stand plots.
+    for step, frame in enumerate(frames):
+        assert np.median(frame[300:400, 300:700]) == pytest.approx(60 + 10 * step, abs=4)
+    assert np.mean(frames[-1][640:900]) > 200
+    assert taxinet('export', 'run', '--out', 'NEW/f.gif')[0] == 0
+    with Image.open(tmp_path / 'f.gif') as gif:
+        assert (gif.size, gif.n_frames, gif.info['duration']) == ((540, 480), STEPS // 2, 200)
+
+
+BAD = {
+    'nothing there': (['info', 'nowhere'], 2, 'nowhere: no such bag'),
+    'no bag': (['doctor', 'garbage.mcap'], 1, 'not an MCAP file'),
+    'an sqlite bag': (['info', 'sqlite'], 1, 'ros2 bag convert'),
+    'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 1, 'holds no .mcap'),
+    'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'exists already'),
+    'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'lies within the bag'),
+    'export of a damaged bag': (
+        ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save what is sound: taxinet bag recover cut',
+    ),
+    'unknown format': (['export', 'run', '--out', 'NEW/x.xls'], 2, "'xls' is no format; known:"),
+    'other suffix': (
+        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'name it x.gif',
+    ),
+    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2, 'one file'),
+    'film of a topic': (
+        ['export', 'run', '--out', 'NEW/x.mp4', '--topics', 'clock'], 2, 'a film is of the run',
+    ),
+    'unknown topic': (
+        ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'taxi'], 2, "no topic 'taxi'; it has",
+    ),
+    'two topics in a file': (
+        ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'tracking_error'], 2, 'name one',
+    ),
+    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'there is no folder'),
+    'file that exists': (['export', 'run', '--out', 'garbage.mcap'], 2, 'is no format'),
+    'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'exists already'),
+}
+
+
+@pytest.mark.parametrize('case', BAD)
+def test_given_a_mistake_then_one_line_says_what_and_nothing_is_written(
+    case: str, taxinet: Taxinet, tmp_path: Path
+) -> None:
+    words, expected_code, expected = BAD[case]
+    code, out, err = taxinet(*words)
+    assert (code, out) == (expected_code, ''), err
+    (line,) = err.strip().splitlines()
+    assert line.startswith('taxinet: error: ')
+    assert expected in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
+    taxinet: Taxinet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, write: object) -> None:
+        def fail(draft: Path) -> None:
+            raise OSError(28, 'No space left on device')
+        write_whole(path, fail)
+
+    monkeypatch.setattr('taxinet_ros.cli.bag_export.write_whole', full)
+    code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
+    assert (code, out) == (4, '')
+    assert err == (
+        f'taxinet: error: {tmp_path}/t.csv: cannot write: [Errno 28] No space left on device\n'
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,114 @@
+"""Thousands of mutated files: reading, checking and mending them ends in a typed error or a result.
+
+A third are mutated as they are, which their checksums catch; the others within a chunk without a
+checksum, so that nonsense reaches definitions, descriptions and messages.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_faults import chunk
+from mcap.records import Chunk, Header
+from whole_runs import run_messages, write_run
+
+from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.facts import read_facts
+from taxinet_ros.bag.parse import open_chunk, parse_record, split_records
+from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.bag.recover import recover
+from taxinet_ros.bag.storage import MAGIC, encode
+from taxinet_ros.bag.tables import read_tables
+from taxinet_ros.core.errors import UsageError
+
+
+@pytest.fixture(scope='module')
+def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A short run without frames."""
+    messages = [m for m in run_messages() if m[0] != '/camera/image_raw' and m[1] <= 200_000_000]
+    return write_run(tmp_path_factory.mktemp('sound') / 'run', messages).read_bytes()
+
+
+def opened(data: bytes) -> bytes:
+    """What the chunks of a file hold."""
+    records = (parse_record(code, body) for code, body in split_records(data[len(MAGIC):-8]))
+    return b''.join(open_chunk(record) for record in records if isinstance(record, Chunk))
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """A few bytes changed, put in or left out."""
+    result = bytearray(data)
+    for _ in range(int(rng.integers(1, 5))):
+        place, length = int(rng.integers(len(result))), int(rng.integers(1, 24))
+        edits: list[Callable[[], bytes]] = [
+            lambda p=place: bytes([result[p] ^ 1 << int(rng.integers(8))]),
+            lambda: bytes([int(rng.choice([0, 127, 128, 255]))]),
+            lambda n=length: rng.bytes(n),
+            lambda: int(rng.integers(2**62)).to_bytes(8, 'little'),
+        ]
+        new = edits[int(rng.integers(len(edits)))]()
+        gone = len(new) if rng.random() < 0.8 else length
+        result[place:place + gone] = new
+    return bytes(result)
+
+
+@pytest.fixture
+def files(sound: bytes, tmp_path: Path) -> Callable[[int, int], Iterator[Path]]:
+    """Makes mutated files, one at a time in the same place."""
+    def make(seed: int, count: int) -> Iterator[Path]:
+        rng, within = np.random.default_rng(seed), opened(sound)
+        head, path = MAGIC + encode(Header('ros2', 'x')), tmp_path / 'run_0.mcap'
+        for number in range(count):
+            raw = mutated(within, rng)
+            loose = head + encode(chunk(raw, len(raw), '', crc=0))
+            path.write_bytes(mutated(sound, rng) if number % 3 == 0 else loose)
+            yield path
+    return make
+
+
+def test_given_mutated_files_when_read_then_none_passes_for_a_whole_one(
+    files: Callable[[int, int], Iterator[Path]],
+) -> None:
+    ends = Counter[str]()
+    for path in files(20, 2000):
+        ends[f'messages {end_of(lambda p: deque(read_messages(p), maxlen=0), path)}'] += 1
+        ends[f'info {end_of(read_info, path)}'] += 1
+    assert ends['messages ok'] == 0
+    assert min(ends['messages BagCorrupt'], ends['messages BagTruncated'], ends['info ok']) > 200
+
+
+def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_is_imported(
+    sound: bytes, files: Callable[[int, int], Iterator[Path]], tmp_path: Path
+) -> None:
+    uses: dict[str, Callable[[Path], object]] = {
+        'facts': read_facts, 'tables': read_tables, 'check': check_bag,
+    }
+    (tmp_path / 'sound.mcap').write_bytes(sound)
+    for use in uses.values():
+        use(tmp_path / 'sound.mcap')
+    modules, ends = set(sys.modules), Counter[str]()
+    for number, path in enumerate(files(21, 100)):
+        saved = tmp_path / 'saved' / str(number)
+        uses['recover'] = lambda path, saved=saved: recover(path, saved)
+        for name, use in uses.items():
+            ends[f'{name} {end_of(use, path)}'] += 1
+    assert ends['tables ok'] == 0
+    assert min(ends['tables BagCorrupt'], ends['check ok'], ends['recover ok']) > 10
+    assert set(sys.modules) == modules
+
+
+def end_of(use: Callable[[Path], object], path: Path) -> str:
+    """How it ended; whatever is no typed error of one line is raised."""
+    try:
+        use(path)
+    except (BagError, UsageError) as error:
+        if '\n' in str(error):
+            raise
+        return type(error).__name__
+    return 'ok'

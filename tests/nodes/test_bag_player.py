@@ -1,0 +1,275 @@
+"""A recorded run on its topics again: whole, at the recorded pace, and listened to like a live one.
+
+A perception that runs freely beside it answers as it did in the lockstep, to the bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import SetBool
+
+from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.bag_player import BagPlayer
+from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.playback import open_bag, portions, window
+from taxinet_ros.nodes.recorded_topics import message_class, recorded_qos
+
+pytestmark = pytest.mark.ros
+
+STEPS = 21
+STEP_NS = 100_000_000
+ESTIMATE = interface.ESTIMATE
+RENAMED = f'recorded/{ESTIMATE.name}'
+
+
+class Listener(rclpy.node.Node):
+    """Keeps what is said on some topics, serialised."""
+
+    def __init__(self, names: dict[str, interface.Topic], **node) -> None:
+        super().__init__('listener', **node)
+        self.heard: dict[str, list[bytes]] = {name: [] for name in names}
+        self.ears = [
+            self.create_subscription(
+                topic.type, name, self.heard[name].append, topic.qos, raw=True
+            )
+            for name, topic in names.items()
+        ]
+
+
+@contextlib.contextmanager
+def listening(*topics: interface.Topic, **renamed: interface.Topic):
+    """A listener, an executor that spins it, and its context on a domain of its own."""
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        executor = EventsExecutor(context=context)
+        names = {topic.name: topic for topic in topics} | renamed
+        listener = Listener(names, context=context)
+        executor.add_node(listener)
+        try:
+            yield listener, executor, context
+        finally:
+            listener.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown(context=context)
+
+
+def spin(executor, until, most_s: float = 60.0) -> None:
+    """Spin until something holds."""
+    future = rclpy.task.Future(executor=executor)
+    for _ in range(int(most_s / 0.05)):
+        if until():
+            return
+        executor.spin_until_future_complete(future, timeout_sec=0.05)
+    raise AssertionError('it never came')
+
+
+def same(heard: list[bytes], recorded: list[bytes]) -> bool:
+    """Whether these are the recorded bytes; on its way a message is filled up to four."""
+    assert len(heard) == len(recorded) > 0
+    return all(
+        got.rstrip(b'\0') == sent.rstrip(b'\0') and 0 <= len(got) - len(sent) < 4
+        for got, sent in zip(heard, recorded, strict=True)
+    )
+
+
+def make_player(context: Context, bag: Path | str, **parameters) -> BagPlayer:
+    values = {'bag': str(bag), **parameters}
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    return BagPlayer(context=context, parameter_overrides=overrides)
+
+
+@contextlib.contextmanager
+def playing(context: Context, executor, bag: Path, **parameters):
+    player = make_player(context, bag, **parameters)
+    executor.add_node(player)
+    try:
+        yield player
+    finally:
+        player.close()
+        executor.remove_node(player)
+        player.destroy_node()
+
+
+def start(module: str, domain: int, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, '-m', f'taxinet_ros.nodes.{module}', '--ros-args', *words]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    return subprocess.Popen(command, env=environment, text=True, stderr=subprocess.PIPE)
+
+
+def test_given_a_perception_beside_the_player_then_its_estimates_are_the_recorded_ones(bag):
+    renamed = {RENAMED: ESTIMATE}
+    with listening(ESTIMATE, interface.CLOCK, **renamed) as (listener, executor, context):
+        domain = context.get_domain_id()
+        perception = start('taxinet_perception', domain)
+        ear = next(e for e in listener.ears if e.topic_name == f'/{ESTIMATE.name}')
+        try:
+            spin(executor, lambda: ear.get_publisher_count() == 1)
+            player = start(
+                'bag_player', domain, '-p', f'bag:={bag}', '-r', f'{ESTIMATE.name}:={RENAMED}',
+                '-p', 'wait_for:=["camera/image_raw", "perception/tracking_error", "/clock"]',
+            )
+            spin(executor, lambda: player.poll() is not None)
+            _, said = player.communicate()
+            spin(executor, lambda: len(listener.heard[ESTIMATE.name]) == STEPS)
+        finally:
+            perception.terminate()
+            perception.communicate(timeout=30)
+    assert player.returncode == 0, said
+    assert 'played' in said
+    recorded = [m.cdr for m in read_messages(bag, [f'/{ESTIMATE.name}'])]
+    assert same(listener.heard[RENAMED], recorded)
+    assert len(listener.heard[interface.CLOCK.name]) == STEPS
+    fresh, old = (
+        [deserialize_message(cdr, ESTIMATE.type) for cdr in cdrs]
+        for cdrs in (listener.heard[ESTIMATE.name], recorded)
+    )
+    assert fresh == old
+    assert len({estimate.cross_track_error for estimate in fresh}) == STEPS
+
+
+def test_given_a_window_when_played_then_it_is_that_part_after_what_was_latched_before(bag):
+    topics = (interface.SCENARIO, interface.ODOMETRY, interface.COMMAND)
+    with (
+        listening(*topics) as (listener, executor, context),
+        playing(
+            context, executor, bag, rate=10.0, start_offset=0.5, playback_duration=1.0,
+            exclude=['taxi_command', '/camera/image_raw', '/clock'],
+            wait_for=['scenario', '/ground_truth/odom'],
+        ) as player,
+    ):
+        assert player.play(executor) == 0
+        spin(executor, lambda: len(listener.heard['ground_truth/odom']) == 11)
+        assert '/clock' not in dict(player.get_publisher_names_and_types_by_node(
+            'bag_player', '/'
+        ))
+    recorded = list(read_messages(bag, ['/ground_truth/odom']))
+    expected = [m.cdr for m in recorded if 5 * STEP_NS <= m.stamp_ns <= 15 * STEP_NS]
+    assert same(listener.heard['ground_truth/odom'], expected)
+    assert same(listener.heard['scenario'], [m.cdr for m in read_messages(bag, ['/scenario'])])
+    assert listener.heard['taxi_command'] == []
+
+
+def test_given_a_player_that_is_paused_when_it_goes_on_then_nothing_is_missing(bag):
+    odometry = interface.ODOMETRY
+    with (
+        listening(odometry) as (listener, executor, context),
+        playing(context, executor, bag, rate=10.0, wait_for=[odometry.name]) as player,
+    ):
+        client = listener.create_client(SetBool, '/bag_player/pause')
+        spin(executor, client.service_is_ready)
+        paused = client.call_async(SetBool.Request(data=True))
+        spin(executor, paused.done)
+        assert paused.result().message == 'paused'
+        goes_on = client.call_async(SetBool.Request(data=False))
+        assert player.play(executor) == 0
+        assert goes_on.done()
+        spin(executor, lambda: len(listener.heard[odometry.name]) == STEPS)
+        client.destroy()
+
+
+def test_given_nobody_to_listen_when_the_time_is_up_then_that_is_said(bag, capfd):
+    with (
+        listening() as (_, executor, context),
+        playing(context, executor, bag, wait_for=['taxi_command'], wait_timeout=0.1) as player,
+    ):
+        assert player.play(executor) == 4
+    (line,) = capfd.readouterr().err.splitlines()[-1:]
+    assert 'error: bag_player: nobody subscribed to /taxi_command within 0.1 s' in line
+
+
+def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_ends_with_130(bag):
+    with listening(interface.CLOCK) as (listener, executor, context):
+        player = start(
+            'bag_player', context.get_domain_id(), '-p', f'bag:={bag}', '-p', 'loop:=true',
+            '-p', 'rate:=10.0', '-p', 'wait_for:=["/clock"]', '-p', 'exclude:=["camera/image_raw"]',
+        )
+        heard = listener.heard[interface.CLOCK.name]
+        spin(executor, lambda: len(heard) > 2 * STEPS)
+        player.send_signal(signal.SIGINT)
+        _, said = player.communicate(timeout=60)
+    assert player.returncode == 130
+    assert 'Traceback' not in said
+    assert same(heard[:STEPS], heard[STEPS : 2 * STEPS])
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'bag': ''}, 'which one'),
+        ({'bag': 'nowhere'}, 'nowhere'),
+        ({'rate': 0.0}, 'allowed: 0.01..1000.0'),
+        ({'start_offset': 9.0}, 'is 2 s long'),
+        ({'exclude': ['/taxi_comand']}, 'has no topic /taxi_comand; it has /camera'),
+        ({'wait_for': ['/clock'], 'exclude': ['/clock']}, 'drop one'),
+        ({'speed': 2.0}, "unknown parameter 'speed'"),
+    ],
+)
+def test_given_a_bad_parameter_then_one_line_says_what_is_wrong(parameters, words, bag):
+    with listening() as (_, _, context), pytest.raises(UsageError) as caught:
+        make_player(context, **{'bag': bag, **parameters})
+    assert words in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_damaged_bag_when_it_is_to_be_played_then_recovery_is_proposed(bag, tmp_path):
+    file = next(bag.glob('*.mcap'))
+    torn = tmp_path / 'torn.mcap'
+    torn.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(UsageError, match='taxinet bag recover'):
+        open_bag(str(torn))
+
+
+def test_given_a_bag_when_cut_into_portions_then_all_messages_are_there_in_order(bag):
+    info = open_bag(str(bag))
+    names = {topic.name for topic in info.topics}
+    cut = list(portions(bag, names, window(info, 0.0, 0.0), set()))
+    assert [p.stamp_ns for p in cut] == [k * STEP_NS for k in range(STEPS)]
+    assert [m.cdr for p in cut for m in p.messages] == [m.cdr for m in read_messages(bag)]
+
+
+def topic(**more) -> TopicInfo:
+    values = {
+        'name': '/t', 'type': 'std_msgs/msg/Header', 'qos': '', 'definition': '', 'type_hash': '',
+    }
+    return TopicInfo(**{**values, **more})
+
+
+def test_given_recorded_qualities_of_service_then_they_are_offered_again():
+    text = offered_qos(
+        history='keep_last', depth=7, reliability='best_effort', durability='transient_local'
+    )
+    qos = recorded_qos(topic(qos=text))
+    assert (qos.depth, qos.reliability, qos.durability) == (
+        7, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
+    )
+    old = recorded_qos(topic(qos='- {history: 1, depth: 3, reliability: 2, durability: 1}'))
+    assert (old.depth, old.reliability, old.durability) == (
+        3, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
+    )
+    strange = recorded_qos(topic(qos='- {depth: 999999999, durability: unknown}'))
+    assert (strange.depth, strange.durability) == (1000, DurabilityPolicy.VOLATILE)
+    assert recorded_qos(topic(qos='')).depth == 10
+
+
+def test_given_a_type_that_is_not_installed_then_nothing_is_imported_for_it():
+    assert message_class(topic(type='antigravity/msg/Header')) is None
+    assert 'antigravity' not in sys.modules
+    with pytest.raises(UsageError, match='another version'):
+        message_class(topic(type_hash='RIHS01_' + '0' * 64))

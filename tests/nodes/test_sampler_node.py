@@ -1,0 +1,282 @@
+"""The sampler as a program of its own, on nodes that were started separately."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.search_options import make_search_options
+from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.cli.falsify import run_falsify
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome, RunRequest
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph, own_domain
+from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
+from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
+
+pytestmark = pytest.mark.ros
+
+FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
+RUNS = 12
+SPEC = 'close=always(abs(cte) <= 0.3)'
+SEARCH = (
+    'program:=nominal', 'sampler:=ce', 'sampler_options:=["every=1"]', 'seed:=4',
+    'set:=["duration=1"]', f'specs:=["{SPEC}"]',
+)
+
+
+class Graph:
+    """Nodes, each a process, on one domain; the recorder writes to a folder of its own."""
+
+    def __init__(self, domain: int, bags: Path) -> None:
+        self.domain, self.bags = domain, bags
+        nodes = ('simulator', 'ground_truth_perception', 'steering_controller', 'mtl_monitor')
+        self.nodes = [
+            *(start(name, domain) for name in nodes),
+            start('recorder', domain, f'out:={bags}', 'images:=none'),
+        ]
+
+    def sampler(self, *parameters: str, name: str = 'scenario_sampler') -> subprocess.Popen[str]:
+        return start('scenario_sampler', self.domain, *parameters, name=name)
+
+
+def start(
+    executable: str, domain: int, *parameters: str, name: str = ''
+) -> subprocess.Popen[str]:
+    words = [str(FOLDER / executable), '--ros-args']
+    words += ['-r', f'__node:={name}'] if name else []
+    words += [word for parameter in parameters for word in ('-p', parameter)]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'}
+    return subprocess.Popen(
+        words, env=environment, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+
+
+@pytest.fixture(scope='module')
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    with own_domain() as domain:
+        running = Graph(domain, tmp_path_factory.mktemp('bags'))
+        try:
+            yield running
+        finally:
+            for node in running.nodes:
+                node.terminate()
+            ends = [node.communicate(timeout=60)[1] for node in running.nodes]
+    assert [node.returncode for node in running.nodes] == [0] * 5, ends
+
+
+@pytest.fixture(scope='module')
+def composed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``taxinet falsify`` makes of the search."""
+    out = tmp_path_factory.mktemp('composed') / 'c'
+    campaign = make_options(
+        program='nominal', runs=RUNS, seed=4, perception='truth', settings=['duration=1'],
+        specs=[SPEC], out=out, processes=False, images='none',
+    )
+    options = make_search_options(
+        campaign, sampler='ce', sampler_options=['every=1'], workers=1, resume=False, until=None,
+        budget_min=None,
+    )
+    assert run_falsify(options, quiet=True) == 1
+    return out
+
+
+def ended(sampler: subprocess.Popen[str]) -> tuple[int, list[str]]:
+    """Exit code and printed lines."""
+    with killing(sampler):
+        _, errors = sampler.communicate(timeout=100)
+    return sampler.returncode, errors.splitlines()
+
+
+@contextlib.contextmanager
+def killing(process: subprocess.Popen[str]) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        process.kill()
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 100
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert condition()
+
+
+def results(out: Path) -> int:
+    ledger = out / 'ledger.jsonl'
+    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
+
+
+def complaint(lines: list[str]) -> str:
+    """The one line on what is wrong."""
+    (line,) = [line for line in lines if not line.startswith('[INFO]')]
+    assert line.startswith('error: ')
+    return line
+
+
+@pytest.fixture(scope='module')
+def searched(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The search on the graph, interrupted in its midst and resumed."""
+    out = tmp_path_factory.mktemp('searched') / 'c'
+    words = (*SEARCH, f'runs:={RUNS}', f'out:={out}')
+    sampler = graph.sampler(*words)
+    with killing(sampler):
+        wait_for(lambda: results(out) >= 3)
+        sampler.send_signal(signal.SIGINT)
+        code, lines = ended(sampler)
+    assert code == 130, lines
+    assert any('interrupted; -p resume:=true -p out:=' in line for line in lines)
+    assert 3 <= len(read_table(out)) < RUNS
+    code, lines = ended(graph.sampler(*words, 'resume:=true'))
+    assert code == 1, lines
+    assert 'resuming nominal for failures: up to 12 runs, sampler ce' in lines[0]
+    assert any('under the program itself: satisfied' in line for line in lines)
+    assert any('learned.json, learned.png, learned.scenic' in line for line in lines)
+    return out
+
+
+def test_given_nodes_started_one_by_one_then_the_search_is_that_of_falsify(composed, searched):
+    named = ['run_id', 'bag', 'retries', *WALL_CLOCK_COLUMNS]
+    expected, table = (read_table(out).drop(columns=named) for out in (composed, searched))
+    assert len(expected) == RUNS
+    assert (expected['weight'].tail(3) != 1).any(), 'nothing was learned, so no answer was needed'
+    pd.testing.assert_frame_equal(table, expected)
+    learned = [json.loads((out / 'learned.json').read_text()) for out in (composed, searched)]
+    assert learned[0]['dimensions'] == learned[1]['dimensions']
+
+
+def test_given_an_interrupt_and_a_resumption_then_every_run_on_record_has_its_whole_bag(
+    graph, searched
+):
+    table = read_table(searched)
+    names = {path.name for path in graph.bags.iterdir() if path.name.startswith('nominal-s4-')}
+    assert set(table['run_id']) <= names
+    for run_id in table['run_id']:
+        info = read_info(graph.bags / run_id)
+        assert info.complete
+        assert info.counts['/ground_truth/odom'] == 11
+    begun_anew = {name for name in table['run_id'] if name.endswith('.2')}
+    assert len(begun_anew) <= 1
+    assert names - set(table['run_id']) == {name.removesuffix('.2') for name in begun_anew}
+
+
+def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_nothing(
+    graph, searched, tmp_path
+):
+    out = tmp_path / 'c'
+    shutil.copytree(searched, out)
+    ledger = (out / 'ledger.jsonl').read_text()
+    assert '"perception":"truth"' in ledger
+    assert '"perception_sha256":""' in ledger
+    (out / 'ledger.jsonl').write_text(
+        ledger.replace('"perception_sha256":""', f'"perception_sha256":"{"ab" * 32}"')
+    )
+    code, lines = ended(graph.sampler(*SEARCH, 'runs:=13', f'out:={out}', 'resume:=true'))
+    assert code == 2, lines
+    assert complaint(lines).endswith(
+        f'{out} was begun with perception truth (sha256 abababababab…), but the graph has truth; '
+        'start the one it was begun with, or name another out'
+    )
+    assert len(read_table(out)) == RUNS
+    assert results(out) == RUNS
+
+
+def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupted(graph, tmp_path):
+    out = tmp_path / 'first'
+    words = ('program:=nominal', 'seed:=9', 'set:=["duration=600"]')
+    first = graph.sampler(*words, 'sampler:=ce', f'out:={out}')
+    with killing(first):
+        wait_for(lambda: (graph.bags / 'nominal-s9-00000').exists() or first.poll() is not None)
+        second = graph.sampler(*words, 'sampler:=ce', f'out:={tmp_path / "second"}')
+        third = graph.sampler(*words, f'out:={tmp_path / "third"}', name='by_another_name')
+        (code, lines), (code_of_third, lines_of_third) = ended(second), ended(third)
+        assert (code, code_of_third) == (4, 4)
+        assert 'another sampler drives this graph' in complaint(lines)
+        assert 'the simulator is busy' in complaint(lines_of_third)
+        assert first.poll() is None
+        first.send_signal(signal.SIGINT)
+        code, lines = ended(first)
+    assert code == 130, lines
+    last = read_table(out).iloc[-1]
+    assert last['outcome'] == 'INTERRUPTED'
+    assert read_info(graph.bags / last['run_id']).complete
+
+
+def test_given_a_run_of_the_same_name_as_the_one_before_then_it_is_run_again(tmp_path):
+    request = RunRequest(
+        run_id='again', index=0, program='', seed=0, scenario=Scenario(duration_s=1.0),
+        specs=('phi_always',), participants=tuple(set(PARTICIPANTS) - {RECORDER}),
+    )
+    results = []
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        graph.run([request, request], lambda request, result: results.append(result) or True)
+    assert [result.outcome for result in results] == [Outcome.PASS, Outcome.PASS]
+    assert results[0].rho == results[1].rho
+
+
+def test_given_no_simulator_then_one_line_says_so_and_the_search_can_be_resumed(tmp_path):
+    out = tmp_path / 'c'
+    with own_domain() as domain:
+        sampler = start('scenario_sampler', domain, *SEARCH, f'out:={out}', 'server_timeout:=0.1')
+        code, lines = ended(sampler)
+    assert code == 4, lines
+    assert 'simulator: not found within 0.1 s' in complaint(lines)
+    assert f'-p resume:=true -p out:={out} continues it' in complaint(lines)
+    assert results(out) == 0
+    assert (out / 'campaign.json').exists()
+
+
+BAD = {
+    'unknown sampler': ({'sampler': 'luck'}, "sampler 'luck' is unknown; known: random"),
+    'unknown option': ({'sampler_options': ['seed=1']}, 'sampler ce: unknown option seed'),
+    'option without value': ({'sampler_options': ['every']}, "'every': expected key=value"),
+    'unknown rule': ({'until': 'bored'}, 'until bored: expected failures=K'),
+    'resume of nothing named': ({'resume': True}, 'resume: say with out which campaign'),
+    'no sampler': ({'sampler': '', 'until': 'failures=1'}, 'until: for a sampler only; known: ran'),
+    'a gain': ({'set': ['steering.heading_gain=1']}, 'gains are parameters of its own'),
+    'one formula twice': ({'specs': ['phi_always'] * 2}, 'specs: phi_always is given twice'),
+    'negative budget': ({'budget': -1.0}, 'allowed: 0.0..1000000.0'),
+    'typo': ({'untill': 'failures=1'}, 'did you mean until?'),
+}
+
+
+def built(parameters: dict[str, object]) -> None:
+    """Build the node in this process."""
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        try:
+            overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+            StandaloneSampler(context=context, parameter_overrides=overrides)
+        finally:
+            rclpy.try_shutdown(context=context)
+
+
+@pytest.mark.parametrize('case', BAD)
+def test_given_bad_parameters_then_one_line_names_the_parameter(case, tmp_path, monkeypatch):
+    changes, words = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError) as caught:
+        built({'sampler': 'ce', **changes})
+    assert words in str(caught.value)
+    assert '--' not in str(caught.value)
+    assert '\n' not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []

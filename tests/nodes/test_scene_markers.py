@@ -1,0 +1,180 @@
+"""The scene for 3-D viewers says what the runway, the odometry and the camera say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from scipy.spatial.transform import Rotation
+from taxinet_msgs.msg import RunStatus
+
+from taxinet_ros.bag.trace import read_trace
+from taxinet_ros.core import camera, runway
+from taxinet_ros.core.types import AircraftState
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.bag_player import BagPlayer
+from taxinet_ros.nodes.convert import odometry_message
+from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
+from taxinet_ros.nodes.scene_markers import SceneMarkers
+
+STEPS = 21
+
+
+def state(**more: float) -> AircraftState:
+    values = {
+        'x_m': 700.0, 'y_m': 2.0, 'z_m': 1.5, 'roll_rad': 0.01, 'pitch_rad': 0.02, 'yaw_rad': 0.3,
+        'speed_mps': 5.0, 'yaw_rate_radps': 0.0,
+    }
+    return AircraftState(**{**values, **more})
+
+
+def points_of(marker) -> np.ndarray:
+    return np.array([(p.x, p.y, p.z) for p in marker.points])
+
+
+def parts(transform) -> tuple[np.ndarray, Rotation]:
+    moved, turned = transform.transform.translation, transform.transform.rotation
+    return (
+        np.array([moved.x, moved.y, moved.z]),
+        Rotation.from_quat([turned.x, turned.y, turned.z, turned.w]),
+    )
+
+
+def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_it():
+    pavement, crossing, paint = runway_markers().markers
+    assert {m.header.frame_id for m in (pavement, crossing, paint)} == {'map'}
+    assert (pavement.scale.x, pavement.scale.y) == (runway.LENGTH_M, runway.WIDTH_M)
+    assert pavement.pose.position.x == runway.LENGTH_M / 2
+    assert crossing.pose.position.x == runway.CROSSING_X_M
+    points = points_of(paint)
+    assert len(points) % 3 == 0
+    assert points[:, 0].min() == 0
+    assert points[:, 0].max() == runway.LENGTH_M
+    assert np.abs(points[:, 1]).max() < runway.HALF_WIDTH_M
+    edges = runway.EDGE_STRIPE_Y_M + runway.STRIPE_WIDTH_M / 2
+    assert np.abs(points[:, 1]).max() == pytest.approx(edges)
+    in_crossing = np.abs(points[:, 0] - runway.CROSSING_X_M) < runway.CROSSING_CLEAR_HALF_M - 5
+    assert not in_crossing.any()
+
+
+def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_path():
+    aircraft = Aircraft()
+    for step in range(3):
+        at = state(x_m=700.0 + step)
+        body, path = aircraft.markers(odometry_message(at, step * 100_000_000)).markers
+    assert body.pose.position.x == 702.0
+    assert body.header.frame_id == 'map'
+    assert body.header.stamp.nanosec == 200_000_000
+    reach = points_of(body)
+    assert np.ptp(reach[:, 1]) == pytest.approx(15.9, abs=0.1)
+    assert np.ptp(reach[:, 0]) == pytest.approx(11.4, abs=0.3)
+    assert np.isfinite(reach).all()
+    assert points_of(path)[:, :2].tolist() == [[700.0, 2.0], [701.0, 2.0], [702.0, 2.0]]
+
+
+def test_given_time_that_goes_back_then_another_path_begins():
+    aircraft = Aircraft()
+    aircraft.markers(odometry_message(state(), 100_000_000))
+    _, path = aircraft.markers(odometry_message(state(x_m=10.0), 0)).markers
+    assert points_of(path)[:, 0].tolist() == [10.0]
+
+
+def test_given_the_frames_then_a_point_goes_through_them_to_the_pixel_that_the_camera_sees():
+    at = state()
+    target = np.array([730.0, -4.0, 0.0])
+    base, turned = parts(base_transform(odometry_message(at, 0)))
+    in_base = turned.inv().apply(target - base)
+    lens, mounted = parts(camera_transform())
+    seen = mounted.inv().apply(in_base - lens)
+    pixel = camera.intrinsics() @ seen
+    expected, depth = camera.project(at, target[None])
+    assert pixel[2] == pytest.approx(depth[0])
+    assert (pixel[:2] / pixel[2]).tolist() == pytest.approx(expected[0].tolist())
+    assert math.isclose(np.linalg.norm(mounted.as_quat()), 1.0)
+
+
+@pytest.mark.ros
+def test_given_a_simulator_that_counts_its_listeners_then_an_onlooker_comes_after_the_start():
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        executor = EventsExecutor(context=context)
+        simulator = Node(interface.SIMULATOR, context=context)
+        odometry, status = (
+            simulator.create_publisher(topic.type, topic.name, topic.qos)
+            for topic in (interface.ODOMETRY, interface.RUN_STATUS)
+        )
+        onlooker = SceneMarkers(context=context)
+
+        def spin(until) -> bool:
+            for _ in range(200):
+                if until():
+                    return True
+                executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
+            return until()
+
+        try:
+            executor.add_node(simulator)
+            executor.add_node(onlooker)
+            assert spin(lambda: status.get_subscription_count() == 1)
+            looks = iter(range(10))
+            assert spin(lambda: next(looks, None) is None)
+            assert odometry.get_subscription_count() == 0
+            status.publish(RunStatus(state=RunStatus.PREPARING))
+            status.publish(RunStatus(state=RunStatus.RUNNING))
+            assert spin(lambda: odometry.get_subscription_count() == 1)
+        finally:
+            onlooker.close()
+            for node in (simulator, onlooker):
+                executor.remove_node(node)
+                node.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown(context=context)
+
+
+@pytest.mark.ros
+def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
+    heard: dict[str, list] = {topic.name: [] for topic in interface.SCENE}
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        executor = EventsExecutor(context=context)
+        listener = Node('listener', context=context)
+        for topic in interface.SCENE:
+            qos = QoSProfile(depth=100, durability=topic.qos.durability)
+            listener.create_subscription(topic.type, topic.name, heard[topic.name].append, qos)
+        values = {
+            'bag': str(bag), 'rate': 2.0, 'wait_for': ['ground_truth/odom'],
+            'exclude': ['camera/image_raw'],
+        }
+        overrides = [Parameter(name, value=value) for name, value in values.items()]
+        player = BagPlayer(context=context, parameter_overrides=overrides)
+        nodes = [listener, SceneMarkers(context=context), player]
+        try:
+            for node in nodes:
+                executor.add_node(node)
+            assert player.play(executor) == 0
+            for _ in range(200):
+                if len(heard['scene/aircraft']) == len(heard['scene/base_link']) == STEPS:
+                    break
+                executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
+        finally:
+            for node in nodes:
+                executor.remove_node(node)
+                node.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown(context=context)
+    assert [len(heard[name]) for name in ('scene/runway', 'scene/camera_optical')] == [1, 1]
+    trace = read_trace(bag)
+    assert [t.transform.translation.y for t in heard['scene/base_link']] == trace['cte_m'].tolist()
+    path = heard['scene/aircraft'][-1].markers[1]
+    assert points_of(path)[:, 1].tolist() == trace['cte_m'].tolist()

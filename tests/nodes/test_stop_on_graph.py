@@ -1,0 +1,97 @@
+"""A run that may end early ends at the same step in every layout, and its bag holds just that."""
+
+import math
+
+import numpy as np
+import pytest
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.trace import read_trace
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.outcome import Outcome, RunRequest
+from taxinet_ros.core.perception import make_perception
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.stop_on import StopOn
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.processes import process_graph
+
+pytestmark = pytest.mark.ros
+
+SPECS = ('soon=eventually[0:1.7](always(abs(cte) <= 1.5))', 'on_runway')
+LATE = scenario_from_human({'cross_track': 6, 'heading': 15, 'duration': 5})
+GOOD = scenario_from_human({'cross_track': 0.5, 'heading': 0, 'duration': 5})
+
+
+def requests(stop_on: StopOn) -> list[RunRequest]:
+    return [
+        RunRequest(
+            run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
+            specs=SPECS, participants=PARTICIPANTS, stop_on=stop_on,
+        )
+        for index, scene in enumerate((LATE, GOOD))
+    ]
+
+
+def run_graph(opened, asked):
+    results = []
+    with opened as graph:
+        graph.run(asked, lambda request, result: results.append(result) or True)
+    assert len(results) == len(asked)
+    return results
+
+
+def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same(tmp_path):
+    asked = requests(StopOn.VIOLATED)
+    options = [GraphOptions(perception='truth', out=tmp_path / name) for name in ('one', 'many')]
+    composed = run_graph(composed_graph(options[0]), asked)
+    run_graph(process_graph(options[1], tmp_path / 'logs'), asked)
+
+    late, good = composed
+    steps = []
+    judgement = run_closed_loop(
+        LATE, make_perception('truth'), specs=[parse_spec(text) for text in SPECS],
+        stop_on=StopOn.VIOLATED, on_step=steps.append,
+    )
+    assert 17 <= len(steps) - 1 < 50
+    assert (late.outcome, late.stopped_early) == (Outcome.FAIL, True)
+    assert late.last_seq == len(steps) - 1
+    assert late.rho == {}
+    assert list(late.rho_lower.values()) == [r.lower for r in judgement.readings]
+    assert list(late.rho_upper.values()) == [r.upper for r in judgement.readings]
+    assert late.rho_lower['soon'] == -math.inf
+    assert late.rho_upper['soon'] < 0 < late.rho_upper['on_runway']
+    assert repr(late.statistics) == repr(judgement.statistics), 'NaN where there is nothing'
+
+    bag = tmp_path / 'one' / 'run-0'
+    trace = read_trace(bag)
+    assert trace['cte_m'].tobytes() == np.array(
+        [step.observation.state.tracking_error.cte_m for step in steps]
+    ).tobytes()
+    assert trace['rho_upper.soon'].tobytes() == np.array(
+        [step.readings[0].upper for step in steps]
+    ).tobytes()
+    info = read_info(bag)
+    assert info.complete, info.trouble
+    assert info.counts['/camera/image_raw'] == info.counts['/taxi_command'] == len(steps)
+    assert info.counts['/monitor/robustness'] == 2 * len(steps)
+
+    assert (good.outcome, good.stopped_early, good.last_seq) == (Outcome.PASS, False, 50)
+    assert set(good.rho) == {'soon', 'on_runway'}
+    for run in ('run-0', 'run-1'):
+        one, many = (
+            {file.name: file.read_bytes() for file in (tmp_path / name / run).iterdir()}
+            for name in ('one', 'many')
+        )
+        assert len(one) == 2
+        assert one == many, 'the bags differ in bytes'
+
+
+def test_given_decided_when_a_run_ends_then_every_formula_is_decided_or_the_run_is_whole(tmp_path):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    late, good = run_graph(composed_graph(options), requests(StopOn.DECIDED))
+    assert (late.stopped_early, late.last_seq) == (False, 50), 'on_runway is open to the end'
+    assert set(late.rho) == {'soon', 'on_runway'}
+    assert late.outcome is Outcome.FAIL
+    assert good.outcome is Outcome.PASS
