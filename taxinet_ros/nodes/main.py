@@ -49,6 +49,11 @@ def run_node(
                 spin_until(executor, getattr(node, 'ended', Future()))
             else:
                 code = work(node, executor)
+        except RuntimeError:
+            if rclpy.ok():
+                raise
+            # rclpy's way to end where a message comes in while it shuts down.
+            code = stopped
         finally:
             node.close()
     except _INTERRUPTS:
