@@ -139,7 +139,7 @@ def learned(
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
 ) -> None:
-    """Put together what searches that differ in their seed have learned."""
+    """Put together what searches of several seeds have learned."""
     from taxinet_ros.cli.learned import show_learned
 
     show_learned(folders, within or (), out)
