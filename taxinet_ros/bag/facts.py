@@ -9,8 +9,8 @@ from typing import Any
 
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt
+from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.reader import StoredMessage, stored_messages
-from taxinet_ros.bag.recorded_run import SCENARIO_FIELDS
 from taxinet_ros.bag.run_topics import (
     NODE_STATUS,
     ROBUSTNESS,
@@ -20,7 +20,6 @@ from taxinet_ros.bag.run_topics import (
     is_topic,
 )
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.scenario import Scenario
 
 _READY = 0
 _ENDED = 2
@@ -167,7 +166,7 @@ class _Told:
 
 
 def _scenario(message: Any) -> dict[str, Any]:
-    scenario = Scenario(**{key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()})
+    scenario = scenario_of(message)
     return {
         'run_id': str(message.run_id), 'program': str(message.program), 'seed': int(message.seed),
         'index': int(message.index), 'scene': scenario.to_human(),

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import enum
 import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples
+from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples, same_bits
 from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Monitor, Reading, Spec, parse_spec, signal_names
 from taxinet_ros.core.types import NS_PER_S
@@ -175,5 +174,4 @@ def _same(samples: RunSamples, readings: Sequence[Reading], recorded: Recorded) 
     if recorded.stamp_ns not in samples.stamps_ns:
         return False
     here = readings[samples.stamps_ns.index(recorded.stamp_ns)]
-    ends = struct.pack('<2d', recorded.lower, recorded.upper)
-    return struct.pack('<2d', here.lower, here.upper) == ends
+    return same_bits((recorded.lower, recorded.upper), (here.lower, here.upper))

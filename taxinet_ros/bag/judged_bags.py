@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from itertools import repeat
-from multiprocessing.connection import wait
 from pathlib import Path
 
 from taxinet_ros.bag.judged_bag import JudgedBag, judge_bag
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.mtl import Spec
+from taxinet_ros.core.pool_workers import end_with_parent, interrupts_blocked
 
 _CHUNK = 8
 """Bags handed to a process at a time; fewer than two chunks are not worth starting one."""
@@ -40,34 +36,12 @@ def judge_bags(
         yield from (judge_bag(path, specs) for path in paths)
         return
     context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, context, _end_with_parent) as pool:
+    with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         try:
-            with _interrupts_blocked():
+            with interrupts_blocked():
                 answers = pool.map(judge_bag, paths, repeat(tuple(specs)), chunksize=_CHUNK)
             yield from answers
         except BrokenProcessPool as error:
             raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Let Ctrl-C wait: a process that starts now never hears of it, for its parent will end it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_with_parent() -> None:
-    """In a worker: a parent that was killed cannot tell its workers to stop."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def watch(sentinel: int = parent.sentinel) -> None:
-        wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -83,6 +83,7 @@ def parse_record(opcode: int, body: Body) -> McapRecord | None:
 
 def parse_index(opcode: int, body: Body) -> McapRecord | None:
     """The index record with this opcode and body, or None for all that are no index."""
+    # Any number, as above.
     return _read(_INDEX_KINDS.get(opcode), body)  # type: ignore[call-overload]
 
 

@@ -10,25 +10,11 @@ from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunRequest
-from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import parse_stop_on
-
-SCENARIO_FIELDS = {
-    'cross_track_m': 'cross_track',
-    'distance_m': 'distance',
-    'heading_rad': 'heading',
-    'clouds': 'clouds',
-    'rain': 'rain',
-    'time_of_day_s': 'time_of_day',
-    'date': 'date',
-    'shadows': 'shadows',
-    'aircraft': 'aircraft',
-    'duration_s': 'duration',
-}
-"""Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
 
 _RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]*')
 _HEAD = ('/scenario', '/node_status', '/clock')
@@ -108,10 +94,9 @@ def _request(message: Any) -> RunRequest:
     # A run's name becomes a folder's.
     if not _RUN_ID.fullmatch(message.run_id):
         raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
-    values = {key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()}
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,
-        seed=int(message.seed), scenario=Scenario(**values), specs=tuple(message.specs),
+        seed=int(message.seed), scenario=scenario_of(message), specs=tuple(message.specs),
         participants=tuple(message.participants),
         # Bags from before there was a choice lack it.
         stop_on=parse_stop_on(getattr(message, 'stop_on', '')),

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 from taxinet_ros.bag.check_run import PERIOD_NS, Interval, RunRecord, last_seq
 from taxinet_ros.bag.findings import Finding, ranges
-from taxinet_ros.bag.recorded_run import SCENARIO_FIELDS
+from taxinet_ros.bag.message_values import sample_of, scenario_of
+from taxinet_ros.bag.run_samples import same_bits
 from taxinet_ros.bag.run_topics import COMMAND, ESTIMATE, ODOMETRY, TRUTH, VERDICT
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Monitor, parse_spec
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import last_step
 
 
@@ -36,7 +34,7 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
             reading = monitor.push(steps * PERIOD_NS, sample)
             readings[name] = Interval(reading.lower, reading.upper)
             told = record.robustness.get(steps, {}).get(name)
-            if told is not None and not _same(told, readings[name]):
+            if told is not None and not same_bits(told, readings[name]):
                 differing[name].append(steps)
         steps += 1
     found = [
@@ -51,8 +49,7 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
 
 
 def _monitors(scenario: Any) -> dict[str, Monitor]:
-    fields = {key: getattr(scenario, name) for key, name in SCENARIO_FIELDS.items()}
-    horizon_ns = last_step(Scenario(**fields)) * PERIOD_NS
+    horizon_ns = last_step(scenario_of(scenario)) * PERIOD_NS
     specs = [parse_spec(text) for text in scenario.specs]
     return {spec.name: Monitor(spec, horizon_ns, max_gap_ns=MAX_GAP_NS) for spec in specs}
 
@@ -64,18 +61,7 @@ def _sample(record: RunRecord, step: int) -> dict[str, float] | None:
     if odometry is None or truth is None or estimate is None or command is None:
         return None
     try:
-        return signals(
-            cte_m=float(truth.cross_track_error), he_rad=float(truth.heading_error),
-            x_m=float(odometry.pose.pose.position.x),
-            speed_mps=float(odometry.twist.twist.linear.x),
-            estimate=TrackingError(
-                cte_m=float(estimate.cross_track_error), he_rad=float(estimate.heading_error),
-                valid=bool(estimate.valid),
-            ),
-            command=TaxiCommand(
-                steering_rad=float(command.steering_angle), speed_mps=float(command.speed)
-            ),
-        )
+        return sample_of(truth, odometry, estimate, command)
     except (AttributeError, TypeError, ValueError):
         return None
 
@@ -89,7 +75,7 @@ def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[
     for spec in verdict.specs:
         here = readings.get(str(spec.spec))
         told = Interval(float(spec.rho_lower), float(spec.rho_upper))
-        if here is None or not _same(told, here):
+        if here is None or not same_bits(told, here):
             text = f'{spec.spec}: recorded {_words(told)}, from the truth {_words(here)}'
             found.append(Finding(where=VERDICT, what=text))
     outcome = record.ending.outcome if record.ending is not None else ''
@@ -101,8 +87,3 @@ def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[
 
 def _words(interval: Interval | None) -> str:
     return 'nothing' if interval is None else f'[{interval.lower:g}, {interval.upper:g}]'
-
-
-def _same(one: Interval, other: Interval) -> bool:
-    """Equal to the last bit."""
-    return struct.pack('<2d', *one) == struct.pack('<2d', *other)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.message_values import sample_of
 from taxinet_ros.bag.reader import StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
     COMMAND,
@@ -24,18 +25,14 @@ from taxinet_ros.bag.run_topics import (
 )
 from taxinet_ros.bag.sound_messages import sound_messages
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.loop import signals
 from taxinet_ros.core.mtl import parse_spec, signal_names
-from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S
 
 _SOURCES = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE,
 }
 """The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
-
-_UNKNOWN = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
-_SILENT = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
 
 
 class Recorded(NamedTuple):
@@ -67,6 +64,11 @@ class RunSamples:
     recorded: Mapping[str, Recorded]
     stopped_early: bool
     trouble: str
+
+
+def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two intervals have equal ends, to the last bit."""
+    return struct.pack('<2d', *one) == struct.pack('<2d', *other)
 
 
 def read_samples(path: Path, names: Collection[str] | None = None) -> RunSamples:
@@ -189,19 +191,7 @@ class _Reader:
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return signals(
-            cte_m=float(truth.cross_track_error),
-            he_rad=float(truth.heading_error),
-            x_m=float(odometry.pose.pose.position.x) if odometry else math.nan,
-            speed_mps=float(odometry.twist.twist.linear.x) if odometry else math.nan,
-            estimate=TrackingError(
-                cte_m=float(estimate.cross_track_error), he_rad=float(estimate.heading_error),
-                valid=bool(estimate.valid),
-            ) if estimate else _UNKNOWN,
-            command=TaxiCommand(
-                steering_rad=float(command.steering_angle), speed_mps=float(command.speed)
-            ) if command else _SILENT,
-        )
+        return sample_of(truth, odometry, estimate, command)
 
     def _recorded(self) -> dict[str, Recorded]:
         if self.verdict is not None:

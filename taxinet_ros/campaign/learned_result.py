@@ -122,18 +122,27 @@ class LearnedTogether:
             for choice in self.choices
         }
 
+    def choice(self, name: str) -> Choice:
+        """The choice of this name.
+
+        Raises:
+            UsageError: nothing was learned of any such.
+        """
+        choices = {choice.dimension.name: choice for choice in self.choices}
+        if name not in choices:
+            raise UsageError(f'--within {name}: nothing was learned of it; known: '
+                             f'{", ".join(choices)}')
+        return choices[name]
+
     def within(self, name: str, low: float, high: float) -> Spread:
         """How probable values in [low, high] are.
 
         Raises:
             UsageError: no choice has that name, or it has no values to compare.
         """
-        choices = {choice.dimension.name: choice for choice in self.choices}
-        if name not in choices:
-            raise UsageError(f'--within {name}: nothing was learned of it; known: '
-                             f'{", ".join(choices)}')
+        choice = self.choice(name)
         return _spread([
-            choices[name].probability_within(low, high, result.probabilities[name])
+            choice.probability_within(low, high, result.probabilities[name])
             for result in self.results
         ])
 

@@ -35,9 +35,8 @@ def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | Non
     console.print(heading(together), soft_wrap=True)
     console.print(_table(together))
     for name, low, high in asked:
-        choice = next((c for c in together.choices if c.dimension.name == name), None)
         spread = together.within(name, low, high)
-        before = choice.probability_within(low, high) if choice else 0.0
+        before = together.choice(name).probability_within(low, high)
         console.print(
             f'{name} in {low:g} to {high:g}: {_words(spread)}; the program {before:.1%}',
             soft_wrap=True,

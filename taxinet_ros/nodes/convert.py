@@ -13,13 +13,12 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 
-from taxinet_ros.bag.recorded_run import SCENARIO_FIELDS
+from taxinet_ros.bag.message_values import SCENARIO_FIELDS
 from taxinet_ros.core import camera
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
-from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
 
@@ -53,15 +52,6 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
         participants=list(request.participants),
         **values,
     )
-
-
-def scenario_of(message: taxinet.Scenario) -> Scenario:
-    """The scenario in a message, validated.
-
-    Raises:
-        UsageError: a value is out of range.
-    """
-    return Scenario(**{key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()})
 
 
 def image_message(pixels: NDArray[np.uint8], stamp_ns: int) -> Image:
@@ -136,13 +126,6 @@ def error_message(
     )
 
 
-def error_of(message: taxinet.TrackingError) -> TrackingError:
-    """The tracking error in a message."""
-    return TrackingError(
-        cte_m=message.cross_track_error, he_rad=message.heading_error, valid=message.valid
-    )
-
-
 def command_message(command: TaxiCommand, answered: taxinet.TrackingError) -> taxinet.TaxiCommand:
     """The command that answers an estimate."""
     return taxinet.TaxiCommand(
@@ -152,11 +135,6 @@ def command_message(command: TaxiCommand, answered: taxinet.TrackingError) -> ta
         steering_angle=command.steering_rad,
         speed=command.speed_mps,
     )
-
-
-def command_of(message: taxinet.TaxiCommand) -> TaxiCommand:
-    """The command in a message."""
-    return TaxiCommand(steering_rad=message.steering_angle, speed_mps=message.speed)
 
 
 def robustness_message(spec: Spec, reading: Reading, **stamp: Any) -> taxinet.Robustness:

@@ -11,20 +11,18 @@ from typing import Any
 
 from taxinet_msgs.msg import NodeStatus, Scenario, Verdict
 
+from taxinet_ros.bag.message_values import sample_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
-from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Spec, parse_spec
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
-    command_of,
-    error_of,
     header,
     robustness_message,
-    scenario_of,
     stamp_of,
     statistics_fields,
 )
@@ -72,14 +70,7 @@ class MtlMonitor(Participant):
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth, estimate, command = (messages[topic.name][0] for topic in _INPUTS)
-        sample = signals(
-            cte_m=truth.cross_track_error,
-            he_rad=truth.heading_error,
-            x_m=odometry.pose.pose.position.x,
-            speed_mps=odometry.twist.twist.linear.x,
-            estimate=error_of(estimate),
-            command=command_of(command),
-        )
+        sample = sample_of(truth, odometry, estimate, command)
         stamp_ns = stamp_of(truth.header.stamp)
         now = {'header': header(stamp_ns), 'run_id': self.run_id, 'seq': seq}
         readings = self._judge.push(stamp_ns, sample)

@@ -8,10 +8,11 @@ from typing import Any
 from sensor_msgs.msg import Image
 from taxinet_msgs.msg import TrackingError
 
+from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import error_message, error_of, pixels_of, stamp_of
+from taxinet_ros.nodes.convert import error_message, pixels_of, stamp_of
 from taxinet_ros.nodes.parameters import refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 

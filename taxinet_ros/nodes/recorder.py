@@ -18,6 +18,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
 from taxinet_ros import __version__
 from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
 from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.options import IMAGES
@@ -28,7 +29,6 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import scenario_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node

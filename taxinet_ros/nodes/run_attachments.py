@@ -7,9 +7,9 @@ from pathlib import Path
 
 from taxinet_msgs.msg import Scenario
 
+from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.campaign.facts import FACTS_NAME
 from taxinet_ros.campaign.programs import SUFFIX
-from taxinet_ros.nodes.convert import scenario_of
 
 
 def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:

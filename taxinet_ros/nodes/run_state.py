@@ -9,13 +9,14 @@ from rclpy.task import Future
 from taxinet_msgs.action import RunScenario
 from taxinet_msgs.msg import RunStatus, Verdict
 
+from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.lockstep import Lockstep
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import header, scenario_of
+from taxinet_ros.nodes.convert import header
 
 
 class ActiveRun:

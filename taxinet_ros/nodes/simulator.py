@@ -20,12 +20,12 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
 
+from taxinet_ros.bag.message_values import command_of
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
     camera_info_message,
-    command_of,
     error_message,
     header,
     image_message,

@@ -7,10 +7,11 @@ from typing import Any
 
 from taxinet_msgs.msg import TrackingError
 
+from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.bag.recorded_run import words_of_gains
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains, steer
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import command_message, error_of
+from taxinet_ros.nodes.convert import command_message
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import multiprocessing
-import os
-import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing.connection import wait
 from multiprocessing.synchronize import Event
 from typing import TypeVar
 
@@ -22,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.pool_workers import end_with_parent, interrupts_blocked
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training.photograph import GROUND_BLOCK, photograph
@@ -103,22 +99,12 @@ def _in_order(
 ) -> Iterator[T]:
     under_way: deque[Future[list[T]]] = deque()
     for block in blocks:
-        with _interrupts_blocked():
+        with interrupts_blocked():
             under_way.append(pool.submit(work, block))
         if len(under_way) == ahead:
             yield from under_way.popleft().result()
     while under_way:
         yield from under_way.popleft().result()
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Let Ctrl-C wait: a process that starts now never hears of it, for its parent will end it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _stop: list[Event] = []
@@ -131,13 +117,5 @@ def _asked_to_stop() -> bool:
 
 def _start_worker(stop: Event) -> None:
     _stop.append(stop)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     cv2.setNumThreads(1)
-
-
-def _end_with_parent() -> None:
-    """End this process once its parent is gone: a killed one cannot tell its workers to stop."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)

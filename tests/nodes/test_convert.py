@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image
 
+from taxinet_ros.bag import message_values
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
@@ -27,7 +28,7 @@ def test_given_a_stamp_when_sent_and_read_then_no_nanosecond_is_lost(stamp_ns):
 def test_given_a_tracking_error_when_sent_and_read_then_every_bit_is_there(cte, he, valid):
     error = TrackingError(cte_m=cte, he_rad=he, valid=valid)
     message = convert.error_message(error, 'run', 7, 700_000_000)
-    assert convert.error_of(message) == error
+    assert message_values.error_of(message) == error
     assert (message.run_id, message.seq) == ('run', 7)
 
 
@@ -36,7 +37,7 @@ def test_given_a_command_when_sent_and_read_then_every_bit_is_there(steering, sp
     command = TaxiCommand(steering_rad=steering, speed_mps=speed)
     estimate = convert.error_message(TrackingError(cte_m=0.0, he_rad=0.0), 'run', 7, 700_000_000)
     message = convert.command_message(command, estimate)
-    assert convert.command_of(message) == command
+    assert message_values.command_of(message) == command
     assert (message.run_id, message.seq, message.header.stamp) == ('run', 7, estimate.header.stamp)
 
 
@@ -53,7 +54,7 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         specs=('phi_always',), participants=('perception',),
     )
     message = convert.scenario_message(request)
-    assert convert.scenario_of(message) == scenario
+    assert message_values.scenario_of(message) == scenario
     assert (message.run_id, message.index) == ('run', 3)
     assert (message.program, message.seed) == ('s_falsif', 9)
 

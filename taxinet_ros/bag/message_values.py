@@ -1,0 +1,74 @@
+"""Messages of a run as values of the core, whether they come from a bag or from the graph.
+
+Floats pass unchanged, so what is judged, or run once more, has the bits of what was recorded.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from taxinet_ros.core.loop import signals
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+
+SCENARIO_FIELDS = {
+    'cross_track_m': 'cross_track',
+    'distance_m': 'distance',
+    'heading_rad': 'heading',
+    'clouds': 'clouds',
+    'rain': 'rain',
+    'time_of_day_s': 'time_of_day',
+    'date': 'date',
+    'shadows': 'shadows',
+    'aircraft': 'aircraft',
+    'duration_s': 'duration',
+}
+"""Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
+
+_UNKNOWN = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
+_SILENT = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
+
+
+def scenario_of(message: Any) -> Scenario:
+    """The scenario in a message, validated.
+
+    Raises:
+        UsageError: a value is out of range.
+        AttributeError: it is no scenario message.
+    """
+    return Scenario(**{key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()})
+
+
+def error_of(message: Any) -> TrackingError:
+    """The tracking error in a message."""
+    return TrackingError(
+        cte_m=float(message.cross_track_error), he_rad=float(message.heading_error),
+        valid=bool(message.valid),
+    )
+
+
+def command_of(message: Any) -> TaxiCommand:
+    """The command in a message."""
+    return TaxiCommand(
+        steering_rad=float(message.steering_angle), speed_mps=float(message.speed)
+    )
+
+
+def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:
+    """The monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    Args:
+        truth: its ground-truth tracking error.
+        odometry: its odometry, or None: what would come from it is NaN, as with the next two.
+        estimate: its estimate, or None.
+        command: its command, or None.
+    """
+    return signals(
+        cte_m=float(truth.cross_track_error),
+        he_rad=float(truth.heading_error),
+        x_m=float(odometry.pose.pose.position.x) if odometry is not None else math.nan,
+        speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
+        estimate=error_of(estimate) if estimate is not None else _UNKNOWN,
+        command=command_of(command) if command is not None else _SILENT,
+    )
