@@ -7,6 +7,7 @@
 #                                                make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
+#   JOBS=2              tests side by side; 0: one after the other, in one process
 #
 # On Linux the default index serves torch with CUDA, some GB. Without a GPU let PIP_EXTRA_INDEX_URL
 # name the index of PyTorch's CPU wheels before the first make: the pinned version is the same, and
@@ -16,6 +17,7 @@ PYTHON ?= python3 python3.13 python3.12 python3.11
 VENV ?= .venv
 OUT ?= bags/demo
 PYTEST ?=
+JOBS ?= logical
 
 BIN := $(VENV)/bin
 DONE := $(VENV)/done
@@ -44,7 +46,7 @@ demo: $(DONE)/messages
 # Message setters then check types and ranges; else a wrong value is cut to size in silence.
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: lint
-	$(BIN)/python -m pytest $(PYTEST)
+	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile $(PYTEST)
 
 lint: $(DONE)/messages $(DONE)/tools
 	$(BIN)/ruff check .

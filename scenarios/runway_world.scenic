@@ -6,7 +6,7 @@ taxinet_ros has cross-track error positive to the LEFT, so `cross_track` is minu
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
 A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
-date ('YYYY-MM-DD'), shadows (True or False), aircraft (a word), duration [s].
+date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s].
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are

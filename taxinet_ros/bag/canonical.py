@@ -1,8 +1,8 @@
 """The canonical bytes of a message.
 
 CDR aligns its fields, and middleware leaves whatever was in the buffer in the gaps, so two equal
-messages may differ in bytes. Recorded messages are written again with every gap zero, so that
-equal runs give equal bags.
+messages may differ in bytes. Recorded messages get every gap zero, so that equal runs give equal
+bags.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from taxinet_ros.bag.cdr_gaps import Walk, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.topics import TopicInfo
 
@@ -32,19 +33,19 @@ def stamp_of_cdr(cdr: bytes) -> int:
 
 
 class Canonical:
-    """Writes messages of some topics again, byte for byte the same for equal content."""
+    """Makes messages of some topics byte for byte the same for equal content."""
 
     def __init__(self, topics: Sequence[TopicInfo]) -> None:
         """Learn the types of ``topics`` from their definitions."""
-        self._types = {topic.name: topic.type for topic in topics}
-        self._store = get_typestore(Stores.EMPTY)
+        store = get_typestore(Stores.EMPTY)
+        self._walks: dict[str, Walk] = {}
         for topic in topics:
             types = get_types_from_msg(topic.definition, topic.type)
-            known = self._store.types
-            self._store.register({name: kind for name, kind in types.items() if name not in known})
+            store.register({name: kind for name, kind in types.items() if name not in store.types})
+            self._walks[topic.name] = walk_of(store, topic.type)
 
     def message(self, topic: str, cdr: bytes) -> bytes:
-        """The same message with every alignment gap zero.
+        """The same message with every alignment gap zero, and nothing after its last field.
 
         Args:
             topic: name of one of the topics.
@@ -53,8 +54,9 @@ class Canonical:
         Raises:
             BagCorrupt: the bytes are no message of the topic's type.
         """
-        kind = self._types[topic]
         try:
-            return bytes(self._store.serialize_cdr(self._store.deserialize_cdr(cdr, kind), kind))
-        except Exception as error:
-            raise BagCorrupt(f'{topic}: {len(cdr)} bytes are no {kind}: {error}') from error
+            if cdr[:2] != _LITTLE_ENDIAN:
+                raise ValueError('not little-endian CDR')
+            return self._walks[topic].without_gaps(cdr)
+        except (struct.error, ValueError) as error:
+            raise BagCorrupt(f'{topic}: {len(cdr)} bytes are no message of it: {error}') from error

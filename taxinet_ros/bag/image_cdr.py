@@ -1,4 +1,8 @@
-"""The serialised ``sensor_msgs/msg/Image`` of a camera frame, the same bytes that ROS makes."""
+"""The serialised ``sensor_msgs/msg/Image`` of a camera frame, the same bytes that ROS makes.
+
+Frames are most of what a run moves, so they travel as these bytes: made into a message object and
+back they would be copied six times.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from taxinet_ros.core.types import NS_PER_S
 
 _ENCAPSULATION = b'\x00\x01\x00\x00'  # CDR, little endian
 _ENCODING = b'rgb8'
+_COUNT, _PAIR = struct.Struct('<I'), struct.Struct('<II')
 
 
 def image_cdr(pixels: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> bytes:
@@ -27,7 +32,39 @@ def image_cdr(pixels: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> bytes:
     body = _aligned(body) + struct.pack('<II', height, width)
     body = _text(body, _ENCODING) + b'\x00'  # the byte: not big-endian
     body = _aligned(body) + struct.pack('<II', width * channels, pixels.size)
-    return _ENCAPSULATION + body + pixels.tobytes()
+    return b''.join((_ENCAPSULATION, body, np.ascontiguousarray(pixels).data))
+
+
+def frame_of_cdr(cdr: bytes) -> tuple[int, NDArray[np.uint8]]:
+    """Stamp [ns] and pixels (H, W, 3) uint8 RGB of a serialised image, a view on its memory.
+
+    Raises:
+        ValueError: the encoding is another one, or size, step and data do not agree.
+    """
+    if cdr[:2] != _ENCAPSULATION[:2]:
+        raise ValueError('image is not little-endian CDR')
+    try:
+        sec, nanosec = _PAIR.unpack_from(cdr, 4)
+        at = _after_text(cdr, 12)
+        height, width = _PAIR.unpack_from(cdr, at)
+        end = _after_text(cdr, at + 8, align=False)
+        encoding = cdr[at + 12:end - 1].decode(errors='replace')
+        at = end + 1 + -(end + 1) % 4
+        step, size = _PAIR.unpack_from(cdr, at)
+    except struct.error:
+        raise ValueError(f'image of {len(cdr)} bytes ends before its pixels') from None
+    if encoding != _ENCODING.decode():
+        raise ValueError(f'image encoding is {encoding!r}, expected rgb8')
+    if step != width * 3 or size != height * step or len(cdr) < at + 8 + size:
+        raise ValueError(f'image of {width} x {height} has step {step} and {size} bytes')
+    pixels = np.frombuffer(cdr, np.uint8, size, at + 8)
+    return sec * NS_PER_S + nanosec, pixels.reshape(height, width, 3)
+
+
+def _after_text(cdr: bytes, at: int, *, align: bool = True) -> int:
+    (length,) = _COUNT.unpack_from(cdr, at)
+    end = at + 4 + int(length)
+    return end + -end % 4 if align else end
 
 
 def _text(body: bytes, text: bytes) -> bytes:

@@ -15,7 +15,7 @@ from pathlib import Path
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples, same_bits
 from taxinet_ros.core.loop import MAX_GAP_NS
-from taxinet_ros.core.mtl import Monitor, Reading, Spec, parse_spec, signal_names
+from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, parse_spec, signal_names
 from taxinet_ros.core.types import NS_PER_S
 
 
@@ -52,7 +52,10 @@ class SpecVerdict:
         lower, upper: ends of the robust satisfaction interval; both rho where the run was whole.
         decided_s: first moment from which zero is out of the interval [s], or None.
         recorded: ends of the interval that the bag itself has for this formula, or None.
-        same: whether that is the interval found here, to the last bit; None where it has none.
+        same: whether that is the interval found here, to the last bit; None where it has none, or
+            where other assumptions make an interval that is still open another one.
+        breach_s: when a sample broke what is vouched for [s], or None; from then on the interval
+            is that without assumptions.
     """
 
     spec: Spec
@@ -62,6 +65,7 @@ class SpecVerdict:
     decided_s: float | None
     recorded: tuple[float, float] | None
     same: bool | None
+    breach_s: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,12 +103,15 @@ class JudgedBag:
         )
 
 
-def judge_bag(path: Path, specs: Sequence[Spec] = ()) -> JudgedBag:
+def judge_bag(
+    path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
+) -> JudgedBag:
     """Judge a recorded run. What is wrong with the bag is told in the result, not raised.
 
     Args:
         path: a run folder or an ``.mcap`` file.
         specs: requirements; where empty, those that judged the run.
+        assumptions: what is vouched for; where None, what was then.
 
     Raises:
         UsageError: there is nothing at ``path``.
@@ -116,7 +123,7 @@ def judge_bag(path: Path, specs: Sequence[Spec] = ()) -> JudgedBag:
     chosen = specs or [parse_spec(text) for text in samples.specs]
     return JudgedBag(
         path=path,
-        verdicts=tuple(spec_verdict(samples, spec, follow(samples, spec)) for spec in chosen),
+        verdicts=tuple(judged_spec(samples, spec, assumptions)[0] for spec in chosen),
         end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
         duration_s=samples.duration_ns / NS_PER_S,
         stopped_early=samples.stopped_early,
@@ -129,29 +136,56 @@ def signals_of(specs: Sequence[Spec]) -> set[str]:
     return {name for spec in specs for name in signal_names(spec.formula)}
 
 
-def follow(samples: RunSamples, spec: Spec) -> list[Reading]:
-    """The monitor's reading after each sample, as during the run; one that knows nothing if none.
+def judged_spec(
+    samples: RunSamples, spec: Spec, assumptions: Assumptions | None = None
+) -> tuple[SpecVerdict, list[Reading]]:
+    """What a run says of one requirement, and the readings on the way there.
+
+    Args:
+        samples: the run's.
+        spec: the requirement.
+        assumptions: what is vouched for; where None, what was then.
 
     Raises:
         UsageError: the run was to last no time at all.
     """
-    monitor = Monitor(spec, samples.duration_ns, max_gap_ns=MAX_GAP_NS)
+    vouched = samples.assumptions if assumptions is None else assumptions
+    readings = _follow(samples, spec, vouched)
+    alike = vouched == samples.assumptions or readings[-1].final
+    return _spec_verdict(samples, spec, readings, alike=alike), readings
+
+
+def _follow(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
+    """The reading after each sample, as during the run; one that knows nothing if there is none."""
+    monitor = Monitor(
+        spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
+    )
     pairs = zip(samples.stamps_ns, samples.samples, strict=True)
     return [monitor.push(stamp, sample) for stamp, sample in pairs] or [monitor.reading]
 
 
-def spec_verdict(samples: RunSamples, spec: Spec, readings: Sequence[Reading]) -> SpecVerdict:
-    """What the readings of one requirement come to."""
+def _spec_verdict(
+    samples: RunSamples, spec: Spec, readings: Sequence[Reading], *, alike: bool
+) -> SpecVerdict:
     last = readings[-1]
-    moments = zip(samples.stamps_ns, readings, strict=False)
-    decided_ns = next((stamp for stamp, reading in moments if _decided(reading)), None)
+    moments = list(zip(samples.stamps_ns, readings, strict=False))
+    # What was decided on an assumption that broke later, was not.
+    decided = (
+        stamp for stamp, reading in moments
+        if _decided(reading) and reading.trusted is last.trusted
+    )
+    broken = (stamp for stamp, reading in moments if not reading.trusted)
     recorded = samples.recorded.get(spec.text)
     return SpecVerdict(
         spec=spec, verdict=_verdict(samples, last), lower=last.lower, upper=last.upper,
-        decided_s=None if decided_ns is None else decided_ns / NS_PER_S,
+        decided_s=_seconds(next(decided, None)), breach_s=_seconds(next(broken, None)),
         recorded=None if recorded is None else (recorded.lower, recorded.upper),
-        same=None if recorded is None else _same(samples, readings, recorded),
+        same=_same(samples, readings, recorded) if recorded is not None and alike else None,
     )
+
+
+def _seconds(stamp_ns: int | None) -> float | None:
+    return None if stamp_ns is None else stamp_ns / NS_PER_S
 
 
 def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from taxinet_ros.bag.judged_bag import JudgedBag, judge_bag
 from taxinet_ros.core.errors import InfraError
-from taxinet_ros.core.mtl import Spec
+from taxinet_ros.core.mtl import Assumptions, Spec
 from taxinet_ros.core.pool_workers import end_with_parent, interrupts_blocked
 
 _CHUNK = 8
@@ -19,7 +19,8 @@ _CHUNK = 8
 
 
 def judge_bags(
-    paths: Sequence[Path], specs: Sequence[Spec], workers: int
+    paths: Sequence[Path], specs: Sequence[Spec], workers: int,
+    assumptions: Assumptions | None = None,
 ) -> Iterator[JudgedBag]:
     """Judge bags, see :func:`.judged_bag.judge_bag`, in the order of their paths.
 
@@ -27,19 +28,22 @@ def judge_bags(
         paths: run folders or ``.mcap`` files.
         specs: requirements; where empty, those that judged each run.
         workers: processes to do it in; 1 is this one.
+        assumptions: what is vouched for; where None, what was when a run was made.
 
     Raises:
         UsageError: there is nothing at a path.
         InfraError: a worker process died.
     """
     if workers == 1 or len(paths) < 2 * _CHUNK:
-        yield from (judge_bag(path, specs) for path in paths)
+        yield from (judge_bag(path, specs, assumptions) for path in paths)
         return
     context = multiprocessing.get_context('spawn')
     with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         try:
             with interrupts_blocked():
-                answers = pool.map(judge_bag, paths, repeat(tuple(specs)), chunksize=_CHUNK)
+                answers = pool.map(
+                    judge_bag, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
+                )
             yield from answers
         except BrokenProcessPool as error:
             raise InfraError('died', 'judging worker', -1, 'see the messages above') from error

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from taxinet_ros.core.loop import signals
+from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 
@@ -21,10 +22,14 @@ SCENARIO_FIELDS = {
     'time_of_day_s': 'time_of_day',
     'date': 'date',
     'shadows': 'shadows',
+    'crossing': 'crossing',
     'aircraft': 'aircraft',
     'duration_s': 'duration',
 }
 """Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
+
+_ADDED = {'crossing': True}
+"""Fields that bags from before do not have, and what the world was like then."""
 
 _UNKNOWN = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
 _SILENT = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
@@ -37,7 +42,20 @@ def scenario_of(message: Any) -> Scenario:
         UsageError: a value is out of range.
         AttributeError: it is no scenario message.
     """
-    return Scenario(**{key: getattr(message, name) for key, name in SCENARIO_FIELDS.items()})
+    values: dict[str, Any] = {
+        key: getattr(message, name, _ADDED[name]) if name in _ADDED else getattr(message, name)
+        for key, name in SCENARIO_FIELDS.items()
+    }
+    return Scenario(**values)
+
+
+def assumptions_of(message: Any) -> Assumptions:
+    """What a scenario message vouches for of the signals; nothing, in bags from before.
+
+    Raises:
+        UsageError: it is not spelled as it should be.
+    """
+    return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
 
 
 def error_of(message: Any) -> TrackingError:

@@ -98,6 +98,7 @@ def _request(message: Any) -> RunRequest:
         run_id=message.run_id, index=int(message.index), program=message.program,
         seed=int(message.seed), scenario=scenario_of(message), specs=tuple(message.specs),
         participants=tuple(message.participants),
-        # Bags from before there was a choice lack it.
+        # Bags from before there was a choice lack these.
         stop_on=parse_stop_on(getattr(message, 'stop_on', '')),
+        bounds=tuple(getattr(message, 'bounds', ())), rates=tuple(getattr(message, 'rates', ())),
     )

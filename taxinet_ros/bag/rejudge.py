@@ -6,7 +6,7 @@ from typing import Any
 
 from taxinet_ros.bag.check_run import PERIOD_NS, Interval, RunRecord, last_seq
 from taxinet_ros.bag.findings import Finding, ranges
-from taxinet_ros.bag.message_values import sample_of, scenario_of
+from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
 from taxinet_ros.bag.run_samples import same_bits
 from taxinet_ros.bag.run_topics import COMMAND, ESTIMATE, ODOMETRY, TRUTH, VERDICT
 from taxinet_ros.core.errors import UsageError
@@ -51,7 +51,12 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
 def _monitors(scenario: Any) -> dict[str, Monitor]:
     horizon_ns = last_step(scenario_of(scenario)) * PERIOD_NS
     specs = [parse_spec(text) for text in scenario.specs]
-    return {spec.name: Monitor(spec, horizon_ns, max_gap_ns=MAX_GAP_NS) for spec in specs}
+    vouched = assumptions_of(scenario)
+    return {
+        spec.name: Monitor(
+            spec, horizon_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
+        ) for spec in specs
+    }
 
 
 def _sample(record: RunRecord, step: int) -> dict[str, float] | None:

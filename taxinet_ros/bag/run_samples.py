@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.message_values import sample_of
+from taxinet_ros.bag.message_values import assumptions_of, sample_of
 from taxinet_ros.bag.reader import StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
     COMMAND,
@@ -25,7 +25,7 @@ from taxinet_ros.bag.run_topics import (
 )
 from taxinet_ros.bag.sound_messages import sound_messages
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import parse_spec, signal_names
+from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, parse_spec, signal_names
 from taxinet_ros.core.types import NS_PER_S
 
 _SOURCES = {
@@ -50,6 +50,7 @@ class RunSamples:
     Attributes:
         duration_ns: how long it was to last [ns].
         specs: formulas that judged it, as text.
+        assumptions: what was vouched for.
         stamps_ns: of the control steps, ascending [ns].
         samples: signals by name, one mapping for each stamp; those not asked for are NaN.
         recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
@@ -59,6 +60,7 @@ class RunSamples:
 
     duration_ns: int
     specs: tuple[str, ...]
+    assumptions: Assumptions
     stamps_ns: tuple[int, ...]
     samples: tuple[Mapping[str, float], ...]
     recorded: Mapping[str, Recorded]
@@ -131,6 +133,7 @@ class _Reader:
 
     names: Collection[str] | None
     scenario: Any = None
+    assumptions: Assumptions = NO_ASSUMPTIONS
     steps: dict[str, dict[int, Any]] = field(default_factory=dict)
     verdict: Any = None
     last: list[StoredMessage] = field(default_factory=list)
@@ -158,6 +161,7 @@ class _Reader:
         message = decode(stored.topic, stored.cdr)
         if relative == SCENARIO:
             self.scenario = message
+            self.assumptions = assumptions_of(message)
             if self.names is None:
                 specs = [parse_spec(text) for text in message.specs]
                 self._plan({name for spec in specs for name in signal_names(spec.formula)})
@@ -173,6 +177,7 @@ class _Reader:
         return RunSamples(
             duration_ns=round(float(self.scenario.duration) * NS_PER_S),
             specs=tuple(map(str, self.scenario.specs)),
+            assumptions=self.assumptions,
             stamps_ns=stamps,
             samples=tuple(self._sample(stamp) for stamp in stamps),
             recorded=self._recorded(),

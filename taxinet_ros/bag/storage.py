@@ -25,7 +25,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -44,6 +43,8 @@ COMPRESSION_LEVEL = 1
 """Of zstd: on camera frames a third of the time of its default, for a sixth more bytes."""
 
 _MESSAGE = struct.Struct('<BQHIQQ')
+_INDEX = struct.Struct('<BQHI')
+_INDEX_ENTRY = struct.Struct('<QQ')
 
 
 class StorageFile:
@@ -70,7 +71,7 @@ class StorageFile:
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._started = False
         self._chunk = bytearray()
-        self._index: dict[int, MessageIndex] = {}
+        self._index: dict[int, list[tuple[int, int]]] = {}
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -84,8 +85,7 @@ class StorageFile:
         channel = self._channels[topic].id
         if self._index and len(self._chunk) + len(data) > CHUNK_BYTES:
             self.finish_chunk()
-        index = self._index.setdefault(channel, MessageIndex(channel, []))
-        index.records.append((stamp_ns, len(self._chunk)))
+        self._index.setdefault(channel, []).append((stamp_ns, len(self._chunk)))
         self._chunk += _MESSAGE.pack(
             Opcode.MESSAGE, _MESSAGE.size - 9 + len(data), channel, self.counts[topic],
             stamp_ns, stamp_ns,
@@ -124,14 +124,14 @@ class StorageFile:
         if not self._index:
             return
         raw = bytes(self._chunk)
-        stamps = [stamp for index in self._index.values() for stamp, _ in index.records]
+        stamps = [stamp for records in self._index.values() for stamp, _ in records]
         chunk = Chunk(
             compression='zstd', data=self._compressor.compress(raw),
             message_start_time=min(stamps), message_end_time=max(stamps),
             uncompressed_crc=zlib.crc32(raw), uncompressed_size=len(raw),
         )
         record = encode(chunk)
-        indexes = [encode(index) for index in self._index.values()]
+        indexes = [_message_index(channel, records) for channel, records in self._index.items()]
         entry = self._chunk_index(chunk, len(record), [len(index) for index in indexes])
         self.output.put(b''.join([record, *indexes]))
         self._chunks.append(entry)
@@ -206,6 +206,13 @@ def encode(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
+
+
+def _message_index(channel: int, records: list[tuple[int, int]]) -> bytes:
+    """The record that says where in a chunk the messages of a channel are, by stamp."""
+    size = _INDEX_ENTRY.size * len(records)
+    head = _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX.size - 9 + size, channel, size)
+    return head + b''.join(_INDEX_ENTRY.pack(*record) for record in records)
 
 
 def _offsets(start: int, groups: list[tuple[Opcode, bytes]]) -> Iterable[SummaryOffset]:

@@ -55,8 +55,8 @@ class _Loader(yaml.SafeLoader):
         super().flatten_mapping(node)
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors and aliases."""
+class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    """YAML without anchors and aliases; libyaml, where it is there, writes the same text sooner."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Spell every value out, however often it occurs."""

@@ -51,7 +51,8 @@ class Campaign:
         self._participants = participants
         self._on_row = on_row
         self._source = SceneSource(
-            options.program, seed=options.seed, overrides=options.overrides
+            options.program, seed=options.seed, overrides=options.overrides,
+            laid_over=options.laid_over,
         )
         self._specs = tuple(parse_spec(text) for text in options.specs)
         self._next = 0

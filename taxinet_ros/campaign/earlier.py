@@ -19,7 +19,9 @@ from taxinet_ros.core.stop_on import StopOn
 _FREE = frozenset({'runs', 'processes', 'program_text'})
 """Facts that may differ: more runs may be asked for; the text has its digest beside it."""
 
-_BEFORE = {'stop_on': StopOn.NEVER.value}
+_BEFORE: Mapping[str, Any] = {
+    'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
+}
 """What a fact was before there was a choice, and so was not written down."""
 
 

@@ -35,9 +35,12 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'seed': options.seed,
         'perception': options.perception,
         'overrides': dict(options.overrides),
+        'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
         'specs': {spec.name: str(spec.formula) for spec in specs},
         'stop_on': options.stop_on,
+        'bounds': list(options.bounds),
+        'rates': list(options.rates),
         'processes': options.processes,
         'images': options.images,
     }

@@ -9,6 +9,7 @@ from pathlib import Path
 from taxinet_ros.campaign.overrides import check_overrides
 from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
@@ -35,9 +36,13 @@ class CampaignOptions:
         gains: steering gains that differ from the defaults.
         specs: formulas as text that needs no file; the first is the headline.
         stop_on: what ends a run before its end.
+        bounds, rates: what is vouched for of the signals, as text.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
         images: whose camera frames go into the bags, of :data:`IMAGES`.
+        laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
+            They leave the choice alone, where ``overrides`` take what they fix out of the search;
+            so campaigns that differ in them only have otherwise equal scenes.
     """
 
     program: str
@@ -49,8 +54,11 @@ class CampaignOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     specs: tuple[str, ...] = DEFAULT_SPECS
     stop_on: StopOn = StopOn.NEVER
+    bounds: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
     processes: bool = False
     images: str = 'all'
+    laid_over: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def standing_graph(self) -> bool:
@@ -61,7 +69,8 @@ class CampaignOptions:
 def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
-    resume: bool = False, stop_on: str = StopOn.NEVER,
+    resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
+    rates: Iterable[str] = (),
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -77,6 +86,8 @@ def make_options(
         images: whose camera frames go into the bags, of :data:`IMAGES`.
         resume: ``out`` holds a campaign that is to be continued.
         stop_on: ``never``, ``violated`` or ``decided``.
+        bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
+        rates: of their change per second, such as ``cte=3``.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -86,6 +97,8 @@ def make_options(
     SteeringGains(**gains)
     chosen = read_specs(specs) or DEFAULT_SPECS
     rule = parse_stop_on(stop_on)
+    bounds, rates = tuple(bounds), tuple(rates)
+    check_assumptions(bounds, rates)
     if perception:
         check_perception(perception)
     if images not in IMAGES:
@@ -100,9 +113,21 @@ def make_options(
         check_new(out)
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
-        overrides=overrides, gains=gains, specs=chosen, stop_on=rule, processes=processes,
-        images=images,
+        overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
+        rates=rates, processes=processes, images=images,
     )
+
+
+def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:
+    """Read what is vouched for of the signals.
+
+    Raises:
+        UsageError: one line that names the option.
+    """
+    try:
+        return parse_assumptions(bounds, rates)
+    except UsageError as error:
+        raise UsageError(f'--{error}') from None
 
 
 def new_folder(wanted: Path) -> Path:

@@ -30,7 +30,7 @@ def run_request(
     return RunRequest(
         run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
         scenario=scenario, specs=options.specs, participants=tuple(participants),
-        stop_on=options.stop_on,
+        stop_on=options.stop_on, bounds=options.bounds, rates=options.rates,
     )
 
 

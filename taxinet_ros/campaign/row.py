@@ -23,9 +23,9 @@ class RunRow:
         point: the quantile that it chose for each dimension, by name.
         weight: density of the program's distribution over that of the sampler's, if known.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
-        cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, aircraft,
-            duration: the scenario in human units (m left, m, degrees nose left, word, percent, h,
-            ISO date, switch, word, s); None if no scene could be drawn.
+        cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
+            aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
+            percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         rho: robustness by the formula's name, the headline first; judged runs only. Of a run that
             was stopped early, those that are known exactly.
@@ -64,6 +64,7 @@ class RunRow:
     time_of_day: float | None = None
     date: str = ''
     shadows: bool | None = None
+    crossing: bool | None = None
     aircraft: str = ''
     duration: float | None = None
     kind: str = ''
@@ -179,8 +180,10 @@ class RunRow:
         Raises:
             UsageError: a column is missing or unknown, or the outcome is none of the five.
         """
+        # A row from before the crossing could be taken away has a crossing if it has a scene.
+        drawn = None if values.get('shadows') is None else True
         try:
-            return cls(**{**values, 'outcome': Outcome(values['outcome'])})
+            return cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(f'not a row of this version: {error}') from error
 

@@ -18,7 +18,9 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         remarks: comments by key of the scenario.
     """
     values = {**scenario.to_human(), **_exact(scenario)}
-    parameters = ('time_of_day', 'clouds', 'rain', 'date', 'shadows', 'aircraft', 'duration')
+    parameters = (
+        'time_of_day', 'clouds', 'rain', 'date', 'shadows', 'crossing', 'aircraft', 'duration',
+    )
     lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
     lines += [
         f'param {key} = {_written(values[key])}{_comment(remarks, key)}' for key in parameters

@@ -66,14 +66,17 @@ class SceneSource:
 
     def __init__(
         self, program: str | Path, *, seed: int, overrides: Mapping[str, str] = _NO_OVERRIDES,
-        timeout_s: float = 60.0,
+        laid_over: Mapping[str, str] = _NO_OVERRIDES, timeout_s: float = 60.0,
     ) -> None:
         """Check the arguments; the child starts, and the program is compiled, on ``with``.
 
         Args:
             program: word of a shipped program, or path of a ``.scenic`` file.
             seed: of the campaign, 0..2^63-1.
-            overrides: human keys and values that replace what is drawn.
+            overrides: human keys and values that replace what is drawn; choices that they make
+                idle are no dimensions.
+            laid_over: likewise, but the dimensions are those without them, so a point gives the
+                scene that it gives without them, with these values changed.
             timeout_s: most wall-clock time for compiling, and for each scene [s].
 
         Raises:
@@ -81,10 +84,11 @@ class SceneSource:
         """
         if not 0 <= seed < 1 << 63:
             raise UsageError(f'seed is {seed}; it has to be within 0..2^63-1')
-        check_overrides(overrides)
+        check_overrides({**overrides, **laid_over})
         self.program = find_program(program)
         self._seed = seed
         self._overrides = dict(overrides)
+        self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
         self._child: subprocess.Popen[bytes] | None = None
         self._fds: tuple[int, int] = (-1, -1)
@@ -151,11 +155,11 @@ class SceneSource:
         if 'rejected' in answer:
             raise Rejected(self.program.name, index, answer['rejected'])
         where = f'{self.program.name}: scene {index}'
-        return apply_overrides(answer['values'], self._overrides, where)
+        return apply_overrides(answer['values'], self._values, where)
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else end a campaign after its first runs.
-        if sum(key in self._overrides for key in WEATHER) != 1:
+        if sum(key in self._values for key in WEATHER) != 1:
             return
         with contextlib.suppress(Rejected):
             for index in range(_PROBED_SCENES):

@@ -72,7 +72,8 @@ class Search:
         self._participants = participants
         self._on_row = on_row
         self._source = SceneSource(
-            self._campaign.program, seed=self._campaign.seed, overrides=self._campaign.overrides
+            self._campaign.program, seed=self._campaign.seed,
+            overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
         )
         self._specs = tuple(parse_spec(text) for text in self._campaign.specs)
         self._points: dict[int, Point] = {}

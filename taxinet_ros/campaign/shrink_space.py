@@ -38,10 +38,10 @@ STEPS = {'cross_track': 0.1, 'distance': 10.0, 'heading': 0.5, 'rain': 1.0, 'tim
 _FIELDS = {
     'cross_track': 'cross_track_m', 'heading': 'heading_rad', 'distance': 'distance_m',
     'time_of_day': 'time_of_day_s', 'clouds': 'clouds', 'rain': 'rain', 'shadows': 'shadows',
-    'date': 'date', 'aircraft': 'aircraft',
+    'crossing': 'crossing', 'date': 'date', 'aircraft': 'aircraft',
 }
 KEYS = tuple(_FIELDS)
-"""What may be taken to nominal; the last three are as in the run unless a person says otherwise."""
+"""What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
 
 _ORDERED: Mapping[str, tuple[str, ...]] = {'clouds': CLOUDS, 'aircraft': AIRCRAFT}
 

@@ -14,18 +14,18 @@ no file any more: predicates are written out.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from taxinet_ros.campaign.yaml_file import read_yaml
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import SIGNALS, parse_formula, parse_spec
 from taxinet_ros.core.mtl.parser import parse
 
 SUFFIXES = ('.yaml', '.yml')
 _KEYS = ('predicates', 'specs')
+_BRACKETS = "; a formula with brackets needs '…' quotes around it"
 
 
 def read_specs(words: Iterable[str]) -> tuple[str, ...]:
@@ -57,7 +57,7 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
 
 def _read(path: Path, predicates: dict[str, str]) -> list[str]:
     """Texts of a file's formulas; its predicates are added to ``predicates``."""
-    content = _mapping(path, '', _load(path))
+    content = _mapping(path, '', read_yaml(path, option='--spec', mend=_BRACKETS))
     for key in content:
         if key not in _KEYS:
             raise UsageError(f'{path}: unknown key {key!r}; known: {", ".join(_KEYS)}')
@@ -111,33 +111,3 @@ def _text(where: str, value: object) -> str:
     if not isinstance(value, str):
         raise UsageError(f"{where}: expected a formula, got {value!r:.60}; put it in '…' quotes")
     return value
-
-
-def _load(path: Path) -> object:
-    try:
-        return yaml.load(path.read_bytes().decode('utf-8-sig'), _Loader)  # safe: a SafeLoader
-    except OSError as error:
-        raise UsageError(f'--spec {path}: cannot be read: {error.strerror}') from error
-    except UnicodeDecodeError:
-        raise UsageError(f'{path}: is not text in UTF-8; write it as YAML') from None
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        place = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
-        syntax = not isinstance(error, yaml.constructor.ConstructorError)
-        mend = "; a formula with brackets needs '…' quotes around it" if syntax else ''
-        raise UsageError(f'{path}: {place}{error.problem}{mend}') from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise UsageError(f'{path}: is not YAML: {" ".join(str(error).split())[:120]}') from None
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a key that is given twice, of which YAML would keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The mapping, or an error that names the key."""
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        for number, (key, _) in enumerate(node.value):
-            if isinstance(key, yaml.ScalarNode) and key.value in keys[:number]:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f'{key.value} is given twice', key.start_mark)
-        return super().construct_mapping(node, deep)

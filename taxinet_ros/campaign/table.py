@@ -35,7 +35,7 @@ _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string',
     'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
     'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
-    'shadows': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
+    'shadows': 'boolean', 'crossing': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
@@ -96,13 +96,16 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
 def read_table(folder: Path) -> pd.DataFrame:
     """The table of the campaign in ``folder``, with the types it was written with.
 
+    Args:
+        folder: the campaign's, or a ``.parquet`` file of such a table.
+
     Raises:
         UsageError: there is none, or it is damaged.
     """
-    path = folder / PARQUET_NAME
+    path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     try:
         frame = pd.read_parquet(path)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise UsageError(f'{path}: no such table; is {folder} a campaign?') from error
     except (OSError, ValueError) as error:
         raise UsageError(f'{path}: damaged ({str(error).splitlines()[0]})') from error

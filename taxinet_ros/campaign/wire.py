@@ -35,6 +35,8 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
         'scenario': Scenario(**values['scenario']),
         'specs': tuple(values['specs']),
         'participants': tuple(values['participants']),
+        'bounds': tuple(values['bounds']),
+        'rates': tuple(values['rates']),
         'stop_on': StopOn(values['stop_on']),
     })
 

@@ -91,7 +91,8 @@ def scene_words(scene: Mapping[str, Any]) -> str:
         f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
         f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
         f'{minutes // 60:02d}:{minutes % 60:02d}, {scene["clouds"]}{rain}, '
-        f'shadows {"on" if scene["shadows"] else "off"}, {scene["aircraft"]}, '
+        f'shadows {"on" if scene["shadows"] else "off"}, '
+        f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
         f'{scene["duration"]:g} s'
     )
 

@@ -18,6 +18,7 @@ from typer.exceptions import TyperException
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
+from taxinet_ros.cli.analysis_commands import analyze, experiment, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.monitor_command import monitor
@@ -34,7 +35,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help=(__doc__ or '').replace('``', ''),
 )
-for command in (run, falsify, learned, shrink, monitor, demo, train, dataset, evaluate):
+for command in (
+    run, falsify, learned, shrink, analyze, localize, experiment, gate, monitor, demo, train,
+    dataset, evaluate,
+):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
 app.add_typer(bag_app, name='bag')

@@ -7,17 +7,18 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.bag.judged_bag import JudgedBag, follow, signals_of, spec_verdict
+from taxinet_ros.bag.judged_bag import JudgedBag, judged_spec, signals_of
 from taxinet_ros.bag.judged_bags import judge_bags
 from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.bag.run_samples import read_samples
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.options import check_assumptions
 from taxinet_ros.campaign.requirements import add_requirements, addable, campaign_bags
 from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.cli.monitor_lines import as_document, bag_lines, summary_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import Spec, parse_spec
+from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 
 VIOLATED, LOSSY = 1, 3
 _PICTURE = '.png'
@@ -25,7 +26,7 @@ _PICTURE = '.png'
 
 def run_monitor(
     places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
-    workers: int,
+    workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (),
 ) -> int:
     """Judge bags and print what they say.
 
@@ -36,6 +37,9 @@ def run_monitor(
         add: put the requirements into the tables of the campaigns.
         as_json: print one JSON document.
         workers: processes that judge.
+        bounds: what is vouched for of the signals' values; without any, and without rates, what
+            each bag says was.
+        rates: of their change per second.
 
     Returns:
         Exit code: 3 where a bag is incomplete, damaged, or contradicts what was recorded in it;
@@ -46,6 +50,7 @@ def run_monitor(
         InfraError: a worker process died.
     """
     chosen = [parse_spec(text) for text in read_specs(specs)]
+    vouched = check_assumptions(bounds, rates) if bounds or rates else None
     found = {place: _bags(place) for place in places}
     bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
     if plot is not None:
@@ -53,13 +58,13 @@ def run_monitor(
     to_add = {place: addable(place, chosen) for place in places} if add else {}
     if add and not chosen:
         raise UsageError('--add: say with --spec which requirement to add')
-    judged = _judged(bags, chosen, workers, as_json=as_json, named=places)
+    judged = _judged(bags, chosen, workers, vouched, as_json=as_json, named=places)
     notes = []
     for place, new in to_add.items():
         counts = add_requirements(place, new, judged)
         notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
     if plot is not None:
-        notes += [f'picture: {_draw(judged[bag], plot)}' for bag in bags
+        notes += [f'picture: {_draw(judged[bag], vouched, plot)}' for bag in bags
                   if judged[bag].verdicts and judged[bag].end_s >= 0]
     if as_json:
         print(as_document(judged.values()))
@@ -86,14 +91,14 @@ def _bags(place: Path) -> list[Path]:
 
 
 def _judged(
-    bags: Sequence[Path], specs: Sequence[Spec], workers: int, *, as_json: bool,
-    named: Sequence[Path],
+    bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
+    as_json: bool, named: Sequence[Path],
 ) -> dict[Path, JudgedBag]:
     """Judge all of them, and print each as soon as it is known."""
     console = Console(highlight=False, stderr=as_json)
     judged = {}
     with stage_bars(console) as show:
-        for bag in judge_bags(bags, specs, workers):
+        for bag in judge_bags(bags, specs, workers, vouched):
             if bag.foreign and bag.path in named:
                 raise UsageError(bag.trouble)
             judged[bag.path] = bag
@@ -124,15 +129,15 @@ def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
         raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
 
 
-def _draw(bag: JudgedBag, plot: Path) -> Path:
+def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     from taxinet_ros.analysis.robustness_picture import JudgedSpec, robustness_picture
 
     specs = [one.spec for one in bag.verdicts]
     samples = read_samples(bag.path, signals_of(specs))
     judged = []
     for spec in specs:
-        readings = follow(samples, spec)
-        judged.append(JudgedSpec(verdict=spec_verdict(samples, spec, readings), readings=readings))
+        verdict, readings = judged_spec(samples, spec, vouched)
+        judged.append(JudgedSpec(verdict=verdict, readings=readings))
     path = plot if plot.suffix else plot / f'{bag.name}{_PICTURE}'
     try:
         robustness_picture(

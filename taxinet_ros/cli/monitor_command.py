@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.option_types import BoundOption, RateOption
+
 
 def monitor(
     bags: Annotated[
@@ -30,6 +32,8 @@ def monitor(
             help='draw signals, bounds and robustness over time; a folder for several bags',
         ),
     ] = None,
+    bound: BoundOption = None,
+    rate: RateOption = None,
     add: Annotated[
         bool, typer.Option('--add', help="add a column for each new formula to a campaign's table")
     ] = False,
@@ -45,5 +49,8 @@ def monitor(
     from taxinet_ros.cli.monitor import run_monitor
 
     raise typer.Exit(
-        run_monitor(bags, specs=spec or (), plot=plot, add=add, as_json=as_json, workers=workers)
+        run_monitor(
+            bags, specs=spec or (), plot=plot, add=add, as_json=as_json, workers=workers,
+            bounds=bound or (), rates=rate or (),
+        )
     )

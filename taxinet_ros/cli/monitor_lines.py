@@ -28,6 +28,9 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         line.append(f'  {_rho(one)}  {_when(one)}  ')
         line.append(_recorded(one), style='red' if one.same is False else 'dim')
         yield line
+        if one.breach_s is not None:
+            text = f'a bound or rate broken at {one.breach_s:g} s counts no more'
+            yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
     if bag.stopped_early:
         yield Text(f'{name}  stopped early, at {bag.end_s:g} of {bag.duration_s:g} s', style='dim')
     elif 0 <= bag.end_s < bag.duration_s:
@@ -85,7 +88,7 @@ def _bag(bag: JudgedBag) -> dict[str, Any]:
             {
                 'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
                 'rho_lower': _known(one.lower), 'rho_upper': _known(one.upper),
-                'decided_s': one.decided_s,
+                'decided_s': one.decided_s, 'breach_s': one.breach_s,
                 'recorded': None if one.recorded is None else [*map(_known, one.recorded)],
                 'as_recorded': one.same,
             }

@@ -55,6 +55,21 @@ StopOnOption = Annotated[
         'is',
     ),
 ]
+BoundOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        '--bound', metavar='SIGNAL=LOW:HIGH',
+        help='you vouch that a signal stays there, e.g. cte=-25:25 [m]: intervals close earlier; '
+        'a run that breaks it goes on without; repeatable',
+    ),
+]
+RateOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        '--rate', metavar='SIGNAL=CHANGE',
+        help='you vouch that a signal changes no faster per second, e.g. cte=3; repeatable',
+    ),
+]
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='every node a process of its own, same results')
 ]

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.option_types import (
+    BoundOption,
     BudgetOption,
     FailedRunArgument,
     FoxgloveOption,
@@ -22,6 +23,7 @@ from taxinet_ros.cli.option_types import (
     PerceptionOption,
     ProcessesOption,
     QuietOption,
+    RateOption,
     ResumeOption,
     RunsOption,
     SamplerOption,
@@ -50,6 +52,8 @@ def run(
     processes: ProcessesOption = False,
     images: ImagesOption = 'all',
     stop_on: StopOnOption = 'never',
+    bound: BoundOption = None,
+    rate: RateOption = None,
     foxglove: FoxgloveOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
@@ -71,7 +75,7 @@ def run(
     options = make_options(
         program=scenario, runs=runs, seed=seed, perception=perception,
         settings=settings or (), specs=spec or (), out=out, processes=processes,
-        images=images, stop_on=stop_on,
+        images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -106,6 +110,8 @@ def falsify(
     budget: BudgetOption = None,
     images: ImagesOption = 'failures',
     stop_on: StopOnOption = 'never',
+    bound: BoundOption = None,
+    rate: RateOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -119,6 +125,7 @@ def falsify(
     campaign = make_options(
         program=scenario, runs=runs, seed=seed, perception=perception, settings=settings or (),
         specs=spec or (), out=out, processes=False, images=images, resume=resume, stop_on=stop_on,
+        bounds=bound or (), rates=rate or (),
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,

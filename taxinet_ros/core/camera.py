@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.airframe_view import AirframeView
 from taxinet_ros.core.atmosphere import Atmosphere
 from taxinet_ros.core.cloud_shade import CloudShade
-from taxinet_ros.core.ground import grain_atlas, ground_atlas
+from taxinet_ros.core.ground import grain_atlas, ground_atlas, uncrossed_atlas
 from taxinet_ros.core.ground_view import GROUND_STAGES, GroundView, Mark
 from taxinet_ros.core.light import ground_table, scenario_light
 from taxinet_ros.core.rain import RainSheet
@@ -144,14 +144,16 @@ class Camera:
 
         Args:
             scenario: whose light and weather it is.
-            ground: atlas of another look of the ground (:mod:`taxinet_ros.core.ground`).
+            ground: atlas of another look of the ground (:mod:`taxinet_ros.core.ground`), which
+                then also decides whether there is a crossing.
         """
         self._light = scenario_light(scenario)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)
         self._curve, gain = shared_curve(ground_table(self._light))
-        atlas = ground_atlas() if ground is None else ground
-        self._ground = GroundView(atlas, grain_atlas(), gain, IMAGE_HEIGHT, IMAGE_WIDTH)
+        if ground is None:
+            ground = ground_atlas() if scenario.crossing else uncrossed_atlas()
+        self._ground = GroundView(ground, grain_atlas(), gain, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._airframe = AirframeView(self._light)

@@ -7,6 +7,7 @@ within 19.2 m of the centreline, 0.9 m beyond, out to 163 m. So the paint is sha
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import cv2
@@ -43,6 +44,12 @@ def ground_atlas() -> NDArray[np.uint8]:
     return make_ground_atlas(STANDARD)
 
 
+@cache
+def uncrossed_atlas() -> NDArray[np.uint8]:
+    """The same without the crossing runway, made where a scene asks for it."""
+    return make_ground_atlas(dataclasses.replace(STANDARD, crossing=False))
+
+
 def make_ground_atlas(style: GroundStyle) -> NDArray[np.uint8]:
     """Ripmap of the ground's daylight colours, (2 * ROWS, 2 * COLUMNS, 3) uint8 RGB, read-only."""
     base = np.empty((ROWS, COLUMNS, 3), np.uint8)
@@ -72,7 +79,8 @@ def _field(grid: Grid, style: GroundStyle, seed: int) -> NDArray[np.uint8]:
     near, far = (np.array(t, np.float32) for t in (style.near_tint, style.far_tint))
     tint = near + (far - near) * grass
     colour = value[:, :, None] * tint[None]
-    for first in (3300, 4000):  # around the crossing only, in two halves
+    # Around the crossing only, in two halves.
+    for first in (3300, 4000) if style.crossing else ():
         rows = slice(first, first + 700)
         surface, share = crossing_surface(*grid.centres(rows), COARSE_M, style)
         tinted = surface[:, :, None] * np.array(style.asphalt_tint, np.float32)
@@ -108,8 +116,8 @@ def _shoulders(base: NDArray[np.uint8], fine: Grid, style: GroundStyle) -> None:
         middle = COLUMNS // 2
         edge = middle + side * (first - fine.columns // 2)
         columns = slice(edge, edge + count) if side > 0 else slice(edge - count, edge)
-        before, after = slice(0, 3480), slice(4300, fine.rows)
-        for rows in (before, after):
+        parts = (slice(0, 3480), slice(4300, fine.rows)) if style.crossing else (slice(None),)
+        for rows in parts:
             base[rows, columns] = colour[rows]
 
 

@@ -3,7 +3,8 @@
 The shades of :data:`STANDARD` are display codes 0..255 in bright daylight (gamma-coded albedo),
 measured on pictures of the real scene: clean asphalt 134, thick rubber 50, fresh paint 206.
 Training may vary the look (domain randomisation); place and size of runway, edge stripes and
-crossing never change, for they are what a cross-track error is read from.
+crossing never do, for they are what a cross-track error is read from. Only an experiment takes the
+crossing away altogether.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class GroundStyle:
         dash_scale, dash_shift_m: factor on lengths along the runway, and shift [m], of all paint
             but the edge stripes.
         without: kinds of marking (see :class:`~taxinet_ros.core.runway.Marking`) left out.
+        crossing: whether the crossing runway is there and interrupts pavement and paint.
     """
 
     seed: int = 0
@@ -51,6 +53,7 @@ class GroundStyle:
     dash_scale: float = 1.0
     dash_shift_m: float = 0.0
     without: tuple[str, ...] = ()
+    crossing: bool = True
 
 
 STANDARD = GroundStyle()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.mtl import Monitor, Reading, Spec
+from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Monitor, Reading, Spec
 from taxinet_ros.core.run_statistics import RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.stop_on import StopOn, stops
 
@@ -37,7 +37,7 @@ class Judge:
 
     def __init__(
         self, specs: Sequence[Spec], horizon_ns: int, max_gap_ns: int,
-        stop_on: StopOn = StopOn.NEVER,
+        stop_on: StopOn = StopOn.NEVER, assumptions: Assumptions = NO_ASSUMPTIONS,
     ) -> None:
         """Begin a run.
 
@@ -46,10 +46,16 @@ class Judge:
             horizon_ns: last stamp of the run [ns].
             max_gap_ns: longest time without a sample [ns]; a longer one voids the run.
             stop_on: what ends the run before its horizon.
+            assumptions: what the user vouches for.
         """
-        self._monitors = [Monitor(spec, horizon_ns, max_gap_ns=max_gap_ns) for spec in specs]
+        self._monitors = [
+            Monitor(
+                spec, horizon_ns, assumptions.bounds, assumptions.rates, max_gap_ns=max_gap_ns
+            ) for spec in specs
+        ]
         self._readings: tuple[Reading, ...] = ()
         self._stop_on = stop_on
+        self._breaches: set[str] = set()
         self._collector = RunStatisticsCollector()
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> tuple[Reading, ...]:
@@ -57,6 +63,12 @@ class Judge:
         self._readings = tuple(monitor.push(stamp_ns, sample) for monitor in self._monitors)
         self._collector.push(stamp_ns, sample)
         return self._readings
+
+    def new_breaches(self) -> list[str]:
+        """How the newest sample broke what was vouched for, a line for each way."""
+        told = {monitor.breach for monitor in self._monitors if monitor.breach} - self._breaches
+        self._breaches |= told
+        return sorted(told)
 
     @property
     def stopped_early(self) -> bool:

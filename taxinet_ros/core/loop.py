@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge, Judgement
-from taxinet_ros.core.mtl import Reading, Spec
+from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains, steer
@@ -60,6 +60,7 @@ def run_closed_loop(
     specs: Sequence[Spec],
     gains: SteeringGains | None = None,
     stop_on: StopOn = StopOn.NEVER,
+    assumptions: Assumptions = NO_ASSUMPTIONS,
     on_step: Callable[[Step], None] | None = None,
 ) -> Judgement:
     """Run one scenario to its end.
@@ -70,6 +71,7 @@ def run_closed_loop(
         specs: formulas to judge the ground truth by.
         gains: of the steering law; its defaults where None.
         stop_on: what ends the run before its end; the deciding step is its last.
+        assumptions: what is vouched for of the signals.
         on_step: called with every step, in order, before the world moves on.
 
     Returns:
@@ -77,7 +79,8 @@ def run_closed_loop(
     """
     gains = gains or SteeringGains()
     world = World(scenario, pictures=perception.needs_image)
-    judge = Judge(specs, world.last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, stop_on)
+    horizon_ns = world.last_seq * CONTROL_PERIOD_NS
+    judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:
         now = world.observe()
         estimate = perception.estimate(now.image, now.state.tracking_error)

@@ -39,6 +39,7 @@ class RunRequest:
         specs: formulas to judge by, as text.
         participants: node names that take part in the lockstep.
         stop_on: what ends the run before its end.
+        bounds, rates: what is vouched for of the signals, as text (:mod:`.mtl.assumptions`).
     """
 
     run_id: str
@@ -49,6 +50,8 @@ class RunRequest:
     specs: tuple[str, ...]
     participants: tuple[str, ...]
     stop_on: StopOn = StopOn.NEVER
+    bounds: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -73,7 +73,8 @@ def runway_surface(grid: Grid, style: GroundStyle) -> NDArray[np.uint8]:
     value = _asphalt(grid, style)
     painted = _lay_paint(value, grid, style)
     _lay_rubber(value, painted, grid, style)
-    _lay_crossing(value, grid, style)
+    if style.crossing:
+        _lay_crossing(value, grid, style)
     return np.clip(value, 0, 255).astype(np.uint8)
 
 
@@ -131,7 +132,8 @@ def _markings(style: GroundStyle) -> list[runway.Marking]:
         corners = ((x * style.dash_scale + style.dash_shift_m, y) for x, y in marking.polygon)
         return runway.Marking(kind=marking.kind, polygon=tuple(corners))
 
-    return [moved(marking) for marking in runway.markings() if marking.kind not in style.without]
+    painted = runway.markings(crossing=style.crossing)
+    return [moved(marking) for marking in painted if marking.kind not in style.without]
 
 
 def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]:

@@ -164,36 +164,47 @@ def crossing_clear_x(y_m: float) -> tuple[float, float]:
     return middle - reach, middle + reach
 
 
-def _interrupted(kind: str, x0: float, x1: float, y0: float, y1: float) -> list[Marking]:
-    """A stripe along the runway with the crossing's share cut out."""
+def _stripe(
+    kind: str, x0: float, x1: float, y0: float, y1: float, *, crossing: bool
+) -> list[Marking]:
+    """A stripe along the runway, with the crossing's share cut out where there is a crossing."""
+    if not crossing:
+        return [_rectangle(kind, x0, x1, y0, y1)]
     clear0, clear1 = crossing_clear_x((y0 + y1) / 2)
     pieces = ((x0, min(x1, clear0)), (max(x0, clear1), x1))
     return [_rectangle(kind, a, b, y0, y1) for a, b in pieces if b > a]
 
 
-def _centreline() -> list[Marking]:
+def _centreline(*, crossing: bool) -> list[Marking]:
     half, markings = STRIPE_WIDTH_M / 2, []
     start, end = CENTRELINE_START_M, LENGTH_M - CENTRELINE_START_M
     while start < end:
         stop = min(start + CENTRELINE_STRIPE_M, end)
-        markings += _interrupted('centreline', start, stop, -half, half)
+        markings += _stripe('centreline', start, stop, -half, half, crossing=crossing)
         start += CENTRELINE_STRIPE_M + CENTRELINE_GAP_M
     return markings
 
 
-def _edges() -> list[Marking]:
+def _edges(*, crossing: bool) -> list[Marking]:
     half = STRIPE_WIDTH_M / 2
     return [
         marking
         for middle in (EDGE_STRIPE_Y_M, -EDGE_STRIPE_Y_M)
-        for marking in _interrupted('edge', 0.0, LENGTH_M, middle - half, middle + half)
+        for marking in _stripe(
+            'edge', 0.0, LENGTH_M, middle - half, middle + half, crossing=crossing
+        )
     ]
 
 
 @cache
-def markings() -> tuple[Marking, ...]:
-    """Everything painted on runway 04/22, in no particular order."""
+def markings(*, crossing: bool = True) -> tuple[Marking, ...]:
+    """Everything painted on runway 04/22, in no particular order.
+
+    Args:
+        crossing: whether there is a crossing that interrupts centreline and edge stripes.
+    """
     approach = [*_threshold(), *_touchdown()]
     ends = [*approach, *_designation('04')]
     other_end = _turned_round([*approach, *_designation('22')])
-    return (*ends, *other_end, *_centreline(), *_edges())
+    stripes = (*_centreline(crossing=crossing), *_edges(crossing=crossing))
+    return (*ends, *other_end, *stripes)

@@ -46,6 +46,8 @@ class Scenario:
         time_of_day_s: local standard time (UTC-8) after midnight [s].
         date: ISO date of the sun's position; near an equinox 6-18 h is daylight.
         shadows: whether the aircraft casts a shadow (the paper's confirmation experiment).
+        crossing: whether the other runway is there that crosses this one near 1,450 m; without it
+            pavement and paint go on as elsewhere.
         aircraft: flight-dynamics model, one of :data:`AIRCRAFT`.
         duration_s: length of the run [s], a multiple of the control period.
 
@@ -61,6 +63,7 @@ class Scenario:
     time_of_day_s: float = 12 * 3600.0
     date: str = '2020-03-20'
     shadows: bool = True
+    crossing: bool = True
     aircraft: str = 'caravan'
     duration_s: float = 30.0
 
@@ -130,11 +133,14 @@ _HUMAN: dict[str, tuple[str, Any, Any]] = {
     'time_of_day': ('time_of_day_s', *_scaled(3600.0)),
     'date': ('date', *_TEXT),
     'shadows': ('shadows', *_same(_switch)),
+    'crossing': ('crossing', *_same(_switch)),
     'aircraft': ('aircraft', *_TEXT),
     'duration': ('duration_s', *_scaled(1.0)),
 }
 HUMAN_KEYS = tuple(_HUMAN)
-"""Scenario keys as people type them: m, m, degrees, word, percent, hours, date, on/off, word, s."""
+"""Scenario keys as people type them.
+
+m, m, degrees, word, percent, hours, date, on or off twice, word, s."""
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:

@@ -17,12 +17,12 @@ class Level(enum.IntEnum):
 
 
 def standing_level(standing: Standing) -> Level:
-    """ERROR violated or not valid, WARN robustness 0 at best, OK satisfied or still open."""
+    """ERROR violated or not valid, WARN 0 at best or an assumption broken, OK satisfied or open."""
     reading = standing.reading
     if not reading.valid or standing.decided is Verdict.VIOLATED:
         return Level.ERROR
-    at_best_marginal = reading.upper == 0
-    return Level.WARN if at_best_marginal or standing.decided is Verdict.MARGINAL else Level.OK
+    at_best_marginal = reading.upper == 0 or standing.decided is Verdict.MARGINAL
+    return Level.WARN if at_best_marginal or standing.breach else Level.OK
 
 
 def standing_line(standing: Standing) -> str:
@@ -32,6 +32,8 @@ def standing_line(standing: Standing) -> str:
         words += f', {_rho(standing.reading)}'
     if standing.reading.final:
         words += ' (final)'
+    if standing.breach:
+        words += f'; an assumption broke {standing.breach}'
     return f'not valid, {standing.trouble}; before that {words}' if standing.trouble else words
 
 

@@ -8,7 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.mtl import Monitor, Reading, Spec, Verdict, signal_names
+from taxinet_ros.core.mtl import (
+    NO_ASSUMPTIONS,
+    Assumptions,
+    Monitor,
+    Reading,
+    Spec,
+    Verdict,
+    signal_names,
+)
 from taxinet_ros.core.sample_hold import Sample
 from taxinet_ros.core.types import NS_PER_S
 
@@ -26,12 +34,15 @@ class Standing:
             what makes the stretch invalid later: no completion could have taken it back.
         decided_s: when that was, since the start of the stretch [s], or -1.
         trouble: what made the stretch invalid for this formula, or ''.
+        breach: how a sample broke what was vouched for, or ''; what was decided before that is
+            taken back, for it may have rested on it.
     """
 
     reading: Reading
     decided: Verdict = Verdict.UNKNOWN
     decided_s: float = -1.0
     trouble: str = ''
+    breach: str = ''
 
 
 class Stretch:
@@ -42,17 +53,27 @@ class Stretch:
         horizon_ns: length of the stretch [ns]; 0: it has no end, and a formula that only the end
             can decide stays an interval.
         max_gap_ns: longest time without a sample [ns]; 0: any.
+        assumptions: what the user vouches for.
     """
 
-    def __init__(self, specs: Sequence[Spec], *, horizon_ns: int = 0, max_gap_ns: int = 0) -> None:
+    def __init__(
+        self, specs: Sequence[Spec], *, horizon_ns: int = 0, max_gap_ns: int = 0,
+        assumptions: Assumptions = NO_ASSUMPTIONS,
+    ) -> None:
         self._horizon_ns = horizon_ns or _ENDLESS_NS
         self._max_gap_ns = max_gap_ns
         self._monitors = [
-            Monitor(spec, self._horizon_ns, max_gap_ns=max_gap_ns or None) for spec in specs
+            self._monitor(spec, assumptions.about(signal_names(spec.formula))) for spec in specs
         ]
         self._start_ns: int | None = None
         self._newest_ns = 0
         self.standings = tuple(Standing(reading=each.reading) for each in self._monitors)
+
+    def _monitor(self, spec: Spec, assumptions: Assumptions) -> Monitor:
+        return Monitor(
+            spec, self._horizon_ns, assumptions.bounds, assumptions.rates,
+            max_gap_ns=self._max_gap_ns or None,
+        )
 
     @property
     def begun(self) -> bool:
@@ -93,11 +114,16 @@ class Stretch:
         elapsed_ns = sample.stamp_ns - self._start_ns
         reading = monitor.push(elapsed_ns, sample.values)
         decided, decided_s, trouble = old.decided, old.decided_s, old.trouble
+        if monitor.breach and not old.breach:
+            decided, decided_s = Verdict.UNKNOWN, -1.0
         if reading.verdict is not Verdict.UNKNOWN and decided is Verdict.UNKNOWN:
             decided, decided_s = reading.verdict, min(elapsed_ns, self._horizon_ns) / NS_PER_S
         if not reading.valid and not trouble:
             trouble = f'at {elapsed_ns / NS_PER_S:g} s: {self._trouble(monitor.spec, sample)}'
-        return Standing(reading=reading, decided=decided, decided_s=decided_s, trouble=trouble)
+        return Standing(
+            reading=reading, decided=decided, decided_s=decided_s, trouble=trouble,
+            breach=monitor.breach,
+        )
 
     def _trouble(self, spec: Spec, sample: Sample) -> str:
         """Why the monitor refused a sample, or no longer trusts the stretch."""
@@ -112,6 +138,6 @@ class Stretch:
         return 'a stamp came twice' if step_s == 0 else 'a predicate is not finite'
 
 
-def _face(standing: Standing) -> tuple[Verdict, bool, bool]:
+def _face(standing: Standing) -> tuple[Verdict, bool, bool, bool]:
     reading = standing.reading
-    return reading.verdict, reading.valid, reading.final
+    return reading.verdict, reading.valid, reading.final, reading.trusted

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import array
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 
@@ -20,7 +18,7 @@ from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME, MAP_FRAME
+from taxinet_ros.nodes.interface import BASE_FRAME, MAP_FRAME
 
 
 def time_of(stamp_ns: int) -> Time:
@@ -49,39 +47,11 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
         seed=request.seed,
         specs=list(request.specs),
         stop_on=request.stop_on,
+        bounds=list(request.bounds),
+        rates=list(request.rates),
         participants=list(request.participants),
         **values,
     )
-
-
-def image_message(pixels: NDArray[np.uint8], stamp_ns: int) -> Image:
-    """A camera frame (H, W, 3) uint8 RGB as a message."""
-    height, width, channels = pixels.shape
-    return Image(
-        header=header(stamp_ns, CAMERA_FRAME),
-        height=height,
-        width=width,
-        encoding='rgb8',
-        is_bigendian=0,
-        step=width * channels,
-        data=array.array('B', pixels.tobytes()),
-    )
-
-
-def pixels_of(message: Image) -> NDArray[np.uint8]:
-    """The pixels of an rgb8 message, (H, W, 3) uint8, a view on the message's memory.
-
-    Raises:
-        ValueError: the encoding is another one, or size, step and data do not agree.
-    """
-    height, width = message.height, message.width
-    if message.encoding != 'rgb8':
-        raise ValueError(f'image encoding is {message.encoding!r}, expected rgb8')
-    if message.step != width * 3 or len(message.data) != height * message.step:
-        raise ValueError(
-            f'image of {width} x {height} has step {message.step} and {len(message.data)} bytes'
-        )
-    return np.frombuffer(message.data, np.uint8).reshape(height, width, 3)
 
 
 def camera_info_message() -> CameraInfo:
@@ -147,6 +117,7 @@ def robustness_message(spec: Spec, reading: Reading, **stamp: Any) -> taxinet.Ro
         verdict=int(reading.verdict),
         final=reading.final,
         valid=reading.valid,
+        trusted=reading.trusted,
         samples=reading.samples,
         rejected=reading.rejected,
         **stamp,

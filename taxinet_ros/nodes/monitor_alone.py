@@ -114,6 +114,7 @@ class MonitorAlone(Node):
         self._stretch = Stretch(
             options.specs, horizon_ns=options.horizon_ns,
             max_gap_ns=0 if options.period_ns else options.max_age_ns,
+            assumptions=options.assumptions,
         )
 
     def _look(self) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import Spec, parse_spec
+from taxinet_ros.core.mtl import Assumptions, Spec, parse_assumptions, parse_spec
 from taxinet_ros.core.signal_source import SignalSource, parse_signals
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
@@ -21,6 +21,7 @@ class AloneOptions:
     Attributes:
         sources: where the signals come from.
         specs: the formulas.
+        assumptions: what is vouched for of the signals.
         sampled_on: signal whose messages each make a sample, or '' on a grid.
         period_ns: step of the grid [ns], or 0.
         max_age_ns: greatest age of a held value, and longest time between samples [ns]; 0: any.
@@ -31,6 +32,7 @@ class AloneOptions:
 
     sources: tuple[SignalSource, ...]
     specs: tuple[Spec, ...]
+    assumptions: Assumptions
     sampled_on: str
     period_ns: int
     max_age_ns: int
@@ -48,6 +50,8 @@ def declared_options(node: Node) -> AloneOptions:
     text = 'NAME=/topic:field.path*factor, one for each signal that formulas read'
     sources = _texts(node, 'signals', text)
     specs = _texts(node, 'specs', 'NAME=FORMULA over the signals, one for each requirement')
+    bounds = _texts(node, 'bounds', 'vouched for: SIGNAL=LOW:HIGH')
+    rates = _texts(node, 'rates', 'vouched for: SIGNAL=CHANGE per second')
     sampled_on = declare(node, 'sampled_on', '', 'signal whose messages make samples; the first')
     period_s = declare(node, 'period', 0.0, 'sample on a grid instead [s]; 0: do not', (0.0, 1e6))
     text = 'older values, and longer times without a sample, are not judged [s]; 0: any age'
@@ -61,9 +65,11 @@ def declared_options(node: Node) -> AloneOptions:
     refuse_unknown(node)
     try:
         found = parse_signals(sources)
+        names = [source.name for source in found]
         return AloneOptions(
             sources=found,
-            specs=_parse_specs(specs, [source.name for source in found]),
+            specs=_parse_specs(specs, names),
+            assumptions=_parse_assumptions(bounds, rates, names),
             sampled_on=_sampler(sampled_on, period_s, found),
             period_ns=round(period_s * NS_PER_S),
             max_age_ns=round(max_age_s * NS_PER_S),
@@ -94,6 +100,16 @@ def _parse_specs(texts: Sequence[str], signals: Sequence[str]) -> tuple[Spec, ..
     if twice is not None:
         raise UsageError(f'specs: {twice} is there twice')
     return specs
+
+
+def _parse_assumptions(
+    bounds: Sequence[str], rates: Sequence[str], signals: Sequence[str]
+) -> Assumptions:
+    try:
+        return parse_assumptions(bounds, rates, signals)
+    except UsageError as error:
+        kind, _, rest = str(error).partition(' ')
+        raise UsageError(f'{kind}s: {rest}') from None
 
 
 def _sampler(sampled_on: str, period_s: float, sources: Sequence[SignalSource]) -> str:

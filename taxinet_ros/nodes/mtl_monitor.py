@@ -11,7 +11,7 @@ from typing import Any
 
 from taxinet_msgs.msg import NodeStatus, Scenario, Verdict
 
-from taxinet_ros.bag.message_values import sample_of, scenario_of
+from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
@@ -57,7 +57,8 @@ class MtlMonitor(Participant):
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._judge = Judge(
-            self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on
+            self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
+            assumptions_of(scenario),
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
 
@@ -74,6 +75,8 @@ class MtlMonitor(Participant):
         stamp_ns = stamp_of(truth.header.stamp)
         now = {'header': header(stamp_ns), 'run_id': self.run_id, 'seq': seq}
         readings = self._judge.push(stamp_ns, sample)
+        for breach in self._judge.new_breaches():
+            self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
         pairs = zip(self._specs, readings, strict=True)
         results = [robustness_message(spec, reading, **now) for spec, reading in pairs]
         for result in results:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import abc
 from typing import Any
 
-from sensor_msgs.msg import Image
 from taxinet_msgs.msg import TrackingError
 
+from taxinet_ros.bag.image_cdr import frame_of_cdr
 from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import error_message, pixels_of, stamp_of
+from taxinet_ros.nodes.convert import error_message, stamp_of
 from taxinet_ros.nodes.parameters import refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 
@@ -29,7 +29,7 @@ class PerceptionNode(Participant, abc.ABC):
         self.fingerprint = self._perception.fingerprint
         self._estimates = self.speak(interface.ESTIMATE)
         if self._perception.needs_image:
-            self.listen(interface.IMAGE, self._see)
+            self.listen(interface.IMAGE, self._see, raw=True)
         else:
             self.listen(interface.TRUTH, self._know)
 
@@ -37,9 +37,9 @@ class PerceptionNode(Participant, abc.ABC):
     def choose(self) -> Perception:
         """Which perception this node runs; may declare parameters to decide it."""
 
-    def _see(self, message: Image) -> None:
-        stamp_ns = stamp_of(message.header.stamp)
-        estimate = self._perception.estimate(pixels_of(message), None)
+    def _see(self, cdr: bytes) -> None:
+        stamp_ns, pixels = frame_of_cdr(cdr)
+        estimate = self._perception.estimate(pixels, None)
         seq = stamp_ns // CONTROL_PERIOD_NS
         self._estimates.publish(error_message(estimate, self.run_id, seq, stamp_ns))
 

@@ -113,6 +113,7 @@ class Recorder(Participant):
         self._verdict: bytes | None = None
         self._ended: RunStatus | None = None
         self._written = 0
+        self._head_complete = False
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
@@ -171,7 +172,10 @@ class Recorder(Participant):
     # Writing ---------------------------------------------------------------------------------
 
     def _head_known(self) -> bool:
-        return set(self._ready_for(self.run_id)) == set(self._scenario_message.participants)
+        if not self._head_complete:
+            heard = set(self._ready_for(self.run_id))
+            self._head_complete = heard == set(self._scenario_message.participants)
+        return self._head_complete
 
     def _ready_for(self, run_id: str) -> dict[str, bytes]:
         """Reports of the nodes that are ready for a run, by node."""

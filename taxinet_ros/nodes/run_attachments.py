@@ -47,6 +47,8 @@ def _scenario_json(scenario: Scenario) -> bytes:
         'seed': scenario.seed,
         'specs': list(scenario.specs),
         'stop_on': scenario.stop_on,
+        'bounds': list(scenario.bounds),
+        'rates': list(scenario.rates),
         'participants': list(scenario.participants),
     }
     return json.dumps(values, indent=2).encode() + b'\n'

@@ -20,6 +20,7 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
 
+from taxinet_ros.bag.image_cdr import image_cdr
 from taxinet_ros.bag.message_values import command_of
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.outcome import Outcome
@@ -28,7 +29,6 @@ from taxinet_ros.nodes.convert import (
     camera_info_message,
     error_message,
     header,
-    image_message,
     odometry_message,
     time_of,
 )
@@ -229,7 +229,8 @@ class Simulator(Node):
         self._camera_info.header = header(now.stamp_ns, interface.CAMERA_FRAME)
         self._say(interface.CAMERA_INFO, self._camera_info)
         if now.image is not None:
-            self._say(interface.IMAGE, image_message(now.image, now.stamp_ns))
+            frame = image_cdr(now.image, now.stamp_ns, interface.CAMERA_FRAME)
+            self._say(interface.IMAGE, frame)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):

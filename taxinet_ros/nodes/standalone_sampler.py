@@ -87,9 +87,12 @@ class StandaloneSampler(ScenarioSampler):
         out = declare(self, 'out', '', text)
         text = f'when to end a run before its end: {", ".join(StopOn)}'
         stop_on = declare(self, 'stop_on', str(StopOn.NEVER), text)
+        bounds = self._texts('bounds', 'vouched for: SIGNAL=LOW:HIGH, e.g. cte=-25:25')
+        rates = self._texts('rates', 'vouched for: SIGNAL=CHANGE per second, e.g. cte=3')
         return {
             'program': program, 'runs': runs, 'seed': seed, 'settings': settings, 'specs': specs,
             'out': Path(out) if out else None, 'stop_on': stop_on,
+            'bounds': bounds, 'rates': rates,
         }
 
     def _declare_search(self) -> tuple[str, dict[str, Any]]:
@@ -114,5 +117,5 @@ def parameter_words() -> Iterator[None]:
     try:
         yield
     except UsageError as error:
-        text = re.sub(r'(?<!\S)--spec(?=\b)', '--specs', str(error))
+        text = re.sub(r'(?<!\S)--(spec|bound|rate)(?=\b)', r'--\1s', str(error))
         raise UsageError(re.sub(r'(?<!\S)--(?=[a-z])', '', text)) from error

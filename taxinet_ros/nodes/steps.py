@@ -12,7 +12,9 @@ class StepCollector:
     def __init__(self, expected: Mapping[str, int]) -> None:
         """``expected``: topic name to number of messages per step."""
         self._expected = dict(expected)
+        self._total = sum(expected.values())
         self._pending: dict[int, dict[str, list[Any]]] = {}
+        self._counts: dict[int, int] = {}
         self._next = 0
         self.repeated = 0
 
@@ -30,14 +32,12 @@ class StepCollector:
             self.repeated += 1
             return
         messages.append(message)
-        while self._whole(self._next):
+        self._counts[seq] = self._counts.get(seq, 0) + 1
+        while self._counts.get(self._next) == self._total:
+            del self._counts[self._next]
             yield self._next, self._pending.pop(self._next)
             self._next += 1
 
     def torn(self) -> list[tuple[int, dict[str, list[Any]]]]:
         """Steps begun and not whole, oldest first: what an aborted run left behind."""
         return sorted(self._pending.items())
-
-    def _whole(self, seq: int) -> bool:
-        step = self._pending.get(seq, {})
-        return all(len(step.get(topic, ())) == count for topic, count in self._expected.items())

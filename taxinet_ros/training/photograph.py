@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 
 import numpy as np
@@ -41,10 +42,11 @@ def photograph(
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth
     variation = draw_variation(np.random.default_rng((seed, index, 1)))
-    camera = Camera(scene, _varied_ground(seed, block))
+    camera = Camera(scene, _varied_ground(seed, block, crossing=scene.crossing))
     return variation.develop(camera.render(variation.misplaced(state), 0)), truth
 
 
 @lru_cache(maxsize=1)
-def _varied_ground(seed: int, block: int) -> NDArray[np.uint8]:
-    return make_ground_atlas(varied_style(np.random.default_rng((seed, block, 2))))
+def _varied_ground(seed: int, block: int, *, crossing: bool) -> NDArray[np.uint8]:
+    style = varied_style(np.random.default_rng((seed, block, 2)))
+    return make_ground_atlas(dataclasses.replace(style, crossing=crossing))

@@ -126,7 +126,8 @@ def _scenario(scene: Scenario) -> Any:
         'taxinet_msgs/msg/Scenario', run_id=RUN_ID, index=3, program='program', seed=7,
         cross_track=scene.cross_track_m, distance=scene.distance_m, heading=scene.heading_rad,
         clouds=scene.clouds, rain=scene.rain, time_of_day=scene.time_of_day_s, date=scene.date,
-        shadows=scene.shadows, aircraft=scene.aircraft, duration=scene.duration_s,
+        shadows=scene.shadows, crossing=scene.crossing, aircraft=scene.aircraft,
+        duration=scene.duration_s,
         specs=list(SPECS), participants=list(PARTICIPANTS),
     )
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from taxinet_ros.bag.judged_bag import BagVerdict, follow, judge_bag, spec_verdict
+from taxinet_ros.bag.judged_bag import BagVerdict, judge_bag, judged_spec
 from taxinet_ros.bag.judged_bags import judge_bags
 from taxinet_ros.bag.run_samples import read_samples
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
@@ -171,12 +171,11 @@ def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path
 def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
     samples = read_samples(whole)
     spec = parse_spec(samples.specs[0])
-    good = spec_verdict(samples, spec, follow(samples, spec))
-    assert good.same is True
+    assert judged_spec(samples, spec)[0].same is True
     newest = samples.recorded[spec.text]
     other = newest._replace(upper=math.nextafter(newest.upper, 9), lower=newest.lower)
     forged = dataclasses.replace(samples, recorded={spec.text: other})
-    assert spec_verdict(forged, spec, follow(forged, spec)).same is False
+    assert judged_spec(forged, spec)[0].same is False
 
 
 def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(whole):
@@ -190,7 +189,7 @@ def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(wh
         stamps_ns=samples.stamps_ns[:9] + samples.stamps_ns[10:],
     )
     for broken in (spoilt, gap):
-        one = spec_verdict(broken, spec, follow(broken, spec))
+        one, _ = judged_spec(broken, spec)
         assert one.verdict is BagVerdict.INVALID
         assert one.lower < one.upper
 
@@ -234,6 +233,33 @@ def test_given_a_plot_then_there_is_a_picture_of_each_bag(campaign, whole, torn,
     drawn = {path.name: path.read_bytes() for path in (tmp_path / 'all').iterdir()}
     assert set(drawn) == {f'{whole.name}.png', 'torn.png'}
     assert drawn[f'{whole.name}.png'] == picture.read_bytes(), 'the same bytes every time'
+
+
+def test_given_bounds_that_a_run_keeps_or_breaks_then_that_shows(whole, capsys):
+    spec = 'wide=always(abs(cte) <= 40)'
+    plain = json.loads(call(capsys, whole, '--spec', spec, '--json')[1])['bags'][0]['verdicts'][0]
+    bounds = ['--bound', 'cte=-30:30', '--json']
+    code, out, _ = call(capsys, whole, '--spec', spec, *bounds)
+    kept = json.loads(out)['bags'][0]['verdicts'][0]
+    assert (code, kept['decided_s'], kept['breach_s']) == (0, 0.0, None)
+    assert plain['decided_s'] == json.loads(out)['bags'][0]['end_s'], 'without them at the end only'
+    assert kept['rho_lower'] == kept['rho_upper'] == plain['rho_lower']
+    code, out, _ = call(capsys, whole, '--spec', spec, '--rate', 'cte=0.001')
+    assert code == 0
+    assert out.splitlines()[1] == (
+        f'{whole.name}  wide  a bound or rate broken at 0.1 s counts no more'
+    )
+
+
+@pytest.mark.parametrize(('words', 'told'), [
+    (('--bound', 'cte=3'), "--bound 'cte=3': expected LOW:HIGH with LOW <= HIGH [m], e.g. cte="),
+    (('--rate', 'cta=3'), "--rate 'cta=3': unknown signal 'cta'; known: cte, he"),
+])
+def test_given_bad_assumptions_then_one_line_names_the_option(whole, capsys, words, told):
+    code, _, err = call(capsys, whole, *words)
+    assert code == 2
+    assert told in err
+    assert len(err.splitlines()) == 1
 
 
 def test_given_several_processes_then_the_answers_are_the_same_and_in_order(campaign):

@@ -1,6 +1,6 @@
 import math
 
-from taxinet_ros.core.mtl import Verdict, parse_spec
+from taxinet_ros.core.mtl import Assumptions, Verdict, parse_spec
 from taxinet_ros.core.sample_hold import Sample
 from taxinet_ros.core.standing_words import Level, standing_level, standing_line
 from taxinet_ros.core.stretch import Stretch
@@ -81,3 +81,18 @@ def test_given_stamps_out_of_order_then_the_reason_is_told():
         assert push(stretch, at_s, 0.0) == [True]
         assert why in stretch.standings[0].trouble
         assert stretch.length_s == 0.0
+
+
+def test_given_a_bound_that_breaks_then_what_was_decided_on_it_is_taken_back():
+    vouched = Assumptions(bounds={'y': (-1, 1), 'unread': (0, 1)}, rates={'v': 1.0})
+    stretch = Stretch([NEAR, SOON], horizon_ns=5 * S, assumptions=vouched)
+    assert push(stretch, 0, 0.5) == [True, True]
+    assert words(stretch)[0] == ('OK', 'satisfied at 0 s, rho within [+0.5, +1]')
+    push(stretch, 1, 1.25)
+    level, line = words(stretch)[0]
+    assert level == 'WARN'
+    assert line == (
+        'open, rho within [-inf, +0.25]; an assumption broke at 1 s y is 1.25, bounds are -1:1'
+    )
+    push(stretch, 5, 0.0)
+    assert words(stretch)[0][1].startswith('satisfied at 5 s, rho +0.25 (final); an assumption')

@@ -1,5 +1,6 @@
 """Messages carry the core's values unchanged, and refuse what they cannot mean."""
 
+import contextlib
 import dataclasses
 import math
 
@@ -7,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from taxinet_ros.bag import message_values
+from taxinet_ros.bag.image_cdr import frame_of_cdr, image_cdr
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
@@ -44,7 +47,8 @@ def test_given_a_command_when_sent_and_read_then_every_bit_is_there(steering, sp
 def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
     scenario = Scenario(
         cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast', rain=0.4,
-        time_of_day_s=30000.0, date='2020-06-01', shadows=False, aircraft='c172p', duration_s=12.0,
+        time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
+        aircraft='c172p', duration_s=12.0,
     )
     default = Scenario()
     for field in dataclasses.fields(Scenario):
@@ -59,13 +63,33 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
     assert (message.program, message.seed) == ('s_falsif', 9)
 
 
-def test_given_a_frame_when_sent_and_read_then_every_pixel_is_there():
+def frame_message(**change):
     pixels = np.random.default_rng(0).integers(0, 256, (200, 360, 3), dtype=np.uint8)
-    message = convert.image_message(pixels, 100_000_000)
-    assert (message.height, message.width, message.step) == (200, 360, 1080)
-    assert message.encoding == 'rgb8'
-    assert message.header.frame_id == 'camera_optical'
-    np.testing.assert_array_equal(convert.pixels_of(message), pixels)
+    message = Image(
+        header=convert.header(100_000_000, 'camera_optical'), height=200, width=360, step=1080,
+        encoding='rgb8', data=pixels.tobytes(),
+    )
+    for name, value in change.items():
+        setattr(message, name, value)
+    return pixels, message
+
+
+def test_given_a_frame_when_sent_and_read_then_ros_reads_it_and_so_do_we_what_ros_writes():
+    pixels, message = frame_message()
+    assert deserialize_message(image_cdr(pixels, 100_000_000, 'camera_optical'), Image) == message
+    stamp_ns, seen = frame_of_cdr(serialize_message(message))
+    assert stamp_ns == 100_000_000
+    np.testing.assert_array_equal(seen, pixels)
+
+
+@given(st.integers(1, 5), st.integers(1, 5), st.text('abc_', max_size=9))
+def test_given_any_size_and_frame_when_written_and_read_then_the_pixels_are_there(
+    height, width, frame_id
+):
+    pixels = np.arange(height * width * 3, dtype=np.uint8).reshape(height, width, 3)
+    stamp_ns, seen = frame_of_cdr(image_cdr(pixels, 7, frame_id))
+    assert stamp_ns == 7
+    np.testing.assert_array_equal(seen, pixels)
 
 
 @pytest.mark.parametrize(
@@ -74,19 +98,27 @@ def test_given_a_frame_when_sent_and_read_then_every_pixel_is_there():
         ({'encoding': 'mono8'}, "encoding is 'mono8'"),
         ({'step': 12}, 'has step 12'),
         ({'height': 3}, 'of 360 x 3'),
+        ({'data': b''}, 'has step 1080 and 0 bytes'),
     ],
 )
 def test_given_an_image_that_contradicts_itself_then_it_is_refused(change, words):
-    message = convert.image_message(np.zeros((200, 360, 3), np.uint8), 0)
-    for name, value in change.items():
-        setattr(message, name, value)
+    _, message = frame_message(**change)
     with pytest.raises(ValueError, match=words):
-        convert.pixels_of(message)
+        frame_of_cdr(serialize_message(message))
 
 
 def test_given_an_empty_image_then_it_is_refused():
     with pytest.raises(ValueError, match='encoding'):
-        convert.pixels_of(Image())
+        frame_of_cdr(serialize_message(Image()))
+
+
+@given(st.data())
+def test_given_bytes_that_are_cut_or_changed_then_a_frame_is_refused_or_read(data):
+    clean = image_cdr(np.zeros((2, 3, 3), np.uint8), 5, 'camera_optical')
+    at = data.draw(st.integers(0, len(clean)))
+    spoilt = clean[:at] + data.draw(st.binary(max_size=6))
+    with contextlib.suppress(ValueError):
+        assert frame_of_cdr(spoilt)[1].ndim == 3
 
 
 @given(

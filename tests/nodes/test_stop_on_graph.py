@@ -1,14 +1,17 @@
 """A run that may end early ends at the same step in every layout, and its bag holds just that."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.bag.judged_bag import judge_bag
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.trace import read_trace
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import Assumptions, parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
@@ -95,3 +98,35 @@ def test_given_decided_when_a_run_ends_then_every_formula_is_decided_or_the_run_
     assert set(late.rho) == {'soon', 'on_runway'}
     assert late.outcome is Outcome.FAIL
     assert good.outcome is Outcome.PASS
+
+
+def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_without_ros(tmp_path):
+    base = replace(
+        requests(StopOn.DECIDED)[1], specs=('wide=always(abs(cte) <= 8)',), rates=('cte=3',)
+    )
+    asked = [base, replace(
+        base, run_id='run-x', rates=('cte=0.001',), bounds=('cte=-20:20',), stop_on=StopOn.NEVER,
+    )]
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    kept, broken = run_graph(composed_graph(options), asked)
+
+    steps = []
+    judgement = run_closed_loop(
+        GOOD, make_perception('truth'), specs=[parse_spec(base.specs[0])],
+        stop_on=StopOn.DECIDED, assumptions=Assumptions(rates={'cte': 3.0}), on_step=steps.append,
+    )
+    assert (kept.outcome, kept.stopped_early) == (Outcome.PASS, True)
+    assert 20 < kept.last_seq == len(steps) - 1 < 30
+    assert kept.rho_lower['wide'] == judgement.readings[0].lower > 0
+
+    assert (broken.outcome, broken.stopped_early, broken.last_seq) == (Outcome.PASS, False, 50)
+    assert broken.rho['wide'] > 0, 'the run goes on without what it has broken'
+
+    for request, early in zip(asked, (True, False), strict=True):
+        judged = judge_bag(tmp_path / request.run_id)
+        assert judged.stopped_early is early
+        assert judged.verdicts[0].same is True
+        assert (judged.verdicts[0].breach_s is None) is early
+        assert check_bag(tmp_path / request.run_id).findings == ()
+    other = judge_bag(tmp_path / 'run-1', assumptions=Assumptions())
+    assert other.verdicts[0].same is None, 'an open interval is another one without the rates'

@@ -29,7 +29,13 @@ never evaluated: offline it raises, online the run is not valid from then on.
 
 from __future__ import annotations
 
-from taxinet_ros.core.mtl.assumptions import parse_bounds, parse_rates
+from taxinet_ros.core.mtl.assumptions import (
+    NO_ASSUMPTIONS,
+    Assumptions,
+    parse_assumptions,
+    parse_bounds,
+    parse_rates,
+)
 from taxinet_ros.core.mtl.ast import Formula, atoms, signal_names
 from taxinet_ros.core.mtl.offline import robustness
 from taxinet_ros.core.mtl.online import Monitor, Reading, Verdict, verdict_of
@@ -42,14 +48,17 @@ from taxinet_ros.core.mtl.specs import (
 )
 
 __all__ = [
+    'NO_ASSUMPTIONS',
     'SHIPPED',
     'SIGNALS',
+    'Assumptions',
     'Formula',
     'Monitor',
     'Reading',
     'Spec',
     'Verdict',
     'atoms',
+    'parse_assumptions',
     'parse_bounds',
     'parse_formula',
     'parse_rates',

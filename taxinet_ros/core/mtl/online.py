@@ -106,14 +106,14 @@ class Monitor:
             raise UsageError(f'monitor: horizon is {horizon_ns} ns, needs to be > 0')
         if max_gap_ns is not None and max_gap_ns <= 0:
             raise UsageError(f'monitor: max_gap is {max_gap_ns} ns, needs to be > 0')
-        for name in [*(bounds or {}), *(rates or {})]:
-            if name not in SIGNALS:
-                raise UsageError(f'monitor: unknown signal {name!r}; known: {", ".join(SIGNALS)}')
         self.spec = spec
         self.horizon_ns = horizon_ns
         self.breach = ''
         self._max_gap_ns = INF if max_gap_ns is None else max_gap_ns
         self._names = ast.signal_names(spec.formula)
+        for name in [*(bounds or {}), *(rates or {})]:
+            if name not in SIGNALS and name not in self._names:
+                raise UsageError(f'monitor: unknown signal {name!r}; known: {", ".join(SIGNALS)}')
         self._envelope = Envelope(self._names, bounds, rates)
         self._assumes = bool(bounds or rates)
         self._stamps_ns: list[int] = []

@@ -7,7 +7,14 @@ import math
 import pytest
 
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import Monitor, parse_bounds, parse_rates, parse_spec
+from taxinet_ros.core.mtl import (
+    Assumptions,
+    Monitor,
+    parse_assumptions,
+    parse_bounds,
+    parse_rates,
+    parse_spec,
+)
 
 
 def test_given_bounds_when_read_then_the_monitor_takes_them() -> None:
@@ -59,3 +66,14 @@ def test_given_bad_bounds_when_read_then_one_line_says_why(texts: list[str], mes
 def test_given_bad_rates_when_read_then_one_line_says_why(texts: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         parse_rates(texts)
+
+
+def test_given_signals_of_another_robot_then_those_are_known_and_ours_are_not():
+    found = parse_assumptions(['depth=0:40'], ['depth=2', 'yaw=0.5'], signals=['depth', 'yaw'])
+    assert found == Assumptions(bounds={'depth': (0, 40)}, rates={'depth': 2, 'yaw': 0.5})
+    assert found.about({'yaw'}) == Assumptions(rates={'yaw': 0.5})
+    with pytest.raises(UsageError) as caught:
+        parse_assumptions(['cte=0:1'], [], signals=['depth', 'yaw'])
+    assert str(caught.value) == "bound 'cte=0:1': unknown signal 'cte'; known: depth, yaw"
+    with pytest.raises(UsageError, match="rate 'yaw=-1': expected a number >= 0, e.g. yaw=3"):
+        parse_assumptions([], ['yaw=-1'], signals=['depth', 'yaw'])

@@ -1,0 +1,223 @@
+"""The runs of a campaign as an analysis wants them: judged ones with features, others counted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.group_rates import Floats, GroupRate, Mask, group_rate
+from taxinet_ros.analysis.run_features import PLAIN, feature_columns
+from taxinet_ros.campaign.facts import FACTS_NAME
+from taxinet_ros.campaign.table import PARQUET_NAME, read_table
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+
+_SCENE = [feature.source for feature in PLAIN]
+_NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
+_JUDGED = [Outcome.PASS.value, Outcome.FAIL.value]
+_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
+
+
+class Weighting(Enum):
+    """What a share of runs says of the program's own distribution."""
+
+    DRAWN = 'drawn'
+    """The runs were drawn from it: shares are its rates."""
+    WEIGHTED = 'weighted'
+    """A sampler chose the runs, and says with which weights they stand for it."""
+    UNKNOWN = 'unknown'
+    """A sampler chose the runs, and nobody knows their weights: shares are of these runs only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignRuns:
+    """A campaign's runs.
+
+    Attributes:
+        label: names it beside others: its network, and the folder where that is not enough.
+        path: folder or file that it was read from.
+        program, perception, sampler: what was run, with what, who chose the scenes.
+        spec: name of the formula that says which runs failed.
+        facts: of ``campaign.json``, where there is one.
+        frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
+            ``rho`` (NaN where nothing is known of its size), ``rho_exact`` (False where the run was
+            stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
+            the features.
+        others: number of runs by outcome, of those without a verdict.
+        undecided: judged runs that were stopped before this formula was decided.
+        weighting: what shares of these runs say.
+    """
+
+    label: str
+    path: Path
+    program: str
+    perception: str
+    sampler: str
+    spec: str
+    facts: Mapping[str, Any]
+    frame: pd.DataFrame
+    others: Mapping[str, int]
+    undecided: int
+    weighting: Weighting
+
+    @property
+    def folder(self) -> Path:
+        """Where the bags are, if they are anywhere."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    @property
+    def failed(self) -> Mask:
+        """Which runs failed."""
+        return self.frame['failed'].to_numpy(dtype=bool)
+
+    @property
+    def weight(self) -> Floats:
+        """Weight of each run, NaN where it is not known."""
+        return self.frame['weight'].to_numpy(dtype=np.float64)
+
+    @property
+    def stopped(self) -> int:
+        """Number of runs that were stopped early, whose rho is a bound."""
+        return int((~self.frame['rho_exact']).sum())
+
+    def rate(self, among: Mask | None = None) -> GroupRate:
+        """How often the runs fail, or those of them that are named."""
+        if among is None:
+            return group_rate(self.failed, self.weight)
+        return group_rate(self.failed[among], self.weight[among])
+
+    def off_runway(self) -> GroupRate | None:
+        """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+        left = self.frame['left_runway']
+        if left.isna().any():
+            return None
+        return group_rate(left.to_numpy() > 0, self.weight)
+
+
+def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
+    """The runs of a campaign's folder, or of a table of one.
+
+    Args:
+        path: folder, or ``.parquet`` file.
+        spec: formula that says which runs failed; None for the headline.
+
+    Raises:
+        UsageError: there is no such table or formula, or no run was judged.
+    """
+    table = read_table(path)
+    missing = [name for name in _NEEDED if name not in table.columns]
+    if missing:
+        raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
+    name = _spec_name(table, path, spec)
+    counts = table.loc[~table['outcome'].isin(_JUDGED), 'outcome'].value_counts()
+    others = {str(outcome): int(count) for outcome, count in sorted(counts.items())}
+    judged = table[table['outcome'].isin(_JUDGED)].sort_values('index', ignore_index=True)
+    frame = _frame(judged, name)
+    decided = ~frame['failed'].isna()
+    _check(judged, decided, others, path, name)
+    frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
+    perception = _common(table['perception'])
+    return CampaignRuns(
+        label=_network(perception), path=path, program=_common(table['program']),
+        perception=perception,
+        sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
+        spec=name, facts=_facts(path), frame=frame,
+        others=others,
+        undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
+    )
+
+
+def told_apart(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:
+    """The campaigns with labels of which no two are equal."""
+    labels = [one.label for one in campaigns]
+    named = [
+        replace(one, label=f'{one.label} ({one.path.stem})') if labels.count(one.label) > 1
+        else one for one in campaigns
+    ]
+    again = [one.label for one in named]
+    return [
+        replace(one, label=f'{one.label} {number}') if again.count(one.label) > 1 else one
+        for number, one in enumerate(named, 1)
+    ]
+
+
+def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
+    names = [str(name).removeprefix(_RHO) for name in table.columns
+             if str(name).startswith(_RHO) and '.' not in str(name)]
+    if not names:
+        raise UsageError(f'{path}: the table has no robustness')
+    if spec is not None and spec not in names:
+        raise UsageError(f'--spec {spec}: not judged in {path}; known: {", ".join(names)}')
+    return spec or names[0]
+
+
+def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
+    """Features and outcome of judged runs; ``failed`` is missing where the sign is not known."""
+    rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
+    empty = np.full(len(rho), np.nan)
+    lower, upper = (
+        judged[start + spec].to_numpy(dtype=np.float64) if start + spec in judged.columns else empty
+        for start in (_LOWER, _UPPER)
+    )
+    exact = ~np.isnan(rho)
+    bound = np.where(upper <= 0, upper, np.where(lower > 0, lower, np.nan))
+    rho = np.where(exact, rho, bound)
+    failed = pd.Series(rho <= 0, dtype='boolean').mask(pd.Series(np.isnan(rho)))
+    left = judged['left_runway'].astype('Float64') if 'left_runway' in judged.columns else None
+    facts = pd.DataFrame({
+        'run_id': judged['run_id'].astype(str), 'index': judged['index'],
+        'bag': judged['bag'].fillna('').astype(str) if 'bag' in judged.columns else '',
+        'weight': judged['weight'].where(judged['weight'] > 0),
+        'rho': rho, 'rho_exact': exact, 'failed': failed,
+        'left_runway': empty if left is None else left.to_numpy(dtype=np.float64, na_value=np.nan),
+    })
+    return pd.concat([facts, feature_columns(judged)], axis=1)
+
+
+def _check(
+    judged: pd.DataFrame, decided: pd.Series[bool], others: Mapping[str, int], path: Path,
+    spec: str,
+) -> None:
+    if not decided.any():
+        counts = ', '.join(f'{count} {outcome}' for outcome, count in others.items())
+        why = f' ({counts})' if counts else ''
+        if len(judged):
+            why = f' by {spec}: all {len(judged)} were stopped before'
+        raise UsageError(f'{path}: no run was judged{why}, so there is nothing to analyse')
+    for name in _SCENE:
+        if judged[name].isna().any():
+            run = judged.loc[judged[name].isna(), 'run_id'].iloc[0]
+            raise UsageError(f'{path}: run {run} was judged, but has no {name}; a damaged table?')
+
+
+def _weighting(weight: pd.Series[float]) -> Weighting:
+    if weight.isna().any():
+        return Weighting.UNKNOWN
+    return Weighting.DRAWN if bool((weight == 1).all()) else Weighting.WEIGHTED
+
+
+def _common(column: pd.Series[str]) -> str:
+    """The values of a column, each once."""
+    return ', '.join(dict.fromkeys(str(value) for value in column.dropna() if str(value)))
+
+
+def _network(perception: str) -> str:
+    return Path(perception).stem if perception.endswith(('.safetensors', '.onnx')) else perception
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    if path.is_file() and path.name != PARQUET_NAME:
+        return {}
+    folder = path if path.is_dir() else path.parent
+    try:
+        facts = json.loads((folder / FACTS_NAME).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return dict(facts) if isinstance(facts, dict) else {}

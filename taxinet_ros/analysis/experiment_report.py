@@ -1,0 +1,299 @@
+"""What a confirmation experiment has shown, for people: sentences, tables, JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.analysis.experiment_pictures import (
+    LEAST_IN_BIN,
+    arms_picture,
+    bins,
+    change_picture,
+    changes,
+    range_words,
+    title_of,
+)
+from taxinet_ros.analysis.paired_arms import Comparison, PairedArms, rho_of
+from taxinet_ros.analysis.paired_rates import Interval, PairedRates, PairedShift
+from taxinet_ros.analysis.report_parts import (
+    Cell,
+    Column,
+    Report,
+    Section,
+    Table,
+)
+from taxinet_ros.campaign.experiment_file import Experiment
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+
+_MOST_FLIPS = 30
+
+
+def experiment_report(found: PairedArms) -> Report:
+    """The whole, as a page."""
+    experiment = found.experiment
+    return Report(
+        title=f'Experiment {experiment.name}: {" / ".join(arm.name for arm in experiment.arms)}',
+        facts=_facts(experiment), summary=tuple(experiment_sentences(found, details=False)),
+        sections=(_section(found), *(_pair_section(found, one) for one in found.comparisons)),
+    )
+
+
+def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator[str]:
+    """The findings, one arm after the other; without ``details`` what matters most."""
+    for comparison in found.comparisons:
+        yield from _headlines(found, comparison)
+        if details:
+            yield from _comparison_sentences(found, comparison)
+    broken = {
+        name: sum(not row.outcome.judged for row in rows) for name, rows in found.rows.items()
+    }
+    for name, number in broken.items():
+        if number:
+            yield f'{number} runs of {name} were not judged; their scenes are in no pair.'
+
+
+def experiment_json(found: PairedArms) -> dict[str, Any]:
+    """The findings as plain values, without NaN."""
+    experiment = found.experiment
+    return {
+        'experiment': experiment.name, 'facts': _facts(experiment),
+        'compare_to': experiment.compare_to, 'over': found.over,
+        'arms': {
+            name: {
+                outcome.value: sum(row.outcome is outcome for row in rows) for outcome in Outcome
+            }
+            for name, rows in found.rows.items()
+        },
+        'comparisons': [_comparison_json(one) for one in found.comparisons],
+        'sentences': list(experiment_sentences(found)),
+    }
+
+
+# Sentences ---------------------------------------------------------------------------------------
+
+
+def _headlines(found: PairedArms, one: Comparison) -> Iterator[str]:
+    """What matters most: satisfied or not, rho, and where."""
+    if not one.pairs:
+        yield f'{one.arm}: no scene was judged in both arms, so nothing can be said.'
+        return
+    what = _formula(found.experiment)
+    rates = one.satisfied
+    yield (
+        f'{_verdict(one)} Of {rates.pairs} scenes {rates.first} satisfy {what} in {one.base} '
+        f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
+        f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
+    )
+    yield _shift_words(one, 'rho', one.rho, 'm', 2)
+    yield from _where_words(found, one)
+
+
+def _comparison_sentences(found: PairedArms, one: Comparison) -> Iterator[str]:
+    """What else there is to say."""
+    if not one.pairs:
+        return
+    rates = one.satisfied
+    yield (
+        f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
+        f"only (McNemar's exact test: p = {_p(rates.p_value)})."
+    )
+    yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, 'm', 2)
+    if one.settle_time_s.pairs:
+        yield (
+            _shift_words(one, 'the time to settle', one.settle_time_s, 's', 1)
+            + f' {one.settled.first} settle at all in {one.base}, {one.settled.second} in '
+            f'{one.arm}.'
+        )
+    off = one.off_runway
+    if off.first or off.second:
+        yield (
+            f'{off.first} leave the runway in {one.base}, {off.second} in {one.arm} '
+            f'(p = {_p(off.p_value)}).'
+        )
+
+
+def _verdict(one: Comparison) -> str:
+    if one.clear:
+        more = 'more' if one.satisfied.second > one.satisfied.first else 'fewer'
+        return f'Clearly {more} runs are satisfied in {one.arm} than in {one.base}.'
+    if one.rho_clear:
+        way = 'greater' if one.rho.change.value > 0 else 'less'
+        return (
+            f'Rho is {way} in {one.arm} than in {one.base}, but how many runs are satisfied does '
+            'not clearly differ.'
+        )
+    return f'No difference between {one.base} and {one.arm} is proven.'
+
+
+def _shift_words(one: Comparison, name: str, shift: PairedShift, unit: str, digits: int) -> str:
+    if not shift.pairs:
+        return f'No pair has {name} in both arms.'
+    if not shift.more + shift.less:
+        return f'In none of {shift.pairs} pairs {name} differs.'
+    value, low, high = shift.change
+    span = (
+        '' if math.isnan(low) else f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
+    )
+    return (
+        f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f} {unit}'
+        f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
+        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}).'
+    )
+
+
+def _where_words(found: PairedArms, one: Comparison) -> Iterator[str]:
+    """Where the change is greatest, of what the picture is drawn over."""
+    x, change = changes(found, one)
+    if len(x) < 2 * LEAST_IN_BIN or x.min() == x.max():
+        return
+    parts = [part for part in bins(x) if part[2].sum() >= LEAST_IN_BIN]
+    medians = [float(np.median(change[part[2]])) for part in parts]
+    if not medians:
+        return
+    greatest = int(np.argmax(np.abs(medians)))
+    low, high, inside = parts[greatest]
+    yield (
+        f'The change of rho is greatest at {range_words(found.over, low, high)}: '
+        f'{medians[greatest]:+.2f} m in the median of {int(inside.sum())} pairs.'
+    )
+
+
+def _formula(experiment: Experiment) -> str:
+    name = experiment.specs[0].partition('=')[0]
+    return name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas'
+
+
+def _points(difference: Interval) -> str:
+    value, low, high = (100 * part for part in difference)
+    return f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})'
+
+
+def _p(value: float) -> str:
+    return f'{value:.3f}' if value >= 0.001 else f'{value:.0e}'
+
+
+def _facts(experiment: Experiment) -> dict[str, str]:
+    arms = {
+        f'arm {arm.name}': ', '.join([
+            *(f'{key}={value}' for key, value in arm.laid_over.items()),
+            *(f'steering.{key}={value:g}' for key, value in arm.gains.items()),
+            f'perception {arm.perception}',
+        ])
+        for arm in experiment.arms
+    }
+    fixed = ', '.join(f'{key}={value}' for key, value in experiment.overrides.items())
+    return {
+        'program': experiment.program, 'scenes': f'{experiment.runs}, the same in every arm',
+        'seed': str(experiment.seed), 'sampler': experiment.sampler,
+        'formulas': ', '.join(experiment.specs), **({'fixed': fixed} if fixed else {}), **arms,
+    }
+
+
+# Sections ----------------------------------------------------------------------------------------
+
+
+def _section(found: PairedArms) -> Section:
+    return Section(
+        name='arms', heading='The arms',
+        sentences=(
+            'Every scene was run once in each arm; only what an arm sets is different. So runs are '
+            'compared in pairs, and what else makes a scene hard or easy drops out.',
+        ),
+        pictures=(arms_picture(found),), tables=(_arms_table(found),),
+    )
+
+
+def _pair_section(found: PairedArms, one: Comparison) -> Section:
+    return Section(
+        name=f'pairs-{one.arm}', heading=f'{one.arm} against {one.base}',
+        sentences=tuple(_comparison_sentences(found, one)),
+        pictures=(change_picture(found, one),), tables=_flips_tables(found, one),
+    )
+
+
+def _arms_table(found: PairedArms) -> Table:
+    return Table(
+        name='arms', title='What became of the scenes', caption='Over all judged runs of an arm.',
+        columns=(
+            Column(name='arm', title='arm'), Column(name='judged', title='judged'),
+            Column(name='satisfied', title='satisfied'),
+            Column(name='satisfied_percent', title='satisfied [%]', decimals=1),
+            Column(name='off_runway', title='off the runway'),
+            Column(name='median_rho', title='median ρ', decimals=2),
+            Column(name='infra_errors', title='broken by the bench'),
+        ),
+        rows=tuple(_arm_line(name, rows) for name, rows in found.rows.items()),
+    )
+
+
+def _arm_line(name: str, rows: Sequence[RunRow]) -> tuple[Cell, ...]:
+    judged = [row for row in rows if row.outcome.judged]
+    passed = sum(row.outcome is Outcome.PASS for row in judged)
+    return (
+        name, len(judged), passed, 100 * passed / len(judged) if judged else None,
+        sum(bool(row.left_runway) for row in judged),
+        float(np.median([rho_of(row) for row in judged])) if judged else None,
+        sum(row.outcome is Outcome.INFRA_ERROR for row in rows),
+    )
+
+
+def _flips_tables(found: PairedArms, one: Comparison) -> tuple[Table, ...]:
+    flips = [pair for pair in one.pairs if pair[0].outcome is not pair[1].outcome]
+    if not flips:
+        return ()
+    flips.sort(key=lambda pair: -abs(rho_of(pair[1]) - rho_of(pair[0])))
+    return (Table(
+        name=f'flips_{one.arm}', title='Scenes with another verdict',
+        caption=f'{len(flips)} of {len(one.pairs)} pairs, the greatest change of ρ first'
+                f'{f"; {_MOST_FLIPS} are shown" if len(flips) > _MOST_FLIPS else ""}.',
+        columns=(
+            Column(name='index', title='scene'),
+            Column(name=found.over, title=title_of(found.over), decimals=2),
+            Column(name=f'outcome_{one.base}', title=one.base),
+            Column(name=f'outcome_{one.arm}', title=one.arm),
+            Column(name=f'rho_{one.base}', title=f'ρ, {one.base}', decimals=2),
+            Column(name=f'rho_{one.arm}', title=f'ρ, {one.arm}', decimals=2),
+        ),
+        rows=tuple(
+            (a.index, getattr(a, found.over), a.outcome, b.outcome, rho_of(a), rho_of(b))
+            for a, b in flips[:_MOST_FLIPS]
+        ),
+    ),)
+
+
+# JSON --------------------------------------------------------------------------------------------
+
+
+def _comparison_json(one: Comparison) -> dict[str, Any]:
+    return {
+        'arm': one.arm, 'base': one.base, 'pairs': len(one.pairs), 'unpaired': one.unpaired,
+        'satisfied': _rates_json(one.satisfied), 'off_runway': _rates_json(one.off_runway),
+        'settled': _rates_json(one.settled), 'rho': _shift_json(one.rho),
+        'max_cross_track_m': _shift_json(one.max_cross_track_m),
+        'settle_time_s': _shift_json(one.settle_time_s),
+    }
+
+
+def _rates_json(rates: PairedRates) -> dict[str, Any]:
+    return {
+        'base': rates.first, 'arm': rates.second, 'both': rates.both,
+        'base_only': rates.only_first, 'arm_only': rates.only_second, 'neither': rates.neither,
+        'mcnemar_p': rates.p_value, **_interval_json('difference', rates.difference),
+    }
+
+
+def _shift_json(shift: PairedShift) -> dict[str, Any]:
+    return {
+        'pairs': shift.pairs, 'more': shift.more, 'less': shift.less, 'wilcoxon_p': shift.p_value,
+        **_interval_json('change', shift.change),
+    }
+
+
+def _interval_json(name: str, interval: Interval) -> dict[str, Any]:
+    value, low, high = (None if math.isnan(part) else part for part in interval)
+    return {name: value, 'low': low, 'high': high}

@@ -1,0 +1,115 @@
+"""The findings about a campaign as plain values for ``analysis.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.analysis.campaign_runs import CampaignRuns
+from taxinet_ros.analysis.causes import Cause
+from taxinet_ros.analysis.comparisons import Comparison
+from taxinet_ros.analysis.failure_region import Interval, Region
+from taxinet_ros.analysis.findings import Findings
+from taxinet_ros.analysis.group_rates import GroupRate
+from taxinet_ros.analysis.report_parts import Report
+
+SCHEMA, VERSION = 'taxinet-analysis', 1
+
+
+def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
+    """All findings; shares are fractions 0..1, and what is not known or not finite is None.
+
+    Args:
+        findings: of an analysis.
+        report: on it.
+    """
+    values = {
+        'schema': SCHEMA, 'version': VERSION, 'title': report.title, 'facts': dict(report.facts),
+        'summary': list(report.summary), 'alpha': findings.alpha,
+        'campaign': _campaign(findings.runs),
+        'ranking': [
+            {'feature': one.feature.name, 'information_bit': one.information_bit,
+             'explained': one.explained, 'p': one.p} for one in findings.ranking
+        ],
+        'causes': [_cause(one) for one in findings.causes.found],
+        'causes_why_not': findings.causes.why_not,
+        'outside_causes': _rate(findings.causes.rest), 'candidates': findings.causes.candidates,
+        'clusters': [
+            {'number': one.number, 'failures': one.failures, 'share': one.share,
+             'words': one.words(), 'region': _region(one.common), 'typical_run': one.typical,
+             'median_rho': one.median_rho} for one in findings.clusters.found
+        ],
+        'silhouette': findings.clusters.silhouette if findings.clusters.found else None,
+        'principal_axes': [
+            {'explained': one.explained, 'loadings': dict(one.loadings)} for one in findings.axes
+        ],
+        'tree': None if findings.tree is None else {
+            'depth': findings.tree.depth, 'accuracy': findings.tree.accuracy,
+            'guess': findings.tree.guess,
+            'rules': [{'words': rule.region.words(), 'region': _region(rule.region),
+                       'rate': _rate(rule.rate)} for rule in findings.tree.rules],
+        },
+        'baselines': [_baseline(one) for one in findings.comparisons],
+        'runs_to_look_at': {run: str(folder) for run, folder in report.runs.items()},
+    }
+    cleaned = plain_values(values)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def plain_values(value: Any) -> Any:
+    """The same in JSON's own types, without numbers that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_values(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _campaign(runs: CampaignRuns) -> dict[str, Any]:
+    off = runs.off_runway()
+    return {
+        'label': runs.label, 'path': str(runs.path), 'program': runs.program,
+        'perception': runs.perception, 'sampler': runs.sampler, 'spec': runs.spec,
+        'weighting': runs.weighting.value, 'judged': len(runs.frame),
+        'without_verdict': dict(runs.others), 'undecided': runs.undecided,
+        'stopped_early': runs.stopped, 'failed': _rate(runs.rate()),
+        'left_runway': None if off is None else _rate(off),
+    }
+
+
+def _baseline(one: Comparison) -> dict[str, Any]:
+    return {
+        **_campaign(one.baseline), 'difference': one.difference._asdict(),
+        'changed': None if one.changed is None else one.changed._asdict(),
+        'in_causes': [_rate(rate) for rate in one.in_causes],
+        'outside_causes': _rate(one.off_causes),
+    }
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    return {
+        'rank': cause.rank, 'words': cause.region.words(), 'sentence': cause.sentence(),
+        'region': _region(cause.region), 'inside': _rate(cause.inside),
+        'outside': _rate(cause.outside), 'all_runs': _rate(cause.whole),
+        'explained': cause.explained, 'p': cause.p, 'p_is_bound': cause.p_is_bound,
+    }
+
+
+def _region(region: Region) -> list[dict[str, Any]]:
+    return [
+        {'feature': part.feature, 'low': part.low, 'high': part.high}
+        if isinstance(part, Interval) else {'feature': part.feature, 'kinds': list(part.kinds)}
+        for part in region.parts
+    ]
+
+
+def _rate(rate: GroupRate) -> dict[str, Any]:
+    return rate._asdict()

@@ -1,0 +1,236 @@
+"""Whose fault failures are: a campaign's failed runs once more, with the truth for the network.
+
+The folder holds ``trials.jsonl``, append-only and flushed to the disk after every trial: what is
+done is never done again, so the same command goes on where an interrupted one was, and so does one
+that asks for more runs or other substitutions.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.layout import disk_error, sync_folder
+from taxinet_ros.campaign.counterexamples import (
+    FailedRuns,
+    failed_runs,
+    scenario_of_row,
+    spread,
+)
+from taxinet_ros.campaign.journal import Journal
+from taxinet_ros.campaign.options import DEFAULT_ROOT
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.substituted_perception import (
+    AS_RECORDED,
+    TRUTH,
+    TRUTH_CTE,
+    TRUTH_HEADING,
+    parse_substitution,
+)
+
+TRIALS_NAME = 'trials.jsonl'
+DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
+MOST_WORKERS = 64
+
+Trials = Mapping[tuple[str, str], Trial]
+"""Trials by run and by word of the substitution."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizeOptions:
+    """What is to be found out.
+
+    Attributes:
+        failed: the campaign's failed runs.
+        rows: those of them to look into.
+        words: of the substitutions, the control first.
+        perception: word or file of the network.
+        workers: processes.
+        out: folder.
+    """
+
+    failed: FailedRuns
+    rows: tuple[RunRow, ...]
+    words: tuple[str, ...]
+    perception: str
+    workers: int
+    out: Path
+
+    @property
+    def wanted(self) -> int:
+        """Number of trials in all."""
+        return len(self.rows) * len(self.words)
+
+
+def make_localize_options(
+    campaign: Path, *, runs: int | None, words: Iterable[str], workers: int, out: Path | None,
+    perception: str | None,
+) -> LocalizeOptions:
+    """Check what a person typed.
+
+    Args:
+        campaign: the campaign's folder.
+        runs: most failed runs to look into, spread over all; None for all.
+        words: of substitutions; :data:`DEFAULT_WORDS` where empty.
+        workers: processes.
+        out: folder; where None, one below ``bags/`` named after the campaign.
+        perception: the network's file where it is elsewhere now; None for the campaign's.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    if not 1 <= workers <= MOST_WORKERS:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
+    if runs is not None and runs < 1:
+        raise UsageError(f'--runs {runs}: needs to be 1 or more')
+    chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
+    failed = failed_runs(campaign)
+    if not failed.specs:
+        raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
+    return LocalizeOptions(
+        failed=failed, rows=spread(failed.rows, runs),
+        words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
+        perception=_network(failed, perception), workers=workers,
+        out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
+    )
+
+
+def localize(
+    options: LocalizeOptions, on_trial: Callable[[int], None], interrupted: Callable[[], bool],
+) -> dict[tuple[str, str], Trial]:
+    """Make the trials that are not made yet.
+
+    Args:
+        options: what is to be found out.
+        on_trial: called with the number of trials that are done, first with those of before.
+        interrupted: whether to begin no more.
+
+    Returns:
+        The trials that were asked for, as far as they are done.
+
+    Raises:
+        UsageError: the folder cannot be used, or holds trials of another campaign.
+        InfraError: a worker process died.
+    """
+    journal = _open(options)
+    try:
+        done = _earlier(options, journal)
+        wanted = {(row.run_id, word) for row in options.rows for word in options.words}
+        kept = {key: trial for key, trial in done.items() if key in wanted}
+        on_trial(len(kept))
+        tasks = _tasks(options, kept, interrupted)
+        facts = options.failed.facts
+        bench = Bench(
+            perception=options.perception, specs=options.failed.specs,
+            gains=dict(options.failed.gains), stop_on=options.failed.stop_on,
+            bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
+        )
+        for trial in run_trials(tasks, bench, options.workers):
+            _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
+            kept[trial.run_id, trial.word] = trial
+            on_trial(len(kept))
+        return kept
+    finally:
+        journal.close()
+
+
+def _tasks(
+    options: LocalizeOptions, done: Trials, interrupted: Callable[[], bool]
+) -> Iterator[Task]:
+    for row in options.rows:
+        missing = [word for word in options.words if (row.run_id, word) not in done]
+        if not missing:
+            continue
+        scenario, exact = scenario_of_row(row, options.failed.folder)
+        for word in missing:
+            if interrupted():
+                return
+            yield Task(
+                run_id=row.run_id, scenario=scenario, word=word, seed=(row.seed, row.index),
+                exact=exact,
+            )
+
+
+def _network(failed: FailedRuns, given: str | None) -> str:
+    """The network that the campaign was run with.
+
+    Raises:
+        UsageError: it cannot be found, or is another one now.
+    """
+    recorded = failed.rows[0].perception_fingerprint
+    word = given or failed.rows[0].perception or failed.facts.get('perception', '')
+    mend = f'name the file that {failed.folder} was run with: --perception FILE'
+    try:
+        found = check_perception(word)
+    except UsageError as error:
+        raise UsageError(f'{error}; {mend}') from error
+    if found != recorded:
+        what = f'sha256 {found[:12]}…' if found else 'the truth'
+        before = f'sha256 {recorded[:12]}…' if recorded else 'the truth'
+        raise UsageError(f'perception {word} is {what}, the runs had {before}; {mend}')
+    return str(word)
+
+
+def _facts(options: LocalizeOptions) -> dict[str, Any]:
+    """What trials depend on besides run and substitution."""
+    failed = options.failed
+    names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
+    facts = {
+        **{name: failed.facts.get(name) for name in names},
+        **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
+        'stop_on': failed.stop_on.value,
+        'perception_sha256': failed.rows[0].perception_fingerprint,
+    }
+    return dict(json.loads(json.dumps(facts)))
+
+
+def _open(options: LocalizeOptions) -> Journal:
+    path = options.out / TRIALS_NAME
+    try:
+        if options.out.is_dir() and not path.exists() and any(options.out.iterdir()):
+            raise UsageError(f'--out {options.out}: holds something else; name another folder')
+        options.out.mkdir(parents=True, exist_ok=True)
+        journal = Journal(path)
+        sync_folder(options.out)
+    except BlockingIOError as error:
+        raise UsageError(f'{path}: another taxinet localize is at work on it') from error
+    except OSError as error:
+        raise UsageError(f'--out {options.out}: cannot be used: {error.strerror}') from error
+    return journal
+
+
+def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str], Trial]:
+    """The trials of before; a new journal is begun with what it is about."""
+    path, facts = options.out / TRIALS_NAME, _facts(options)
+    if not journal.lines:
+        _append(options, journal, {'event': 'localize', 'facts': facts})
+        return {}
+    trials: dict[tuple[str, str], Trial] = {}
+    for number, line in enumerate(journal.lines, start=1):
+        try:
+            event = json.loads(line)
+            if event['event'] == 'trial':
+                trial = Trial.from_json(event['trial'])
+                trials[trial.run_id, trial.word] = trial
+            elif event['facts'] != facts:
+                raise UsageError(
+                    f'--out {options.out}: holds trials of another campaign or network; '
+                    'name another folder'
+                )
+        except (ValueError, KeyError, TypeError) as error:
+            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+    return trials
+
+
+def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:
+    try:
+        journal.append(event)
+        journal.sync()
+    except OSError as error:
+        raise disk_error(options.out / TRIALS_NAME, error) from error

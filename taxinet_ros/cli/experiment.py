@@ -1,0 +1,113 @@
+"""``taxinet experiment``: the same scenes with and without what is under suspicion."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.bag.layout import write_atomically, write_whole
+from taxinet_ros.campaign.crew import Crew
+from taxinet_ros.campaign.experiment import arm_rows, arm_searches, check_paired
+from taxinet_ros.campaign.experiment_file import Experiment
+from taxinet_ros.campaign.interrupts import interrupts
+from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_loop import run_search
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.cli.search_view import search_view
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.worker import worker_command
+
+INTERRUPTED, BROKEN = 130, 4
+PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
+
+
+def run_experiment(
+    experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool
+) -> int:
+    """Run every arm, compare them, and print what came of it.
+
+    Returns:
+        Exit code: 0 done, 4 the bench broke some run, 130 interrupted; ``--resume`` goes on.
+
+    Raises:
+        UsageError: bad input, or arms whose scenes are not the same.
+    """
+    console = Console(highlight=False, stderr=as_json)
+    searches = arm_searches(experiment, out, workers=workers, resume=resume)
+    for number, (name, options) in enumerate(searches.items(), 1):
+        console.print(
+            f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
+            f'{options.campaign.out}', soft_wrap=True,
+        )
+        if not _run_arm(options, console):
+            console.print('interrupted; --resume goes on')
+            return INTERRUPTED
+    rows = arm_rows(experiment, out)
+    check_paired(experiment, rows)
+    _report(experiment, rows, out, console, as_json=as_json)
+    broken = any(row.outcome is Outcome.INFRA_ERROR for arm in rows.values() for row in arm)
+    return BROKEN if broken else 0
+
+
+def _run_arm(options: SearchOptions, console: Console) -> bool:
+    """Run one arm; False where it was interrupted before its end."""
+    live = console.is_terminal
+
+    def show(row: RunRow) -> None:
+        # A terminal has the bar for what goes as it should.
+        if not live or not row.outcome.judged:
+            console.print(row_line(row), soft_wrap=True)
+
+    with (
+        Search(options, PARTICIPANTS, show) as search,
+        interrupts(search.interrupt),
+        search_view(console, search, shown=live),
+        Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+    ):
+        run_search(search, crew)
+    return not search.interrupted or len(search.rows) >= options.campaign.runs
+
+
+def _report(
+    experiment: Experiment, rows: dict[str, tuple[RunRow, ...]], out: Path, console: Console, *,
+    as_json: bool,
+) -> None:
+    from taxinet_ros.analysis.experiment_report import (
+        experiment_json,
+        experiment_report,
+        experiment_sentences,
+    )
+    from taxinet_ros.analysis.paired_arms import paired_arms, pairs_frame
+    from taxinet_ros.analysis.picture_files import LIGHT, write_png
+    from taxinet_ros.analysis.report_page import write_report_page
+
+    found = paired_arms(experiment, rows)
+    values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
+    pairs = out / PAIRS_NAME
+    write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    write_atomically(out / JSON_NAME, json.dumps(values, indent=2) + '\n')
+    pictures = [
+        write_png(picture, out, LIGHT) for section in report.sections
+        for picture in section.pictures
+    ]
+    write_report_page(report, out / PAGE_NAME)
+    if as_json:
+        print(json.dumps(values, indent=2))
+        return
+    names = [PAGE_NAME, *(path.name for path in pictures), PAIRS_NAME, JSON_NAME]
+    lines = [*experiment_sentences(found), f'written: {out / names[0]}, {", ".join(names[1:])}']
+    console.print('\n'.join(lines), soft_wrap=True, markup=False)
+
+
+def _command(options: SearchOptions) -> list[str]:
+    campaign = options.campaign
+    return worker_command(GraphOptions(
+        perception=campaign.perception, out=campaign.out, images=campaign.images,
+        gains=campaign.gains,
+    ))

@@ -1,0 +1,83 @@
+"""``taxinet gate``: a campaign held against what continuous integration asks of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.analysis.gate import GateAnswer, GateOptions, Verdict, ask_gate
+from taxinet_ros.analysis.junit import junit_xml
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+
+FAILED, INCONCLUSIVE = 1, 3
+INCONCLUSIVE_WORDS = {'pass': 0, 'fail': FAILED, 'report': INCONCLUSIVE}
+"""What ``--inconclusive`` makes of the exit code."""
+
+
+def run_gate(
+    folder: Path, options: GateOptions, *, inconclusive: str, junit: Path | None, as_json: bool
+) -> int:
+    """Print the answer, and write it as JUnit XML if asked.
+
+    Returns:
+        Exit code: 0 PASS, 1 FAIL, 3 INCONCLUSIVE unless ``inconclusive`` says otherwise.
+
+    Raises:
+        UsageError: it is no campaign, or it cannot answer.
+    """
+    if inconclusive not in INCONCLUSIVE_WORDS:
+        known = ', '.join(INCONCLUSIVE_WORDS)
+        raise UsageError(f'--inconclusive {inconclusive}: unknown; known: {known}')
+    path = folder / LEDGER_NAME
+    if not path.is_file():
+        raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
+    content = read_ledger(path)
+    answer = ask_gate(content.rows, options, planned=int(content.campaign.get('runs', 0)))
+    if junit is not None:
+        document = junit_xml(
+            content.rows, answer, folder, content.campaign,
+            inconclusive_passes=inconclusive == 'pass',
+        )
+        if not junit.parent.is_dir():
+            raise UsageError(f'--junit {junit}: there is no folder {junit.parent}')
+        write_whole(junit, lambda draft: draft.write_bytes(document))
+    print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
+    codes = {Verdict.PASS: 0, Verdict.FAIL: FAILED}
+    return codes.get(answer.verdict, INCONCLUSIVE_WORDS[inconclusive])
+
+
+def _words(answer: GateAnswer, folder: Path) -> str:
+    counts = ', '.join(f'{n} {outcome}' for outcome, n in answer.counts.items() if n)
+    lines = [f'{answer.verdict}: {folder} ({counts or "no run"})']
+    lines += [f'  {one.verdict:<12} {one.name}: {one.sentence}' for one in answer.criteria]
+    lines += [f'  note: {note}' for note in answer.notes]
+    return '\n'.join(lines)
+
+
+def _json(answer: GateAnswer, options: GateOptions) -> dict[str, Any]:
+    return {
+        'verdict': answer.verdict.value,
+        'confidence': options.confidence,
+        'bounds': 'one-sided, each at this confidence',
+        'judged': answer.judged,
+        'effective': answer.effective,
+        'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},
+        'criteria': [
+            {
+                'name': one.name, 'verdict': one.verdict.value, 'sentence': one.sentence,
+                **({} if one.bounds is None else {
+                    'share': None if math.isnan(one.bounds.share) else one.bounds.share,
+                    'low': one.bounds.low, 'high': one.bounds.high,
+                    'more_runs': one.more_runs,
+                }),
+            }
+            for one in answer.criteria
+        ],
+        'notes': list(answer.notes),
+    }

@@ -1,0 +1,146 @@
+"""What is concluded from trials, and how it is said."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pandas as pd
+import pytest
+
+from taxinet_ros.analysis.fault_localisation import (
+    Blame,
+    Suffices,
+    judge_case,
+    localisation,
+)
+from taxinet_ros.analysis.fault_report import (
+    localisation_json,
+    localisation_report,
+    localisation_sentences,
+    write_cases,
+)
+from taxinet_ros.analysis.picture_files import DARK, LIGHT, png_bytes
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.trials import Trial
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+
+WORDS = ('as-recorded', 'truth', 'truth-heading', 'truth-cte')
+
+
+def row(index: int, rho: float = -2.0) -> RunRow:
+    return RunRow(
+        run_id=f'run-{index}', index=index, program='p', seed=1, perception='original',
+        outcome=Outcome.FAIL, rho={'phi_eventually': rho}, stopped_early=False,
+        **Scenario().to_human(),
+    )
+
+
+def trials(index: int, *answers: bool | None, exact: bool = True, control: float = -2.0):
+    """Trials of a run: the control, then truth, heading and CTE as far as they are given."""
+    made = [Trial(run_id=f'run-{index}', word='as-recorded', passed=control > 0, exact=exact,
+                  rho_lower=control, rho_upper=control)]
+    made += [
+        Trial(run_id=f'run-{index}', word=word, passed=passed)
+        for word, passed in zip(WORDS[1:], answers, strict=False)
+    ]
+    return {trial.word: trial for trial in made}
+
+
+@pytest.mark.parametrize(
+    ('made', 'blame', 'suffices'),
+    [
+        (trials(0, True, True, True), Blame.PERCEPTION, Suffices.EITHER),
+        (trials(0, True, True, False), Blame.PERCEPTION, Suffices.HEADING),
+        (trials(0, True, False, True), Blame.PERCEPTION, Suffices.CTE),
+        (trials(0, True, False, False), Blame.PERCEPTION, Suffices.NEITHER),
+        (trials(0, False, False, False), Blame.CONTROLLER, Suffices.NEITHER),
+        (trials(0, True), Blame.PERCEPTION, Suffices.UNKNOWN),
+        (trials(0, None, True, True), Blame.UNKNOWN, Suffices.EITHER),
+        (trials(0), Blame.UNKNOWN, Suffices.UNKNOWN),
+        ({}, Blame.UNKNOWN, Suffices.UNKNOWN),
+        (trials(0, True, True, True, control=-2.0000001), Blame.NOT_REPRODUCED, Suffices.EITHER),
+        (trials(0, True, True, True, control=1.0), Blame.NOT_REPRODUCED, Suffices.EITHER),
+        (trials(0, True, exact=False, control=-1.9), Blame.PERCEPTION, Suffices.UNKNOWN),
+        (trials(0, True, exact=False, control=0.1), Blame.NOT_REPRODUCED, Suffices.UNKNOWN),
+    ],
+)
+def test_given_trials_then_the_verdict_follows(made, blame, suffices):
+    case = judge_case(row(0), made)
+    assert (case.blame, case.suffices) == (blame, suffices)
+
+
+def found(answers, *, words=WORDS, chosen_by='random', failed=None, **kinds):
+    rows = [row(index) for index in range(len(answers))]
+    made = {
+        (one.run_id, word): trial
+        for one, given in zip(rows, answers, strict=True)
+        for word, trial in trials(one.index, *given, **kinds).items()
+    }
+    return localisation(
+        rows, made, words=words, spec='phi_eventually', specs=1, perception='original',
+        failed=failed or len(rows), runs=4 * len(rows), chosen_by=chosen_by,
+    )
+
+
+def said(*given, **kinds) -> str:
+    return ' '.join(localisation_sentences(found(*given, **kinds)))
+
+
+def test_given_that_all_pass_with_the_truth_then_the_network_is_to_blame():
+    words = said([(True, True, False)] * 3 + [(True, False, False)])
+    # Clopper and Pearson, 4 of 4: the lower end is 0.025 ** (1 / 4).
+    assert 'All 4 counterexamples satisfy phi_eventually with perfect perception' in words
+    assert f'{100 * 0.025**0.25:.1f}–100.0 %): the network is to blame' in words
+    assert '75 % (19–99 %) with a perfect heading error alone' in words
+    assert 'only the heading error for 3, only the cross-track error for 0, and 1 need' in words
+    assert 'looked into' not in words
+
+
+def test_given_that_some_fail_with_the_truth_then_law_and_network_share_the_blame():
+    words = said([(True, True, True), (False, False, False), (False, False, False)])
+    assert '1 of 3 counterexamples' in words
+    assert 'The other 2 fail with it too' in words
+    none = said([(False, False, False)] * 2)
+    assert 'None of 2 counterexamples satisfies phi_eventually' in none
+    assert 'a better network would not help' in none
+
+
+def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share():
+    mixed = found([(True, True, True)] * 3, control=-2.5)
+    assert [case.row.index for case in mixed.not_reproduced] == [0, 1, 2]
+    assert mixed.passing('truth')[:2] == (0, 0)
+    words = ' '.join(localisation_sentences(mixed))
+    assert 'nothing can be said' in words
+    assert '3 of 3 did not come out as recorded (run-0, run-1, run-2)' in words
+
+
+def test_given_a_biased_choice_a_sample_or_scenes_of_the_ledger_then_the_reader_is_told():
+    words = said([(True, True, True)] * 2, chosen_by='ce', failed=50, exact=False)
+    assert '2 of the 50 failed runs were looked into' in words
+    assert 'chosen by ce' in words
+    assert 'Of 2 there is no bag' in words
+
+
+def test_given_a_localisation_then_json_table_and_picture_hold_it(tmp_path):
+    one = found([(True, True, False), (False, False, None)], words=(*WORDS, 'delayed:0.5'))
+    text = json.dumps(localisation_json(one), allow_nan=False)
+    values = json.loads(text)
+    assert values['blame'] == {'perception': 1, 'controller': 1, 'not reproduced': 0, 'unknown': 0}
+    assert values['suffices']['heading'] == 1
+    assert [s['judged'] for s in values['substitutions']] == [2, 2, 2, 1, 0]
+    csv, parquet = write_cases(one, tmp_path)
+    frame = pd.read_parquet(parquet)
+    assert list(frame['run_id']) == list(pd.read_csv(csv)['run_id']) == ['run-0', 'run-1']
+    assert list(frame['blame']) == ['perception', 'controller']
+    assert frame['passed_truth_cte'].isna().tolist() == [False, True]
+    report = localisation_report(one)
+    (section,) = report.sections
+    assert [line[2:4] for line in section.tables[0].rows] == [
+        (0, 2), (1, 2), (1, 2), (0, 1), (0, 0)]
+    assert math.isnan(section.tables[0].rows[-1][4])
+    for theme in (LIGHT, DARK):
+        image = png_bytes(section.pictures[0], theme)
+        assert image == png_bytes(section.pictures[0], theme)
+        assert len(image) > 5000

@@ -1,0 +1,266 @@
+"""A campaign held against thresholds, by exact binomial reasoning where that is possible."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from taxinet_ros.analysis.gate import (
+    GateOptions,
+    Verdict,
+    ask_gate,
+    bounds,
+    further_runs,
+)
+from taxinet_ros.analysis.junit import again, junit_xml
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+
+ALPHA = 0.05
+
+
+def row(index: int, outcome: Outcome, *, left: bool | None = False, **changes) -> RunRow:
+    rho = {Outcome.PASS: {'phi': 0.5}, Outcome.FAIL: {'phi': -2.25}}.get(outcome, {})
+    values = {
+        'run_id': f'run-{index}', 'index': index, 'program': 's_falsif', 'seed': 1,
+        'perception': 'original', 'wall_s': 2.0, **Scenario(heading_rad=0.1).to_human(),
+        'rho': rho, 'left_runway': left if rho else None, **changes,
+    }
+    return RunRow(outcome=outcome, **values)
+
+
+def rows(passed: int, failed: int, *, off: int = 0, **changes) -> list[RunRow]:
+    outcomes = [Outcome.PASS] * passed + [Outcome.FAIL] * failed
+    return [
+        row(index, outcome, left=len(outcomes) - index <= off, **changes)
+        for index, outcome in enumerate(outcomes)
+    ]
+
+
+def verdict(passed: int, runs: int, threshold: float) -> Verdict:
+    return ask_gate(
+        rows(passed, runs - passed), GateOptions(min_satisfaction=threshold)).verdict
+
+
+@pytest.mark.parametrize(('runs', 'threshold'), [(100, 0.9), (59, 0.95), (40, 0.5), (200, 0.86)])
+def test_given_as_many_passes_as_chance_seldom_gives_then_pass_and_with_one_less_not(
+    runs, threshold
+):
+    # The least number that a system at the threshold reaches with 5 % at most: from the
+    # distribution itself, and not by way of any interval.
+    least = next(k for k in range(runs + 1) if binom.sf(k - 1, runs, threshold) <= ALPHA)
+    assert verdict(least, runs, threshold) is Verdict.PASS
+    assert verdict(least - 1, runs, threshold) is Verdict.INCONCLUSIVE
+    most = next(k for k in range(runs, -1, -1) if binom.cdf(k, runs, threshold) < ALPHA)
+    assert verdict(most, runs, threshold) is Verdict.FAIL
+    assert verdict(most + 1, runs, threshold) is Verdict.INCONCLUSIVE
+
+
+def test_given_no_failure_at_all_then_it_takes_59_runs_to_prove_95_per_cent():
+    # 0.95 ** 59 < 0.05 < 0.95 ** 58
+    assert verdict(59, 59, 0.95) is Verdict.PASS
+    assert verdict(58, 58, 0.95) is Verdict.INCONCLUSIVE
+
+
+def test_given_the_runway_then_the_largest_share_counts_and_not_the_smallest():
+    options = GateOptions(max_off_runway=0.05)
+    assert ask_gate(rows(59, 0), options).verdict is Verdict.PASS
+    assert ask_gate(rows(58, 0), options).verdict is Verdict.INCONCLUSIVE
+    answer = ask_gate(rows(20, 40, off=30), options)
+    assert answer.verdict is Verdict.FAIL
+    found = answer.criteria[0].bounds
+    assert found is not None
+    assert 0.38 < found.low < found.share == 0.5 < found.high < 0.62
+
+
+def test_given_several_criteria_then_one_that_fails_is_enough_and_one_open_keeps_it_open():
+    both = GateOptions(min_satisfaction=0.5, max_off_runway=0.05)
+    assert ask_gate(rows(90, 10), both).verdict is Verdict.PASS
+    assert ask_gate(rows(90, 10, off=4), both).verdict is Verdict.INCONCLUSIVE
+    assert ask_gate(rows(10, 90, off=4), both).verdict is Verdict.FAIL
+
+
+def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_asked():
+    broken = [row(900 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
+    strict = ask_gate([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
+    assert strict.verdict is Verdict.FAIL
+    assert strict.criteria[-1].name == 'broken by the bench <= 0'
+    assert (strict.judged, strict.counts[Outcome.INFRA_ERROR]) == (100, 2)
+    lenient = ask_gate([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5, max_infra=2))
+    assert lenient.verdict is Verdict.PASS
+    assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
+    nothing = ask_gate(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
+    assert nothing.verdict is Verdict.INCONCLUSIVE
+    assert nothing.criteria[0].sentence == 'no run was judged: all good, 59 would do'
+
+
+def test_given_runs_without_a_result_then_the_reader_is_told():
+    others = [row(7, Outcome.REJECTED), row(8, Outcome.INTERRUPTED)]
+    answer = ask_gate([*rows(5, 1), *others], GateOptions(min_satisfaction=0.5), planned=20)
+    assert answer.notes == (
+        '1 runs were rejected by the program and are in no share',
+        '1 runs were interrupted and are in no share',
+        '12 of 20 planned runs have no result',
+    )
+
+
+def test_given_a_biased_sampler_then_its_weights_undo_the_bias():
+    # A sampler that finds failures ten times as often as they are: 9 % fail, not half.
+    chosen = rows(100, 100)
+    weighted = [
+        dataclasses.replace(one, sampler='ce', weight=1.0 if one.outcome is Outcome.PASS else 0.1)
+        for one in chosen
+    ]
+    assert ask_gate(chosen, GateOptions(min_satisfaction=0.8)).verdict is Verdict.FAIL
+    answer = ask_gate(weighted, GateOptions(min_satisfaction=0.8))
+    assert answer.verdict is Verdict.PASS
+    assert answer.criteria[0].bounds is not None
+    assert answer.criteria[0].bounds.share == pytest.approx(100 / 110)
+    assert answer.effective == pytest.approx(110**2 / 101)
+    assert any('biased' in note for note in answer.notes)
+
+
+def test_given_weights_that_nobody_knows_or_runs_stopped_too_early_then_one_line_refuses():
+    unknown = rows(10, 10, sampler='bo', weight=None)
+    with pytest.raises(UsageError, match='20 runs were chosen by bo, whose weights are not known'):
+        ask_gate(unknown, GateOptions(min_satisfaction=0.5))
+    stopped = [row(0, Outcome.FAIL, left=None)]
+    with pytest.raises(UsageError, match='1 of 1 runs were stopped before'):
+        ask_gate(stopped, GateOptions(max_off_runway=0.1))
+    assert ask_gate(stopped, GateOptions(min_satisfaction=0.5)).judged == 1
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        ({'min_satisfaction': 86}, '--min-satisfaction 86: a share'),
+        ({'max_off_runway': -0.1}, '--max-off-runway -0.1: a share'),
+        ({'max_off_runway': math.nan}, '--max-off-runway nan'),
+        ({'min_satisfaction': 0.5, 'confidence': 95}, '--confidence 95: needs'),
+        ({'min_satisfaction': 0.5, 'max_infra': -1}, '--max-infra -1'),
+        ({}, 'say what is asked'),
+    ],
+)
+def test_given_options_that_make_no_sense_then_one_line_says_so(options, words):
+    with pytest.raises(UsageError, match=words) as error:
+        GateOptions(**options)
+    assert '\n' not in str(error.value)
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.floats(0.5, 0.999))
+def test_given_any_counts_then_the_share_is_within_bounds_that_more_confidence_widens(
+    passed, failed, confidence
+):
+    good = [True] * passed + [False] * failed
+    found = bounds(good, [1.0] * len(good), confidence)
+    if not good:
+        assert math.isnan(found.share)
+        assert (found.low, found.high) == (0.0, 1.0)
+        return
+    assert found.low <= found.share <= found.high
+    wider = bounds(good, [1.0] * len(good), (1 + confidence) / 2)
+    assert wider.low <= found.low
+    assert found.high <= wider.high
+    mirrored = bounds([not one for one in good], [1.0] * len(good), confidence)
+    assert mirrored.low == pytest.approx(1 - found.high, abs=1e-9)
+
+
+def test_given_a_share_at_the_threshold_then_no_number_of_runs_decides():
+    assert further_runs([True, False], [1.0, 1.0], 0.5, 0.95) is None
+    answer = ask_gate(rows(5, 5), GateOptions(min_satisfaction=0.5))
+    assert 'no number of runs' in answer.criteria[0].sentence
+
+
+def test_given_the_runs_that_are_said_to_be_missing_then_they_decide_and_fewer_do_not():
+    good = [True] * 45 + [False] * 5
+    more = further_runs(good, [1.0] * 50, 0.86, 0.95)
+    assert more is not None
+    runs = 50 + more
+    assert binom.sf(round(0.9 * runs) - 1, runs, 0.86) == pytest.approx(ALPHA, abs=0.005)
+    half = 50 + more // 2
+    assert binom.sf(round(0.9 * half) - 1, half, 0.86) > 1.5 * ALPHA
+    sentence = ask_gate(rows(45, 5), GateOptions(min_satisfaction=0.86)).criteria[0].sentence
+    number = int(re.search(r'about ([\d,]+) runs more', sentence)[1].replace(',', ''))
+    assert number == pytest.approx(more, rel=0.06)
+
+
+@pytest.mark.parametrize(('runs', 'threshold'), [(300, 0.86), (37, 0.995), (120, 0.5)])
+def test_given_a_system_at_the_threshold_then_it_passes_or_fails_as_seldom_as_promised(
+    runs, threshold
+):
+    counts = range(runs + 1)
+    found = [bounds([True] * k + [False] * (runs - k), [1.0] * runs, 0.95) for k in counts]
+    chance = binom.pmf(counts, runs, threshold)
+    wrongly = [
+        sum(p for p, one in zip(chance, found, strict=True) if one.low >= threshold),
+        sum(p for p, one in zip(chance, found, strict=True) if one.high < threshold),
+    ]
+    assert max(wrongly) <= ALPHA
+    assert max(wrongly) > ALPHA / 10
+
+
+# JUnit -------------------------------------------------------------------------------------------
+
+
+def document(all_rows, options, *, passes=False) -> ElementTree.Element:
+    answer = ask_gate(all_rows, options)
+    facts = {'program': 's_falsif.scenic', 'seed': 1, 'specs': {'phi': 'always(cte <= 1)'},
+             'gains': {'heading_gain': 1.5}}
+    data = junit_xml(all_rows, answer, Path('c d'), facts, inconclusive_passes=passes)
+    assert data == junit_xml(all_rows, answer, Path('c d'), facts, inconclusive_passes=passes)
+    return ElementTree.fromstring(data)
+
+
+def test_given_a_campaign_then_every_run_and_every_criterion_is_a_test_case():
+    broken = row(3, Outcome.INFRA_ERROR, kind='timeout', who='perception',
+                 detail='a <b> & "c" \x00\x1b\ud800 \U0001f6e9', rho={})
+    some = [row(0, Outcome.PASS), row(1, Outcome.FAIL, left=True, bag='run-1'),
+            row(2, Outcome.FAIL), broken, row(4, Outcome.REJECTED, detail='no draw'),
+            row(5, Outcome.INTERRUPTED)]
+    root = document(some, GateOptions(min_satisfaction=0.9))
+    (suite,) = root.findall('testsuite')
+    assert suite.attrib == {'name': 'c d', 'tests': '8', 'failures': '4', 'errors': '1',
+                            'skipped': '2', 'time': '12.000'}
+    cases = {case.get('name'): case for case in suite.findall('testcase')}
+    assert len(cases) == 8
+    assert len(cases['run-0']) == 0
+    failure = cases['run-1'].find('failure')
+    assert failure.get('message') == 'phi: rho -2.250, off the runway'
+    assert "taxinet run --from 'c d/run-1'" in failure.text
+    assert '--set crossing=on' in cases['run-2'].find('failure').text
+    error = cases['run-3'].find('error')
+    assert error.get('type') == 'timeout'
+    assert error.get('message').endswith('a <b> & "c" \ufffd\ufffd\ufffd \U0001f6e9')
+    assert [cases[name].find('skipped').get('message') for name in ('run-4', 'run-5')] == [
+        'REJECTED: no draw', 'INTERRUPTED']
+    names = {p.get('name'): p.get('value') for p in suite.find('properties')}
+    assert (names['gate'], names['judged'], names['INFRA_ERROR']) == ('FAIL', '3', '1')
+
+
+def test_given_an_open_criterion_then_it_is_skipped_only_where_that_passes():
+    open_ = rows(45, 5)
+    for passes, kind in ((False, 'failure'), (True, 'skipped')):
+        root = document(open_, GateOptions(min_satisfaction=0.86), passes=passes)
+        case = root.find("testsuite/testcase[@classname='gate']")
+        assert case.get('name') == 'satisfied >= 0.86'
+        assert case.find(kind).get('message').startswith('INCONCLUSIVE: 90.00 % of 50 runs')
+
+
+def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
+    scene = Scenario(heading_rad=0.25, clouds='broken', rain=0.5, crossing=False)
+    one = row(0, Outcome.FAIL, **scene.to_human())
+    words = again(one, Path('c'), {'specs': {'phi': 'always(abs(cte) <= 1)'}})
+    assert words.startswith('taxinet run nominal --perception original --spec ')
+    assert "'phi=always(abs(cte) <= 1)'" in words
+    for setting in ('rain=50.0', 'clouds=broken', 'crossing=off', 'heading=14.323944878'):
+        assert f'--set {setting}' in words

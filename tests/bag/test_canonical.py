@@ -1,0 +1,115 @@
+"""Equal messages get equal bytes; the peer is rosbags, which writes them anew with zeros."""
+
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from bag_edits import GOLDEN
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+from taxinet_ros.bag.canonical import Canonical
+from taxinet_ros.bag.cdr_gaps import walk_of
+from taxinet_ros.bag.errors import BagCorrupt
+from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.nodes.recorder import bag_topics
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = [
+    'nav_msgs/msg/Odometry', 'diagnostic_msgs/msg/DiagnosticArray', 'sensor_msgs/msg/Image',
+    'sensor_msgs/msg/CameraInfo', 'visualization_msgs/msg/Marker', 'geometry_msgs/msg/Polygon',
+    'sensor_msgs/msg/PointCloud2', 'rosgraph_msgs/msg/Clock', 'std_msgs/msg/String',
+    'sensor_msgs/msg/MultiDOFJointState', 'sensor_msgs/msg/BatteryState',
+    'shape_msgs/msg/SolidPrimitive', 'rcl_interfaces/msg/ParameterEvent',
+]
+
+
+def values_of(kind):
+    """Anything that a field may hold."""
+    node, what = kind
+    if node is Nodetype.BASE:
+        return base_values(what[0])
+    if node is Nodetype.NAME:
+        return messages_of(what)
+    element, count = what
+    sizes = {'min_size': count, 'max_size': count} if node is Nodetype.ARRAY else {'max_size': 3}
+    inner = st.lists(values_of(element), **sizes)
+    if element[0] is Nodetype.BASE and element[1][0] != 'string':
+        name = {'bool': 'bool', 'byte': 'uint8', 'char': 'uint8', 'octet': 'uint8'}
+        dtype = np.dtype(name.get(element[1][0], element[1][0]))
+        return inner.map(lambda values: np.array(values, dtype))
+    return inner
+
+
+def base_values(name):
+    if name == 'string':
+        return st.text(st.characters(codec='ascii', exclude_characters='\0'), max_size=9)
+    if name == 'bool':
+        return st.booleans()
+    if name.startswith('float'):
+        return st.floats(width=int(name[5:]))
+    return st.integers(0, 100)
+
+
+def messages_of(name):
+    fields = {key: values_of(kind) for key, kind in STORE.fielddefs[name][1]}
+    return st.builds(STORE.types[name], **fields)
+
+
+def dirty(cdr, walk, garbage):
+    """The same message with garbage in its gaps."""
+    gaps, at = [], 4
+    for step in walk._steps:
+        at = step.walk(cdr, at, gaps)
+    spoilt = bytearray(cdr)
+    for start, end in gaps:
+        spoilt[start:end] = (garbage * 2)[: end - start]
+    return bytes(spoilt)
+
+
+@pytest.mark.parametrize('name', TYPES)
+@given(data=st.data(), garbage=st.binary(min_size=7, max_size=7), tail=st.binary(max_size=3))
+def test_given_any_message_with_garbage_in_its_gaps_then_it_is_what_rosbags_writes(
+    name, data, garbage, tail
+):
+    clean = bytes(STORE.serialize_cdr(data.draw(messages_of(name)), name))
+    walk = walk_of(STORE, name)
+    spoilt = dirty(clean, walk, garbage)
+    again = bytes(STORE.serialize_cdr(STORE.deserialize_cdr(spoilt, name), name))
+    assert again == clean, 'what was spoilt means nothing'
+    assert walk.without_gaps(spoilt + tail) == clean
+    assert walk.without_gaps(clean) is clean, 'nothing is copied for nothing'
+
+
+@pytest.mark.parametrize('name', TYPES)
+@given(data=st.data())
+def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes(name, data):
+    clean = bytearray(STORE.serialize_cdr(data.draw(messages_of(name)), name))
+    at = data.draw(st.integers(4, max(4, len(clean) - 1)))
+    clean[at:at + 4] = data.draw(st.binary(max_size=4))
+    with contextlib.suppress(ValueError, struct.error):
+        assert len(walk_of(STORE, name).without_gaps(bytes(clean))) <= len(clean)
+
+
+def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
+    bag = GOLDEN / 'taxinet-midday'
+    topics = bag_topics(True)
+    canonical = Canonical(topics)
+    stored = list(stored_messages(bag))
+    assert len(stored) == sum(read_info(bag).counts.values()) > 500
+    for one in stored:
+        assert canonical.message(one.topic.name, one.cdr) is one.cdr
+
+
+@pytest.mark.parametrize('spoil', [
+    lambda cdr: b'', lambda cdr: cdr[:3], lambda cdr: cdr[:-1], lambda cdr: cdr + bytes(4),
+    lambda cdr: b'\x00\x00' + cdr[2:], lambda cdr: cdr[:4] + b'\xff' * (len(cdr) - 4),
+])
+def test_given_bytes_that_are_no_message_then_the_error_names_the_topic(spoil):
+    canonical = Canonical(bag_topics(True))
+    one = next(m for m in stored_messages(GOLDEN / 'truth-nominal') if m.topic.name == '/scenario')
+    with pytest.raises(BagCorrupt, match=r'/scenario: .* bytes are no message of it'):
+        canonical.message('/scenario', spoil(one.cdr))

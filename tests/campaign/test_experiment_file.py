@@ -1,0 +1,144 @@
+"""Confirmation experiments as YAML files: the shipped ones, and what people get wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.campaign.experiment import arm_searches, check_paired
+from taxinet_ros.campaign.experiment_file import (
+    find_experiment,
+    known_experiments,
+    read_experiment,
+)
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.scene_source import SceneSource
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+
+GOOD = {
+    'program': 's_falsif', 'runs': 5, 'perception': 'truth', 'sampler': 'halton',
+    'set': '{clouds: clear, rain: 0, date: 2020-06-21}',
+    'arms': '{a: {}, b: {set: {shadows: off, steering.heading_gain: 1.2}, perception: original}}',
+}
+
+
+def written(folder: Path, **changes: object) -> Path:
+    values = {**GOOD, **changes}
+    lines = [f'{key}: {value}' for key, value in values.items() if value is not None]
+    path = folder / 'mine.yaml'
+    path.write_text('\n'.join(lines) + '\n')
+    return path
+
+
+def test_given_a_file_then_its_arms_differ_in_what_they_set_only(tmp_path):
+    one = read_experiment(written(tmp_path))
+    a, b = one.arms
+    assert (one.name, one.compare_to, one.seed, one.specs) == ('mine', 'a', 0, ('phi_eventually',))
+    assert one.overrides == {'clouds': 'clear', 'rain': '0', 'date': '2020-06-21'}
+    assert (a.laid_over, a.gains, a.perception) == ({}, {}, 'truth')
+    assert (b.laid_over, b.gains) == ({'shadows': 'off'}, {'heading_gain': 1.2})
+    assert b.perception == 'original'
+    searches = arm_searches(one, tmp_path / 'out', workers=2, resume=False)
+    assert [s.campaign.out.name for s in searches.values()] == ['a', 'b']
+    assert {s.campaign.images for s in searches.values()} == {'none'}
+    assert searches['b'].campaign.overrides == searches['a'].campaign.overrides == one.overrides
+
+
+def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
+    assert known_experiments() == ('crossing', 'light', 'shadows')
+    found = {name: read_experiment(find_experiment(name)) for name in known_experiments()}
+    varied = {name: {key for arm in one.arms for key in arm.laid_over}
+              for name, one in found.items()}
+    assert varied == {'crossing': {'crossing'}, 'light': {'time_of_day'}, 'shadows': {'shadows'}}
+    assert found['light'].arms[1].laid_over == {'time_of_day': '10'}
+    with SceneSource(found['crossing'].program, seed=0) as source:
+        starts = [source.scene(index).distance_m for index in range(20)]
+    assert 1100 <= min(starts) < 1300
+    assert 1500 < max(starts) <= 1700
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words'),
+    [
+        ({'program': None}, "the key 'program' is missing"),
+        ({'program': 's_falsify'}, "program: program 's_falsify': no such file"),
+        ({'runs': 0}, 'runs: expected a whole number, 1 or more, got 0'),
+        ({'runs': 'many'}, "runs: expected a whole number, 1 or more, got 'many'"),
+        ({'seed': -1}, 'seed: expected a whole number, 0 or more'),
+        ({'sampler': 'ce'}, 'sampler: expected one of random, halton, sobol, grid, for all arms '
+                            'need the same scenes; got ce'),
+        ({'perception': 'nobody'}, "perception: perception: 'nobody' is unknown"),
+        ({'specs': 'phi_never'}, 'specs: spec: unknown name'),
+        ({'specs': '[1]'}, 'specs: expected a list of formulas'),
+        ({'set': '{clouds: fog}'}, "set: override clouds=fog: clouds is 'fog'"),
+        ({'set': '{cloud: clear}'}, "set: override cloud=clear: unknown key 'cloud'"),
+        ({'set': '{rain: [1]}'}, 'set.rain: expected a number, a word, on or off'),
+        ({'over': 'wind'}, 'over: expected one of cross_track'),
+        ({'arms': '{on: {}, off: {}}'}, 'arms: expected words as keys, got True; put it in'),
+        ({'arms': '{a: {}}'}, 'arms: expected two or more'),
+        ({'arms': '[a, b]'}, 'arms: expected KEY: VALUE pairs'),
+        ({'arms': '{a: {}, b/c: {}}'}, 'arms.b/c: expected a name of letters'),
+        ({'arms': '{a: {}, b: {sets: {}}}'}, 'arms.b.sets: unknown key; known: set, perception'),
+        ({'arms': '{a: {}, b: {set: {rain: 40}}}'}, 'arms.b.set: override clouds=clear rain=40'),
+        ({'arms': '{a: {}, b: {set: {steering.gain: 1}}}'}, 'arms.b.set.steering.gain: unknown'),
+        ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
+        ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
+        ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),
+        ({'set': '{clouds: '}, 'line '),
+    ],
+)
+def test_given_a_mistake_then_one_line_has_file_key_and_what_is_expected(tmp_path, changes, words):
+    path = written(tmp_path, **changes)
+    with pytest.raises(UsageError) as error:
+        read_experiment(path)
+    text = str(error.value)
+    assert text.startswith(f'{path}: ')
+    assert words in text
+    assert '\n' not in text
+
+
+def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
+    with pytest.raises(UsageError, match='no shipped experiment; known: crossing, light, shadows'):
+        find_experiment('shadow')
+    one = read_experiment(written(tmp_path))
+    with pytest.raises(UsageError, match='exists already'):
+        arm_searches(one, tmp_path, workers=1, resume=False)
+    with pytest.raises(UsageError, match='holds no arm of mine'):
+        arm_searches(one, tmp_path, workers=1, resume=True)
+    with pytest.raises(UsageError, match='--workers 0'):
+        arm_searches(one, tmp_path / 'new', workers=0, resume=False)
+
+
+def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes():
+    free, fixed = (
+        SceneSource('s_falsif', seed=4, laid_over=laid_over)
+        for laid_over in ({}, {'time_of_day': '10'})
+    )
+    with free, fixed:
+        assert len(free.space()) == len(fixed.space())
+        point = [0.37] * len(free.space())
+        for index in range(5):
+            scene, other = (source.scene(index, point) for source in (free, fixed))
+            assert scene != other
+            assert dataclasses.replace(scene, time_of_day_s=36000.0) == other
+
+
+def row(index: int, **changes) -> RunRow:
+    scene = {**Scenario(distance_m=300.0 + index).to_human(), **changes}
+    return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='truth',
+                  outcome=Outcome.PASS, rho={'phi': 1.0}, **scene)
+
+
+def test_given_arms_with_other_scenes_then_they_are_not_compared(tmp_path):
+    one = read_experiment(written(tmp_path))
+    same = {'a': (row(0), row(1)), 'b': (row(0, shadows=False), row(1, shadows=False))}
+    check_paired(one, same)
+    with pytest.raises(UsageError, match=r'run 1 has heading 3.0 in b and 0.0 in a'):
+        check_paired(one, {**same, 'b': (row(0, shadows=False), row(1, heading=3.0))})
+    rejected = RunRow(run_id='r-1', index=1, program='p', seed=0, perception='truth',
+                      outcome=Outcome.REJECTED)
+    check_paired(one, {**same, 'b': (row(0), rejected)})

@@ -1,0 +1,172 @@
+"""``taxinet experiment``, ``localize`` and ``gate`` on campaigns of the real graph."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pandas as pd
+import pytest
+
+from taxinet_ros.campaign.table import read_table
+from taxinet_ros.cli.main import main
+
+TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
+
+# A start 4 m off is too far to settle in a second: all of one arm fail and none of the other.
+EXPERIMENT = """
+program: halton_time_of_day
+runs: 4
+sampler: halton
+perception: truth
+specs: ['near=always(abs(cte) <= 2.05)']
+set: {duration: 1}
+arms:
+  near: {}
+  far: {set: {cross_track: 4, shadows: off}}
+"""
+
+pytestmark = pytest.mark.ros
+
+
+def taxinet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, 'COLUMNS': '80'}
+    return subprocess.run(
+        [*TAXINET, *words], capture_output=True, text=True, timeout=110, cwd=cwd, env=environment,
+    )
+
+
+@pytest.fixture
+def here(folder, monkeypatch, capsys):
+    """Runs a command in this process, which is quicker; gives exit code and both outputs."""
+    monkeypatch.chdir(folder)
+
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, 'argv', ['taxinet', *words])
+        with pytest.raises(SystemExit) as left:
+            main()
+        return int(left.value.code or 0), *capsys.readouterr()
+
+    return run
+
+
+@contextlib.contextmanager
+def begun(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [*TAXINET, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an experiment ``e``, and a campaign ``c`` of failed runs with their bags."""
+    folder = tmp_path_factory.mktemp('analysis')
+    (folder / 'mine.yaml').write_text(EXPERIMENT)
+    done = taxinet('experiment', 'mine.yaml', '--runs', '2', '--out', 'e', cwd=folder)
+    assert (done.returncode, done.stderr) == (0, '')
+    done = taxinet(
+        'run', 's_falsif', '--runs', '2', '--perception', 'original', '--images', 'none', '--set',
+        'clouds=stratus', '--set', 'rain=95', '--set', 'duration=2', '--set', 'heading=25',
+        '--set', 'cross_track=2', '--spec', 'near=always(abs(cte) <= 2.05)', '--out', 'c',
+        cwd=folder,
+    )
+    assert (done.returncode, done.stderr) == (1, '')
+    return folder
+
+
+def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_go_on(folder):
+    done = taxinet('experiment', 'mine.yaml', '--out', 'e', '--resume', '--json', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    values = json.loads(done.stdout)
+    (one,) = values['comparisons']
+    assert (one['base'], one['arm'], one['pairs'], one['unpaired']) == ('near', 'far', 4, 0)
+    assert one['satisfied']['base_only'] == 4
+    assert one['satisfied']['mcnemar_p'] == pytest.approx(2 / 2**4)
+    near, far = (read_table(folder / 'e' / arm) for arm in ('near', 'far'))
+    assert list(near['index']) == list(far['index']) == [0, 1, 2, 3]
+    assert near['time_of_day_h'].nunique() == 4
+    assert list(near['time_of_day_h']) == list(far['time_of_day_h'])
+    assert list(near['u_time_of_day']) == list(far['u_time_of_day'])
+    assert set(far['cross_track_m']) == {4.0}
+    assert set(near['cross_track_m']) == {0.0}
+    assert set(near['shadows']) == {True} != set(far['shadows'])
+    pairs = pd.read_parquet(folder / 'e' / 'pairs.parquet')
+    assert list(pairs['rho_far']) == list(far['rho'])
+    # The runs of before were not run again: a bag has a folder, and broken ones are put aside.
+    assert not list((folder / 'e').glob('*/*.broken-*'))
+    names = {path.name for path in (folder / 'e').iterdir()}
+    assert names == {'near', 'far', 'experiment.html', 'experiment.json', 'experiment.png',
+                     'change_far.png', 'pairs.parquet'}
+    assert 'Experiment mine' in (folder / 'e' / 'experiment.html').read_text()
+
+
+def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder, here):
+    (folder / 'bad.yaml').write_text(EXPERIMENT.replace('runs: 4', 'runs: four'))
+    for words, says in (
+        (('experiment', 'mine.yaml', '--out', 'e'), 'exists already'),
+        (('experiment', 'bad.yaml'), 'bad.yaml: runs: expected a whole number, 1 or more'),
+        (('experiment', 'mine.yaml', '--resume'), '--resume: say with --out which'),
+        (('localize', 'e'), 'no campaign'),
+        (('gate', 'c', '--min-satisfaction', '86'), 'a share'),
+        (('gate', 'c', '--min-satisfaction', '0.5', '--inconclusive', 'maybe'), 'unknown; known'),
+        (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'there is no folder'),
+    ):
+        code, _, stderr = here(*words)
+        assert code == 2, words
+        assert stderr.startswith('taxinet: error: ')
+        assert says in stderr
+        assert stderr.count('\n') == 1
+
+
+def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_bit(folder):
+    with begun('localize', 'c', '--out', 'l', cwd=folder) as process:
+        trials = folder / 'l' / 'trials.jsonl'
+        deadline = time.monotonic() + 60
+        while not (trials.exists() and trials.read_bytes().count(b'\n') > 1):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+    assert stderr == ''
+    assert process.returncode in (0, 130)
+    assert ('the same command goes on' in stdout) is (process.returncode == 130)
+    done = taxinet('localize', 'c', '--out', 'l', '--json', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    values = json.loads(done.stdout)
+    assert (values['counted'], values['complete']) == (2, True)
+    assert (values['not_reproduced'], values['scenes_from_ledger']) == ([], 0)
+    frame = pd.read_parquet(folder / 'l' / 'localize.parquet')
+    assert list(frame['rho']) == list(read_table(folder / 'c')['rho'])
+    assert list(frame['rho']) == list(frame['rho_as_recorded'])
+    assert list(frame['scene_exact']) == [True, True]
+    lines = [json.loads(line) for line in trials.read_text().splitlines()]
+    assert len(lines) == 1 + 2 * 4
+
+
+def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder, here):
+    for words, code in (
+        (('--min-satisfaction', '0.8'), 1),
+        (('--max-off-runway', '0.5'), 3),
+        (('--max-off-runway', '0.5', '--inconclusive', 'fail'), 1),
+        (('--max-off-runway', '0.5', '--inconclusive', 'pass', '--junit', 'gate.xml'), 0),
+        (('--max-off-runway', '1'), 0),
+    ):
+        found, stdout, stderr = here('gate', 'c', *words)
+        assert (found, stderr) == (code, ''), words
+        assert 'satisfied' in stdout or 'off the runway' in stdout
+    suite = ElementTree.parse(folder / 'gate.xml').getroot()[0]
+    assert (suite.get('name'), suite.get('tests'), suite.get('failures')) == ('c', '4', '2')
+    again = suite.find('testcase/failure').text.split('run it again: ')[1]
+    assert again.startswith('taxinet run --from c/s_falsif-s0-0000')
