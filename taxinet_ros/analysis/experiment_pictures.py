@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -74,7 +75,8 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
         xlabel=title_of(found.over),
         ylabel=f'ρ of {experiment.specs[0].partition("=")[0]} [m]', ylim=(_lowest(found), None),
     )
-    _plain(axes, theme)
+    # Upright lines join pairs there, and would be lost among those of a grid.
+    _plain(axes, theme, grid='both' if found.alone else 'y')
     axes.legend(frameon=False, loc='lower center', bbox_to_anchor=(0.5, 1.0),
                 ncols=len(experiment.arms))
 
@@ -150,8 +152,8 @@ def changes(found: PairedArms, one: Comparison) -> tuple[np.ndarray, np.ndarray]
     return points[:, 0], points[:, 1]
 
 
-def _plain(axes: Axes, theme: Theme) -> None:
-    axes.grid(color=theme.faint, linewidth=0.6)
+def _plain(axes: Axes, theme: Theme, grid: Literal['both', 'y'] = 'both') -> None:
+    axes.grid(axis=grid, color=theme.faint, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[['top', 'right']].set_visible(False)
 

@@ -151,7 +151,7 @@ def _other_words(found: Localisation) -> Iterator[str]:
     for word in found.words:
         passed, judged, share = found.passing(word)
         if word not in _MEANINGS and judged:
-            yield f'With {_meaning(word)} {passed} of {judged} pass ({_share(share)}).'
+            yield f'With {_meaning(word)} {passed} of {judged} pass: {_share(share)}.'
 
 
 def _reservations(found: Localisation) -> Iterator[str]:

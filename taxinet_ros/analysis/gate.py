@@ -8,7 +8,8 @@ confidence: a system that is just as bad as the threshold passes with a probabil
 for, that holds for each; the gate passes if all do and fails if any does.
 
 Runs that were drawn, or weighted with 1, have exact binomial bounds (Clopper and Pearson,
-Biometrika 26, 1934). Those of a biased sampler are weighted back to the program's distribution, and
+Biometrika 26, 1934); evenly spread ones (Halton, Sobol) as a rule know a share better, so theirs
+are on the safe side. Those of a biased sampler are weighted back to the program's distribution, and
 their bounds are those of as many runs as would have the same variance (Korn and Graubard, Survey
 Methodology 24, 1998).
 """
@@ -16,20 +17,13 @@ Methodology 24, 1998).
 from __future__ import annotations
 
 import enum
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import numpy as np
-from scipy.stats import beta
-
+from taxinet_ros.analysis.gate_bounds import Bounds, bounds, effective_runs, further_runs
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
-
-MOST_RUNS = 10**7
-"""Beyond so many further runs nobody waits for an answer."""
 
 
 class Verdict(enum.StrEnum):
@@ -38,14 +32,6 @@ class Verdict(enum.StrEnum):
     PASS = 'PASS'
     FAIL = 'FAIL'
     INCONCLUSIVE = 'INCONCLUSIVE'
-
-
-class Bounds(NamedTuple):
-    """A share of runs with its one-sided bounds, as fractions; NaN, 0 and 1 without a run."""
-
-    share: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,47 +132,8 @@ def ask_gate(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) 
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
         criteria=tuple(criteria), counts=counts, judged=len(judged),
-        effective=_kish(weights), notes=tuple(_notes(counts, weights, planned)),
+        effective=effective_runs(weights), notes=tuple(_notes(counts, weights, planned)),
     )
-
-
-def bounds(good: Sequence[bool], weights: Sequence[float], confidence: float) -> Bounds:
-    """Share of good runs under the program's distribution, with one-sided bounds.
-
-    Args:
-        good: of each run.
-        weights: of each run, above 0.
-        confidence: of each bound.
-    """
-    share, runs = _share(np.array(good, dtype=bool), np.array(weights, dtype=np.float64))
-    return Bounds(share, *_one_sided(share, runs, confidence))
-
-
-def further_runs(
-    good: Sequence[bool], weights: Sequence[float], threshold: float, confidence: float
-) -> int | None:
-    """About how many further runs decide whether the share of good ones is ``threshold``.
-
-    It supposes that the share stays as it is; without a run, that all are good.
-
-    Returns:
-        None where the share is the threshold, or more than :data:`MOST_RUNS` would be needed.
-    """
-    share, runs = _share(np.array(good, dtype=bool), np.array(weights, dtype=np.float64))
-    share = 1.0 if math.isnan(share) else share
-
-    def decided(number: float) -> bool:
-        low, high = _one_sided(share, number, confidence)
-        return low >= threshold or high < threshold
-
-    low, high = int(runs), MOST_RUNS
-    if not decided(high):
-        return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if decided(middle) else (middle, high)
-    # As many as now say as much as ``runs`` independent ones do.
-    return math.ceil((high - runs) * (len(good) / runs if runs else 1.0))
 
 
 def _criteria(
@@ -286,33 +233,6 @@ def _weights(judged: Sequence[RunRow]) -> list[float]:
     return weights
 
 
-def _share(good: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """Weighted share of good runs, and the number of independent runs that know it as well."""
-    if not len(weights):
-        return math.nan, 0.0
-    share = float(weights[good].sum() / weights.sum())
-    if np.all(weights == 1):
-        return share, float(len(weights))
-    variance = float(np.sum((weights * (good - share)) ** 2) / weights.sum() ** 2)
-    if variance <= 0 or not 0 < share < 1:
-        return share, _kish(weights)
-    return share, share * (1 - share) / variance
-
-
-def _kish(weights: Sequence[float] | np.ndarray) -> float:
-    values = np.asarray(weights, dtype=np.float64)
-    return float(values.sum() ** 2 / np.sum(values**2)) if len(values) else 0.0
-
-
-def _one_sided(share: float, runs: float, confidence: float) -> tuple[float, float]:
-    if not runs:
-        return 0.0, 1.0
-    good = share * runs
-    low = float(beta.ppf(1 - confidence, good, runs - good + 1)) if share > 0 else 0.0
-    high = float(beta.ppf(confidence, good + 1, runs - good)) if share < 1 else 1.0
-    return low, high
-
-
 def _notes(
     counts: Mapping[Outcome, int], weights: Sequence[float], planned: int
 ) -> list[str]:
@@ -328,6 +248,6 @@ def _notes(
     if any(weight != 1 for weight in weights):
         notes.append(
             f'the sampler is biased: the runs are weighted and say as much as '
-            f'{_kish(weights):.0f} drawn ones; their bounds are approximate'
+            f'{effective_runs(weights):.0f} drawn ones; their bounds are approximate'
         )
     return notes

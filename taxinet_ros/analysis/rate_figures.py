@@ -40,7 +40,7 @@ def rates_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
                 _bars(axes, found, colour, shift, runs.label, theme)
             _name_bins(axes, feature, cut)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
-        panels[0].set_ylim(0, 1.02)
+        panels[0].set_ylim(-0.02, 1.04)
         for axes in panels[::_COLUMNS]:
             axes.set_ylabel('runs that fail')
         if len(campaigns) > 1:
@@ -94,18 +94,14 @@ def distribution_picture(campaigns: Sequence[CampaignRuns]) -> Picture:
             shares = np.nan_to_num(weight, nan=1.0)[order].cumsum()
             shares /= shares[-1]
             axes.step(rho[order], shares, where='post', color=colour, linewidth=1.8,
-                      label=runs.label, zorder=3)
-            at_zero = runs.rate().rate
-            axes.plot([0], [at_zero], marker='o', color=colour, markersize=5, zorder=4)
-            axes.annotate(f'{at_zero:.1%} fail'.replace('%', ' %'), (0, at_zero), xytext=(-7, 6),
-                          textcoords='offset points', ha='right', fontsize=9, color=colour)
+                      label=f'{runs.label}: {100 * runs.rate().rate:.1f} % fail', zorder=3)
+            axes.plot([0], [runs.rate().rate], marker='o', color=colour, markersize=5, zorder=4)
         rho_axis(axes, all_rho(campaigns), theme, vertical=False)
         axes.set_ylim(0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
         axes.set_ylabel('runs with at most this ρ')
         plain(axes)
-        if len(campaigns) > 1:
-            axes.legend(frameon=False, fontsize=9)
+        axes.legend(frameon=False, fontsize=9, loc='lower right')
 
     return Picture(
         name='rho_distribution', title='How robust the runs are', draw=draw,

@@ -8,7 +8,11 @@ from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 
-_SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
+SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
+"""The run that is measured, here and through the graph."""
+
+SPEC = SHIPPED['phi_eventually']
+"""What judges it."""
 
 
 def subjects() -> list[Subject]:
@@ -25,8 +29,8 @@ def subjects() -> list[Subject]:
 
 def _loop(name: str, perception: Perception, most: int) -> Subject:
     def drive() -> None:
-        run_closed_loop(_SCENARIO, perception, specs=[SHIPPED['phi_eventually']])
+        run_closed_loop(SCENARIO, perception, specs=[SPEC])
 
     return Subject(
-        name=f'loop/{name}', run=drive, warm_ups=1, most=most, simulated_s=_SCENARIO.duration_s
+        name=f'loop/{name}', run=drive, warm_ups=1, most=most, simulated_s=SCENARIO.duration_s
     )

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 Clock = Callable[[], int]
 """Nanoseconds since some moment."""
@@ -34,6 +35,7 @@ class Subject:
         warm_ups: unmeasured runs at the beginning.
         most: most runs, for what takes seconds; None for as many as were asked for.
         simulated_s: simulated time that passes in one call [s], where some does.
+        cpu: clock of the processor time [ns], where more than this process works.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Subject:
     warm_ups: int = 2
     most: int | None = None
     simulated_s: float | None = None
+    cpu: Clock | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,6 +57,8 @@ class Figure:
         cpu_s: median of the processor time of all threads [s]; None for parts.
         repeats: number of runs.
         real_time_factor: simulated time per median wall time, where time is simulated.
+        cpu_q1_s, cpu_q3_s: quartiles of the processor time [s].
+        real_time_per_core: simulated time per median processor time.
     """
 
     median_s: float
@@ -63,6 +68,9 @@ class Figure:
     cpu_s: float | None
     repeats: int
     real_time_factor: float | None = None
+    cpu_q1_s: float | None = None
+    cpu_q3_s: float | None = None
+    real_time_per_core: float | None = None
 
 
 class _Samples:
@@ -76,17 +84,28 @@ class _Samples:
     def figure(self) -> Figure:
         per_call = 1e9 * self._subject.calls
         wall = np.array(self.wall) / per_call
-        q1, median, q3 = (float(q) for q in np.quantile(wall, (0.25, 0.5, 0.75)))
+        q1, median, q3 = _quartiles(wall)
+        cpu_q1, cpu, cpu_q3 = (
+            _quartiles(np.array(self.cpu) / per_call) if self.cpu else (None, None, None)
+        )
         simulated = self._subject.simulated_s
         return Figure(
             median_s=median,
             q1_s=q1,
             q3_s=q3,
             min_s=float(wall.min()),
-            cpu_s=float(np.median(self.cpu)) / per_call if self.cpu else None,
+            cpu_s=cpu,
             repeats=len(wall),
             real_time_factor=simulated / median if simulated and median > 0 else None,
+            cpu_q1_s=cpu_q1,
+            cpu_q3_s=cpu_q3,
+            real_time_per_core=simulated / cpu if simulated and cpu else None,
         )
+
+
+def _quartiles(times: NDArray[np.float64]) -> tuple[float, float, float]:
+    q1, median, q3 = (float(q) for q in np.quantile(times, (0.25, 0.5, 0.75)))
+    return q1, median, q3
 
 
 def measure(
@@ -126,6 +145,7 @@ def _take(subject: Subject, samples: dict[str, _Samples], wall: Clock, cpu: Cloc
     """Run a subject once and keep its times."""
     if subject.before is not None:
         subject.before()
+    cpu = subject.cpu or cpu
     start_cpu, start = cpu(), wall()
     parts = subject.run()
     elapsed, elapsed_cpu = wall() - start, cpu() - start_cpu

@@ -111,12 +111,17 @@ def _reserved() -> Iterator[int]:
 
 
 @contextlib.contextmanager
-def composed_graph(options: GraphOptions) -> Iterator[SampledGraph]:
-    """Every node in this process, on one executor; they still talk only over topics."""
+def composed_graph(
+    options: GraphOptions, executor: Callable[..., Any] = EventsExecutor
+) -> Iterator[SampledGraph]:
+    """Every node in this process, on one executor; they still talk only over topics.
+
+    ``executor`` makes another one, from the keyword ``context``.
+    """
     with own_domain() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
-        graph = SampledGraph(context)
+        graph = SampledGraph(context, executor)
         try:
             for node, parameters in options.nodes().values():
                 overrides = [Parameter(name, value=value) for name, value in parameters.items()]
@@ -142,10 +147,12 @@ def _localhost() -> Iterator[None]:
 class SampledGraph:
     """A graph with a sampler in this process, beside whatever other nodes are added to it."""
 
-    def __init__(self, context: Context) -> None:
-        """Spin on ``context``, which is the caller's to shut down."""
+    def __init__(
+        self, context: Context, executor: Callable[..., Any] = EventsExecutor
+    ) -> None:
+        """Spin on ``context``, which is the caller's to shut down, with an executor of a kind."""
         self._context = context
-        self._executor = EventsExecutor(context=context)
+        self._executor = executor(context=context)
         self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
 

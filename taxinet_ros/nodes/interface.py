@@ -97,14 +97,14 @@ class Topic:
         package = self.type.__module__.split('.')[0]
         return f'{package}/msg/{self.type.__name__}'
 
-    def listeners(self, participants: Sequence[str]) -> int:
-        """How many of the nodes of a run subscribe, the recorder included."""
+    def listeners(self, participants: Sequence[str]) -> set[str]:
+        """Those of the nodes of a run that subscribe, the recorder included."""
         names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
-        return len(names & {SIMULATOR, *participants})
+        return names & {SIMULATOR, *participants}
 
-    def speakers(self, participants: Sequence[str]) -> int:
-        """How many of the nodes of a run publish."""
-        return len(set(self.publishers) & {SIMULATOR, *participants})
+    def speakers(self, participants: Sequence[str]) -> set[str]:
+        """Those of the nodes of a run that publish."""
+        return set(self.publishers) & {SIMULATOR, *participants}
 
 
 SCENARIO = Topic(

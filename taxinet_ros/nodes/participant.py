@@ -15,6 +15,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.matching import heard_by, hears_from
 
 _READY_POLL_S = 0.005
 
@@ -102,10 +103,10 @@ class Participant(Node):
             return
         present = self._scenario.participants
         for topic, publisher in self._speakers:
-            if publisher.get_subscription_count() < topic.listeners(present):
+            if not heard_by(self, publisher, topic.listeners(present)):
                 return
         for topic, heard in self._listeners:
-            if heard.get_publisher_count() < topic.speakers(present):
+            if not hears_from(self, heard, topic.speakers(present)):
                 return
         self._poll.cancel()
         self.report(NodeStatus.READY)

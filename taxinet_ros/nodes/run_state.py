@@ -50,6 +50,10 @@ class ActiveRun:
         self.done = Future(executor=executor)
         self.created = self.last_heard = time.monotonic()
 
+    def listeners(self, topic: str) -> set[str]:
+        """Participants that have said that they subscribe to a topic."""
+        return {node for node, topics in self.listens.items() if topic in topics}
+
     def heard(self) -> None:
         """Somebody answered: the watchdog starts anew."""
         self.last_heard = time.monotonic()

@@ -34,6 +34,7 @@ from taxinet_ros.nodes.convert import (
 )
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.matching import heard_by, hears_from
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.run_state import ActiveRun
 
@@ -191,13 +192,12 @@ class Simulator(Node):
         unheard = [
             name
             for name, publisher in self._speakers.items()
-            if publisher.get_subscription_count()
-            < sum(name in listens for listens in run.listens.values())
+            if not heard_by(self, publisher, run.listeners(name))
         ]
         unseen = [
             topic.name
             for topic, heard in self._listeners
-            if heard.get_publisher_count() < topic.speakers(run.participants)
+            if not hears_from(self, heard, topic.speakers(run.participants))
         ]
         return unheard + unseen
 

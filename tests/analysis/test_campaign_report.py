@@ -135,8 +135,7 @@ def test_given_bags_then_only_failures_with_one_are_to_be_looked_at(tmp_path):
 
 @pytest.mark.parametrize(('count', 'columns', 'said'), [
     (3, {}, 'no failure: there are no causes to name'),
-    (12, ALIKE, 'too few to name causes'),
-    (12, {'weight': math.nan, 'sampler': 'bo'}, 'these runs cannot say'),
+    (12, {**ALIKE, 'weight': math.nan, 'sampler': 'bo'}, 'these runs cannot say'),
 ])
 def test_given_few_or_odd_runs_then_there_is_a_whole_report(tmp_path, count, columns, said):
     report = campaign_report(analyse(planted_runs(
@@ -144,6 +143,7 @@ def test_given_few_or_odd_runs_then_there_is_a_whole_report(tmp_path, count, col
     assert len(draw_all(report, DARK)) >= 9
     json.dumps([table.rows for table in tables_of(report).values()], allow_nan=False)
     assert said in ' '.join(report.summary)
+    assert 'no failure' in report.summary[1] or 'too few' in report.summary[1]
 
 
 def test_given_runs_of_a_sampler_then_the_summary_says_what_they_are_worth(tmp_path):

@@ -13,13 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import (
-    GateOptions,
-    Verdict,
-    ask_gate,
-    bounds,
-    further_runs,
-)
+from taxinet_ros.analysis.gate import GateOptions, Verdict, ask_gate
+from taxinet_ros.analysis.gate_bounds import bounds, further_runs
 from taxinet_ros.analysis.junit import again, junit_xml
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError

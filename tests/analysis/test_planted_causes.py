@@ -110,7 +110,6 @@ def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path)
         seed for seed in range(20)
         if causes_of(
             tmp_path, lambda t: np.full(len(t), 0.2), runs=200, seed=seed, cross_track_m=0.0,
-            heading_deg=0.0,
         ).found
     ]
     assert len(named) <= 1, f'named causes of nothing with seeds {named}'

@@ -1,0 +1,88 @@
+"""Shares of runs with one-sided bounds, and how many more runs it takes to decide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import beta
+
+MOST_RUNS = 10**7
+"""Beyond so many further runs nobody waits for an answer."""
+
+
+class Bounds(NamedTuple):
+    """A share of runs with its one-sided bounds, as fractions; NaN, 0 and 1 without a run."""
+
+    share: float
+    low: float
+    high: float
+
+
+def bounds(good: Sequence[bool], weights: Sequence[float], confidence: float) -> Bounds:
+    """Share of good runs under the program's distribution, with one-sided bounds.
+
+    Args:
+        good: of each run.
+        weights: of each run, above 0.
+        confidence: of each bound.
+    """
+    share, runs = _share(np.array(good, dtype=bool), np.array(weights, dtype=np.float64))
+    return Bounds(share, *_one_sided(share, runs, confidence))
+
+
+def further_runs(
+    good: Sequence[bool], weights: Sequence[float], threshold: float, confidence: float
+) -> int | None:
+    """About how many further runs decide whether the share of good ones is ``threshold``.
+
+    It supposes that the share stays as it is; without a run, that all are good.
+
+    Returns:
+        None where the share is the threshold, or more than :data:`MOST_RUNS` would be needed.
+    """
+    share, runs = _share(np.array(good, dtype=bool), np.array(weights, dtype=np.float64))
+    share = 1.0 if math.isnan(share) else share
+
+    def decided(number: float) -> bool:
+        low, high = _one_sided(share, number, confidence)
+        return low >= threshold or high < threshold
+
+    low, high = int(runs), MOST_RUNS
+    if not decided(high):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if decided(middle) else (middle, high)
+    # As many as now say as much as ``runs`` independent ones do.
+    return math.ceil((high - runs) * (len(good) / runs if runs else 1.0))
+
+
+def _share(good: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Weighted share of good runs, and the number of independent runs that know it as well."""
+    if not len(weights):
+        return math.nan, 0.0
+    share = float(weights[good].sum() / weights.sum())
+    if np.all(weights == 1):
+        return share, float(len(weights))
+    variance = float(np.sum((weights * (good - share)) ** 2) / weights.sum() ** 2)
+    if variance <= 0 or not 0 < share < 1:
+        return share, effective_runs(weights)
+    return share, share * (1 - share) / variance
+
+
+def effective_runs(weights: Sequence[float] | np.ndarray) -> float:
+    """Independent runs that know a mean as well (Kish, Survey Sampling, 1965)."""
+    values = np.asarray(weights, dtype=np.float64)
+    return float(values.sum() ** 2 / np.sum(values**2)) if len(values) else 0.0
+
+
+def _one_sided(share: float, runs: float, confidence: float) -> tuple[float, float]:
+    if not runs:
+        return 0.0, 1.0
+    good = share * runs
+    low = float(beta.ppf(1 - confidence, good, runs - good + 1)) if share > 0 else 0.0
+    high = float(beta.ppf(confidence, good + 1, runs - good)) if share < 1 else 1.0
+    return low, high
