@@ -23,6 +23,7 @@ REQUIREMENTS = [
     'Jinja2',
     'jsbsim',
     'lz4',
+    'MarkupSafe',
     'matplotlib',
     'mcap',
     'numpy',
