@@ -75,5 +75,5 @@ def test_given_signals_of_another_robot_then_those_are_known_and_ours_are_not():
     with pytest.raises(UsageError) as caught:
         parse_assumptions(['cte=0:1'], [], signals=['depth', 'yaw'])
     assert str(caught.value) == "bound 'cte=0:1': unknown signal 'cte'; known: depth, yaw"
-    with pytest.raises(UsageError, match="rate 'yaw=-1': expected a number >= 0, e.g. yaw=3"):
+    with pytest.raises(UsageError, match=r'rate .yaw=-1.: expected a number >= 0, e\.g\. yaw=3'):
         parse_assumptions([], ['yaw=-1'], signals=['depth', 'yaw'])

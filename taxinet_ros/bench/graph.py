@@ -1,0 +1,140 @@
+"""The closed loop over ROS 2: composed, as processes, on another executor, and what recording adds.
+
+All drive the scenario of :mod:`taxinet_ros.bench.loop`, so that the loop without ROS stands beside
+them. A run counts from the request to the result: getting ready and closing the bag included.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+from rclpy.executors import SingleThreadedExecutor
+
+from taxinet_ros.bench import loop
+from taxinet_ros.bench.amounts import Amounts, folder_bytes, peak_memory
+from taxinet_ros.bench.measure import Clock, Subject
+from taxinet_ros.bench.standing import StandingGraph
+from taxinet_ros.bench.tick import tick_subject
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
+from taxinet_ros.nodes.processes import process_graph
+
+PERCEPTIONS = {'network': 'taxinet', 'truth': 'truth'}
+"""What a figure's name says, and what the graph is given."""
+
+_MOST, _MOST_SLOW = 3, 2
+_DOMAIN = 'TAXINET_DOMAIN_ID'
+
+Open = Callable[[GraphOptions], AbstractContextManager[Graph]]
+
+
+class _Unrecorded(GraphOptions):
+    """A graph without a recorder: nothing that people can start, only the bench."""
+
+    def nodes(self) -> dict[str, tuple[Any, dict[str, Any]]]:
+        """See :class:`GraphOptions`."""
+        nodes = super().nodes()
+        del nodes[interface.RECORDER]
+        return nodes
+
+
+def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
+    """Runs through graphs that stand until ``stack`` is left, and what a control step is made of.
+
+    Args:
+        stack: closes the graphs.
+        amounts: takes the bytes of a run and the memory of the processes.
+
+    Raises:
+        UsageError: the user's one domain would have all these graphs talk to each other.
+    """
+    if os.environ.get(_DOMAIN):
+        raise UsageError(f'bench: {_DOMAIN} puts all its graphs into one domain; unset it')
+    maker = _Maker(stack)
+    found: list[Subject] = []
+    for word in PERCEPTIONS:
+        composed = maker.make('composed', word)
+        found.append(composed.subject)
+        if word == 'network':
+            found.append(tick_subject(lambda bag=composed.graph: bag.bag))
+            amounts['a run without pictures'] = composed.bytes
+    logs = maker.folder / 'logs'
+    for word in PERCEPTIONS:
+        apart = maker.make('processes', word, partial(process_graph, logs=logs / word))
+        found.append(apart.subject)
+        if word == 'network':
+            amounts['memory: graph of processes'] = partial(peak_memory, apart.pids)
+    default = partial(composed_graph, executor=SingleThreadedExecutor)
+    for word in PERCEPTIONS:
+        found.append(maker.make('default executor', word, default, most=_MOST_SLOW).subject)
+    pictures = maker.make('with pictures', 'network', images='all')
+    amounts['a run with pictures'] = pictures.bytes
+    unrecorded = maker.make('no recorder', 'network', kind=_Unrecorded)
+    return [*found, pictures.subject, unrecorded.subject]
+
+
+class _Standing:
+    """One standing graph as a subject."""
+
+    def __init__(
+        self, name: str, graph: StandingGraph, pids: Sequence[int], most: int
+    ) -> None:
+        self.graph = graph
+        self.pids = pids
+        self.subject = Subject(
+            name=f'graph/{name}', run=graph.run, before=graph.clear, warm_ups=1, most=most,
+            simulated_s=loop.SCENARIO.duration_s, cpu=_clock(pids),
+        )
+
+    def bytes(self) -> float:
+        """What its last run has left on disk."""
+        return folder_bytes(self.graph.bag)
+
+
+class _Maker:
+    """Sets graphs up, each with a folder of its own."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self.folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-bench-')))
+
+    def make(
+        self, way: str, word: str, start: Open = composed_graph, *, images: str = 'none',
+        kind: type[GraphOptions] = GraphOptions, most: int = _MOST,
+    ) -> _Standing:
+        """Set up a graph: the ``way`` it works, and the ``word`` for its perception."""
+        bags = self.folder / way / word
+        options = kind(perception=PERCEPTIONS[word], out=bags, images=images)
+        before = _children()
+        graph = self._stack.enter_context(start(options))
+        pids = [pid for pid in _children() if pid not in before]
+        known = options.nodes()
+        there = [name for name in interface.PARTICIPANTS if name in known]
+        standing = self._stack.enter_context(StandingGraph(graph, there, bags))
+        return _Standing(f'{way}/{word}', standing, pids, most)
+
+
+def _children() -> list[int]:
+    return [child.pid for child in psutil.Process().children()]
+
+
+def _clock(pids: Sequence[int]) -> Clock:
+    """Processor time of this process and of some children [ns]; theirs in steps of 10 ms."""
+    processes = [psutil.Process(pid) for pid in pids]
+
+    def now() -> int:
+        times = [process.cpu_times() for process in processes]
+        others = sum(time.user + time.system for time in times)
+        return time.process_time_ns() + round(others * NS_PER_S)
+
+    return now

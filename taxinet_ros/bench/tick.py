@@ -1,0 +1,125 @@
+"""A control step by its parts, in one process without ROS, on the bytes that the graph records.
+
+Processor time, for the parts are compared with that of the whole graph; what they do not explain is
+the transport: messages made, sent, taken and dispatched, and nodes getting ready.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from taxinet_ros.bag.canonical import Canonical
+from taxinet_ros.bag.image_cdr import image_cdr
+from taxinet_ros.bag.reader import RawMessage, read_info, read_messages
+from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bench import loop
+from taxinet_ros.bench.measure import Figure, Subject
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.camera import Camera
+from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.perception import make_perception
+from taxinet_ros.core.steering import SteeringGains, steer
+from taxinet_ros.core.world import last_step
+
+PARTS = (
+    'physics', 'rendering', 'encoding', 'inference', 'control', 'monitor', 'recording',
+)
+"""What is measured by itself."""
+
+TRANSPORT = 'transport'
+WHOLE = 'whole'
+GRAPH = 'graph/composed/network'
+"""The figure of the whole."""
+
+_NAME = 'tick'
+
+
+def tick_subject(recorded: Callable[[], Path]) -> Subject:
+    """The parts of a control step, means over a run.
+
+    Args:
+        recorded: tells the bag of a run without pictures; asked at the first run.
+    """
+    perception = make_perception('taxinet')
+    bag: list[list[RawMessage]] = []
+
+    def drive() -> Mapping[str, int]:
+        if not bag:
+            bag.extend(_steps(recorded()))
+        stopwatch = _Stopwatch()
+        aircraft, camera = Aircraft(loop.SCENARIO), Camera(loop.SCENARIO)
+        last = last_step(loop.SCENARIO)
+        judge = Judge([loop.SPEC], last * CONTROL_PERIOD_NS, MAX_GAP_NS)
+        for seq in range(last + 1):
+            stamp_ns, state = seq * CONTROL_PERIOD_NS, aircraft.state
+            with stopwatch('rendering'):
+                image = camera.render(state, stamp_ns)
+            with stopwatch('encoding'):
+                image_cdr(image, stamp_ns, 'camera_optical')
+            with stopwatch('inference'):
+                estimate = perception.estimate(image, None)
+            with stopwatch('control'):
+                command = steer(estimate, SteeringGains())
+            with stopwatch('monitor'):
+                truth = state.tracking_error
+                judge.push(stamp_ns, signals(
+                    cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m,
+                    speed_mps=state.speed_mps, estimate=estimate, command=command,
+                ))
+            with stopwatch('physics'):
+                aircraft.advance(command)
+        _record(recorded().parent, bag, stopwatch)
+        return {part: stopwatch.total_ns[part] // (last + 1) for part in PARTS}
+
+    return Subject(name=_NAME, run=drive, warm_ups=1, most=5)
+
+
+def split(figures: Mapping[str, Figure]) -> dict[str, float]:
+    """A control step of the composed graph by its parts [s of processor time].
+
+    Returns:
+        Every part, the transport, which is the rest, and the whole; nothing where it was not
+        measured.
+    """
+    whole = figures.get(GRAPH)
+    if whole is None or whole.cpu_s is None or f'{_NAME}/{PARTS[0]}' not in figures:
+        return {}
+    step = whole.cpu_s / (last_step(loop.SCENARIO) + 1)
+    parts = {part: figures[f'{_NAME}/{part}'].median_s for part in PARTS}
+    return {**parts, TRANSPORT: step - sum(parts.values()), WHOLE: step}
+
+
+class _Stopwatch:
+    """Adds up the processor time of each part."""
+
+    def __init__(self) -> None:
+        self.total_ns = dict.fromkeys(PARTS, 0)
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        start = time.process_time_ns()
+        yield
+        self.total_ns[part] += time.process_time_ns() - start
+
+
+def _steps(bag: Path) -> list[list[RawMessage]]:
+    """The messages of a bag, step by step."""
+    grouped = itertools.groupby(read_messages(bag), lambda message: message.stamp_ns)
+    return [list(messages) for _, messages in grouped]
+
+
+def _record(
+    beside: Path, steps: Sequence[Sequence[RawMessage]], stopwatch: _Stopwatch
+) -> None:
+    """Write a bag as the recorder does, from messages that have arrived."""
+    topics = [topic for topic, _ in _topics_of(steps)]
+    folder = Path(tempfile.mkdtemp(prefix='tick-', dir=beside))
+    del topics
+    shutil.rmtree(folder)
