@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from importlib import import_module
+from importlib.util import find_spec
+from typing import cast
 
 import cv2
 
 from taxinet_ros.bench import camera, inference, loop, monitor, physics, samplers
+from taxinet_ros.bench.amounts import Amounts
 from taxinet_ros.bench.compare import Report, make_report
 from taxinet_ros.bench.machine import machine_facts
 from taxinet_ros.bench.measure import Progress, Subject, measure
 from taxinet_ros.bench.peers import peer_subjects
+from taxinet_ros.bench.ratios import find_ratios
+from taxinet_ros.bench.tick import split
 from taxinet_ros.core.errors import UsageError
 
 ALL = 'all'
+
+Standing = Callable[[ExitStack, Amounts], list[Subject]]
+"""Makes subjects that need something as long as the stack is not left, and may tell amounts."""
 
 SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
     'camera': camera.subjects,
@@ -24,7 +33,23 @@ SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
     'samplers': samplers.subjects,
     'loop': loop.subjects,
 }
-"""What can be measured, by the word that chooses it."""
+"""What can be measured without ROS, by the word that chooses it."""
+
+GRAPH, START_UP, CAMPAIGN = 'graph', 'start-up', 'campaign'
+
+
+def _standing(module: str) -> Standing:
+    """The subjects of a module that needs ROS, which is imported when they are asked for."""
+    name = f'taxinet_ros.bench.{module}'
+    return lambda stack, amounts: cast(
+        'list[Subject]', import_module(name).subjects(stack, amounts)
+    )
+
+
+WITH_ROS: dict[str, Standing] = {
+    GRAPH: _standing('graph'), START_UP: _standing('start_up'), CAMPAIGN: _standing('campaign'),
+}
+"""What needs ROS; all but the campaign, which takes a minute or two, belong to ``all``."""
 
 
 def run_subjects(
@@ -35,7 +60,7 @@ def run_subjects(
     OpenCV keeps to one thread from here on, for all of the process.
 
     Args:
-        words: the subjects.
+        words: the subjects; the graph brings the loop, to be compared with.
         repeats: how often each is measured.
         progress: is told how far it is.
         peers: a Python that has other people's monitors, to be measured beside ours.
@@ -43,17 +68,46 @@ def run_subjects(
     Raises:
         UsageError: an unknown word (the known ones are listed), no repeats, or something that
             cannot be set up.
+        InfraError: a run through the graph has no verdict, or a command broke down.
     """
-    unknown = [word for word in words if word not in SUBJECTS and word != ALL]
-    if unknown:
-        known = ', '.join((*SUBJECTS, ALL))
-        raise UsageError(f'bench: {unknown[0]!r} is unknown; known: {known}')
+    chosen, left_out = _choose(words)
     if repeats < 1:
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
-    chosen = [word for word in SUBJECTS if not words or ALL in words or word in words]
     cv2.setNumThreads(1)
-    subjects = [subject for word in chosen for subject in SUBJECTS[word]()]
+    subjects = [subject for word in chosen if word in SUBJECTS for subject in SUBJECTS[word]()]
+    amounts: Amounts = {}
     with ExitStack() as stack:
+        for word in chosen:
+            if word in WITH_ROS:
+                subjects += WITH_ROS[word](stack, amounts)
         if peers is not None:
             subjects += stack.enter_context(peer_subjects(peers))
-        return make_report(machine_facts(), measure(subjects, repeats, progress))
+        figures = measure(subjects, repeats, progress)
+        sections = {
+            'tick': split(figures),
+            'ratios': find_ratios(figures),
+            'amounts': {name: tell() for name, tell in amounts.items()},
+            'left_out': left_out,
+        }
+    report = make_report(machine_facts(), figures)
+    return report | {name: section for name, section in sections.items() if section}
+
+
+def _choose(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """The subjects to measure, and why others of ``all`` are left out, by word."""
+    known = (*SUBJECTS, *WITH_ROS)
+    unknown = [word for word in words if word not in known and word != ALL]
+    if unknown:
+        raise UsageError(f'bench: {unknown[0]!r} is unknown; known: {", ".join((*known, ALL))}')
+    wanted = set(words)
+    if not words or ALL in words:
+        wanted |= set(known) - {CAMPAIGN}
+    if GRAPH in wanted:
+        wanted.add('loop')
+    left_out = {}
+    if find_spec('rclpy') is None:
+        named = [word for word in words if word in WITH_ROS]
+        if named:
+            raise UsageError(f'bench: {named[0]} needs ROS 2, and this Python has no rclpy')
+        left_out = {word: 'no rclpy' for word in WITH_ROS if word in wanted}
+    return [word for word in known if word in wanted and word not in left_out], left_out

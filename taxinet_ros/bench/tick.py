@@ -10,13 +10,13 @@ import itertools
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from taxinet_ros.bag.canonical import Canonical
 from taxinet_ros.bag.image_cdr import image_cdr
-from taxinet_ros.bag.reader import RawMessage, read_info, read_messages
+from taxinet_ros.bag.reader import stored_messages
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.bench import loop
 from taxinet_ros.bench.measure import Figure, Subject
@@ -48,11 +48,12 @@ def tick_subject(recorded: Callable[[], Path]) -> Subject:
         recorded: tells the bag of a run without pictures; asked at the first run.
     """
     perception = make_perception('taxinet')
-    bag: list[list[RawMessage]] = []
+    gains = SteeringGains()
+    made: list[_Recorded] = []
 
     def drive() -> Mapping[str, int]:
-        if not bag:
-            bag.extend(_steps(recorded()))
+        if not made:
+            made.append(_Recorded(recorded()))
         stopwatch = _Stopwatch()
         aircraft, camera = Aircraft(loop.SCENARIO), Camera(loop.SCENARIO)
         last = last_step(loop.SCENARIO)
@@ -66,7 +67,7 @@ def tick_subject(recorded: Callable[[], Path]) -> Subject:
             with stopwatch('inference'):
                 estimate = perception.estimate(image, None)
             with stopwatch('control'):
-                command = steer(estimate, SteeringGains())
+                command = steer(estimate, gains)
             with stopwatch('monitor'):
                 truth = state.tracking_error
                 judge.push(stamp_ns, signals(
@@ -75,7 +76,7 @@ def tick_subject(recorded: Callable[[], Path]) -> Subject:
                 ))
             with stopwatch('physics'):
                 aircraft.advance(command)
-        _record(recorded().parent, bag, stopwatch)
+        made[0].write(stopwatch)
         return {part: stopwatch.total_ns[part] // (last + 1) for part in PARTS}
 
     return Subject(name=_NAME, run=drive, warm_ups=1, most=5)
@@ -109,17 +110,27 @@ class _Stopwatch:
         self.total_ns[part] += time.process_time_ns() - start
 
 
-def _steps(bag: Path) -> list[list[RawMessage]]:
-    """The messages of a bag, step by step."""
-    grouped = itertools.groupby(read_messages(bag), lambda message: message.stamp_ns)
-    return [list(messages) for _, messages in grouped]
+class _Recorded:
+    """The messages of a run, written again and again as the recorder does."""
 
+    def __init__(self, bag: Path) -> None:
+        self._folder = bag.parent
+        messages = list(stored_messages(bag))
+        self._topics = tuple({message.topic.name: message.topic for message in messages}.values())
+        grouped = itertools.groupby(messages, lambda message: message.stamp_ns)
+        self._steps = [(stamp_ns, list(step)) for stamp_ns, step in grouped]
+        self._canonical = Canonical(self._topics)
 
-def _record(
-    beside: Path, steps: Sequence[Sequence[RawMessage]], stopwatch: _Stopwatch
-) -> None:
-    """Write a bag as the recorder does, from messages that have arrived."""
-    topics = [topic for topic, _ in _topics_of(steps)]
-    folder = Path(tempfile.mkdtemp(prefix='tick-', dir=beside))
-    del topics
-    shutil.rmtree(folder)
+    def write(self, stopwatch: _Stopwatch) -> None:
+        """Write them into a bag, which is removed unmeasured."""
+        scratch = Path(tempfile.mkdtemp(prefix='tick-', dir=self._folder))
+        with stopwatch('recording'):
+            writer = BagWriter(
+                scratch / 'run', self._topics, metadata={}, attachments={}, min_free_bytes=0
+            )
+            for stamp_ns, step in self._steps:
+                for topic, _, cdr in step:
+                    writer.write(topic.name, self._canonical.message(topic.name, cdr), stamp_ns)
+                writer.flush()
+            writer.close()
+        shutil.rmtree(scratch)

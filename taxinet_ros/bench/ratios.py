@@ -1,0 +1,121 @@
+"""Figures over figures, which depend on the machine far less than times; some are guarded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from taxinet_ros.bench.campaign import WORKERS, figure_name
+from taxinet_ros.bench.measure import Figure
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Ratio:
+    """One figure over another.
+
+    Attributes:
+        name: for people: what over what.
+        over, under: names of the figures.
+        cpu: processor time, or else wall time.
+        least, most: bounds that a program as good as today's keeps on any machine, loosely.
+    """
+
+    name: str
+    over: str
+    under: str
+    cpu: bool = True
+    least: float | None = None
+    most: float | None = None
+
+
+# Bounds leave about half as much again as was measured in docs/performance.md: they shall tell
+# when a change makes the graph dear, not when a neighbour of the machine is busy.
+RATIOS = (
+    Ratio(
+        name='composed graph / loop without ROS, network',
+        over='graph/composed/network', under='loop/network', most=4.0,
+    ),
+    # Without pictures there is little else than messages, so the ratio is of two small things.
+    Ratio(
+        name='composed graph / loop without ROS, truth',
+        over='graph/composed/truth', under='loop/truth', most=30.0,
+    ),
+    Ratio(
+        name='separate processes / composed graph, network',
+        over='graph/processes/network', under='graph/composed/network', most=5.0,
+    ),
+    Ratio(
+        name='separate processes / composed graph, truth',
+        over='graph/processes/truth', under='graph/composed/truth',
+    ),
+    # Below 1 there would be no reason left to prefer an experimental executor.
+    Ratio(
+        name='default executor / ours, network',
+        over='graph/default executor/network', under='graph/composed/network', least=1.0,
+    ),
+    Ratio(
+        name='default executor / ours, truth',
+        over='graph/default executor/truth', under='graph/composed/truth', least=1.0,
+    ),
+    Ratio(
+        name='recorder without pictures / no recorder, network',
+        over='graph/composed/network', under='graph/no recorder/network', most=2.0,
+    ),
+    Ratio(
+        name='recorder with pictures / no recorder, network',
+        over='graph/with pictures/network', under='graph/no recorder/network', most=3.0,
+    ),
+    *(
+        Ratio(
+            name=f'time per run, 1 worker / {workers} workers', over=figure_name(1),
+            under=figure_name(workers), cpu=False,
+        )
+        for workers in WORKERS[1:]
+    ),
+)  # fmt: skip
+"""What is compared whenever both figures are there."""
+
+
+def find_ratios(figures: Mapping[str, Figure]) -> dict[str, dict[str, Any]]:
+    """The ratios of what was measured, by name.
+
+    Returns:
+        ``value``: of the medians; ``low``, ``high``: of a quartile and the opposite one; ``clock``;
+        ``least``, ``most``: bounds, where there are any; ``kept``: whether the value is in them.
+    """
+    return {
+        ratio.name: _found(ratio, figures[ratio.over], figures[ratio.under])
+        for ratio in RATIOS
+        if ratio.over in figures and ratio.under in figures
+    }
+
+
+def broken(ratios: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """A line for each ratio beyond its bounds."""
+    lines = []
+    for name, ratio in ratios.items():
+        value, least, most = ratio['value'], ratio['least'], ratio['most']
+        if most is not None and value > most:
+            lines.append(f'bench: {name} is {value:.2f}, guarded at {most:g} or less')
+        if least is not None and value < least:
+            lines.append(f'bench: {name} is {value:.2f}, guarded at {least:g} or more')
+    return lines
+
+
+def _found(ratio: Ratio, over: Figure, under: Figure) -> dict[str, Any]:
+    (q1, median, q3), (other_q1, other, other_q3) = (
+        _quartiles(figure, ratio.cpu) for figure in (over, under)
+    )
+    found = {
+        'value': median / other, 'low': q1 / other_q3, 'high': q3 / other_q1,
+        'clock': 'processor' if ratio.cpu else 'wall', 'least': ratio.least, 'most': ratio.most,
+    }
+    return {**found, 'kept': not broken({ratio.name: found})}
+
+
+def _quartiles(figure: Figure, cpu: bool) -> tuple[float, float, float]:
+    if not cpu:
+        return figure.q1_s, figure.median_s, figure.q3_s
+    assert figure.cpu_s is not None and figure.cpu_q1_s and figure.cpu_q3_s, 'no part of a run'
+    return figure.cpu_q1_s, figure.cpu_s, figure.cpu_q3_s
