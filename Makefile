@@ -4,10 +4,11 @@
 #   make          install into .venv             make test       lint, types, import rules, tests
 #   make demo     install and run the demo       make lint       the quick part of make test
 #   make format   mend what ruff can mend        make clean      remove caches and build folders
-#                                                make distclean  the same, and .venv
+#   make bench    times, ratios to bench.json    make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
 #   JOBS=2              tests side by side; 0: one after the other, in one process
+#   REPEATS=10          how often make bench measures, in turns
 #
 # On Linux the default index serves torch with CUDA, some GB. Without a GPU let PIP_EXTRA_INDEX_URL
 # name the index of PyTorch's CPU wheels before the first make: the pinned version is the same, and
@@ -18,6 +19,7 @@ VENV ?= .venv
 OUT ?= bags/demo
 PYTEST ?=
 JOBS ?= logical
+REPEATS ?= 10
 
 BIN := $(VENV)/bin
 DONE := $(VENV)/done
@@ -33,7 +35,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PA
 unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: install demo test lint format clean distclean asked-python
+.PHONY: install demo test bench lint format clean distclean asked-python
 .NOTPARALLEL:
 
 install: $(DONE)/messages
@@ -47,6 +49,11 @@ demo: $(DONE)/messages
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: lint
 	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile $(PYTEST)
+
+# A report, for the machine is never as quiet as a test would need; it fails when a ratio that does
+# not depend on the machine is far off.
+bench: $(DONE)/messages
+	$(BIN)/taxinet bench all campaign --repeats $(REPEATS) --guard --json > bench.json
 
 lint: $(DONE)/messages $(DONE)/tools
 	$(BIN)/ruff check .

@@ -43,7 +43,7 @@ class Factor:
 
     Attributes:
         name: in JSON.
-        words: what is changed, such as ``no shadow of its own``.
+        words: how the scene then is, such as ``without its shadow``.
         cause: what then is to blame, such as ``the aircraft's own shadow``.
         rank: the narrower, the lower; factors of equal effect are named in this order.
         scenario: with the property changed.
@@ -94,15 +94,15 @@ def factors(scenario: Scenario) -> tuple[Factor, ...]:
     """What can be changed of a scene; left out is what is so already."""
     rain = scenario.rain > 0
     wanted: list[tuple[str, str, str, dict[str, Any]]] = [
-        (SHADOW, 'no shadow of its own', "the aircraft's own shadow", {'shadows': False}),
-        (CROSSING, 'no crossing', 'the crossing runway', {'crossing': False}),
+        (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
+        (CROSSING, 'without the crossing', 'the crossing runway', {'crossing': False}),
         (RAIN, 'dry', 'the rain', {'rain': 0.0}),
-        ('overcast', 'overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
-        ('clear', 'clear sky, dry' if rain else 'clear sky',
+        ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
+        ('clear', 'dry under a clear sky' if rain else 'under a clear sky',
          f'the {scenario.clouds} sky with its rain' if rain else f'the {scenario.clouds} sky',
          {'clouds': 'clear', 'rain': 0.0}),
-        ('ten', '10:00', 'the hour', {'time_of_day_s': _TEN}),
-        ('easy', 'all of these, clear sky', 'all of these together', _EASY),
+        ('ten', 'at 10:00', 'the hour', {'time_of_day_s': _TEN}),
+        ('easy', 'all at once, under a clear sky', 'all of it together', _EASY),
     ]
     return tuple(
         Factor(name=name, words=words, cause=cause, rank=rank,

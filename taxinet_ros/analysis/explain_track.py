@@ -33,7 +33,8 @@ Look = Callable[[Frame], TrackingError]
 APART_NS = NS_PER_S
 """Least time between two moments that are looked into."""
 
-_TURNED_AWAY_RAD = np.pi / 2
+_TURNED_AWAY_RAD = np.radians(45.0)
+"""Led by the truth the aircraft turns no further than it approaches the centreline: 35 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +74,7 @@ class Track:
 
     @property
     def steps_on_runway(self) -> int:
-        """Control steps before the aircraft first leaves the runway, or turns round on it."""
+        """Control steps before the aircraft first leaves the runway, or turns away on it."""
         away = (np.abs(self.cte_m) > HALF_WIDTH_M) | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
         return int(away.argmax()) if away.any() else len(away)
 
@@ -125,7 +126,8 @@ class Moment:
 def heading_asked_rad(cte_m: Floats, he_rad: Floats, gains: SteeringGains) -> Floats:
     """The heading error that the steering law wants to take away, for tracking errors."""
     limit = gains.max_intercept_rad
-    return he_rad + np.clip(gains.cte_gain_rad_per_m * cte_m, -limit, limit)
+    return he_rad + np.asarray(
+        np.clip(gains.cte_gain_rad_per_m * cte_m, -limit, limit), np.float64)
 
 
 def misled_rad(estimate: TrackingError, truth: TrackingError, gains: SteeringGains) -> float:
@@ -133,10 +135,10 @@ def misled_rad(estimate: TrackingError, truth: TrackingError, gains: SteeringGai
     if not estimate.usable:
         return float('nan')
     seen, true = (
-        heading_asked_rad(np.float64(error.cte_m), np.float64(error.he_rad), gains)
+        heading_asked_rad(np.array([error.cte_m]), np.array([error.he_rad]), gains)
         for error in (estimate, truth)
     )
-    return float(seen - true)
+    return float((seen - true)[0])
 
 
 def read_track(
@@ -192,7 +194,8 @@ def read_track(
 def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
     """Rows of the frames to look into: where the network misleads the aircraft most, and the start.
 
-    Those after the aircraft has left the runway say nothing of why it did, and are not taken.
+    Those after the aircraft has left the runway or turned away say nothing of why it did, and are
+    not taken.
 
     Args:
         track: the estimates.
@@ -210,7 +213,7 @@ def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
     if 0 not in chosen and frames > 1:
         # The start stands for the scene as it was asked for, however well it was seen.
         near = [row for row in chosen if stamps_ns[row] - stamps_ns[0] < APART_NS]
-        chosen = [row for row in chosen if row not in near][:frames - 1] + [0]
+        chosen = [*[row for row in chosen if row not in near][:frames - 1], 0]
     return tuple(sorted(chosen))
 
 

@@ -116,7 +116,7 @@ class NearestImages:
         far, rows = self._search.kneighbors(_features(shrink(image)[np.newaxis]), n_neighbors=k)
         levels = far[0] / math.sqrt(self._size)
         return Nearness(
-            by_picture=_neighbours(rows[0], levels),
+            by_picture=_neighbours(rows[0].tolist(), levels),
             by_scene=_by_scene(self.images.scenes, scene, k),
             farther_than=float(np.searchsorted(self._own, levels[0])) / len(self._own),
             usual=float(np.median(self._own)),
@@ -136,13 +136,13 @@ def _by_scene(
         if name in scenes and name in scene:
             squares += (scenes[name] != scene[name]).to_numpy(dtype=np.float64)
     rows = np.argsort(squares, kind='stable')[:k]
-    return _neighbours(rows, np.sqrt(squares[rows]))
+    return _neighbours(rows.tolist(), np.sqrt(squares[rows]))
 
 
 def _neighbours(rows: Sequence[int], distances: Floats) -> tuple[Neighbour, ...]:
     return tuple(
-        Neighbour(row=int(row), distance=float(distance))
-        for row, distance in zip(rows, distances, strict=True)
+        Neighbour(row=row, distance=distance)
+        for row, distance in zip(rows, distances.tolist(), strict=True)
     )
 
 

@@ -83,7 +83,7 @@ def occlusion_map(look: Look, image: Frame, gains: SteeringGains) -> OcclusionMa
     height, width = image.shape[:2]
     cells = (-(-height // STRIDE_PX), -(-width // STRIDE_PX))
     sums, counts, lost = np.zeros((*cells, 3)), np.zeros(cells), 0
-    covered = cv2.GaussianBlur(image, (0, 0), sigmaX=PATCH_PX / 2)
+    covered = np.asarray(cv2.GaussianBlur(image, (0, 0), sigmaX=PATCH_PX / 2), np.uint8)
     span, soft = PATCH_PX // STRIDE_PX, _soft_patch()
     for row, column in product(range(1 - span, cells[0]), range(1 - span, cells[1])):
         seen = look(_cover(image, covered, soft, row * STRIDE_PX, column * STRIDE_PX))
@@ -128,7 +128,7 @@ def _soft_patch() -> NDArray[np.float32]:
 
 def _in_pixels(cells: Floats, shape: tuple[int, ...]) -> Floats:
     square = np.ones((STRIDE_PX, STRIDE_PX))
-    return np.kron(cells, square)[:shape[0], :shape[1]]
+    return np.asarray(np.kron(cells, square)[:shape[0], :shape[1]], np.float64)
 
 
 def patches(height: int, width: int) -> int:

@@ -1,4 +1,4 @@
-"""A campaign from the command line: wall time per run once it is under way, by number of workers."""
+"""A campaign from the command line: wall time per run, once under way, by number of workers."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 
 from taxinet_ros.bench.amounts import Amounts
+from taxinet_ros.bench.commands import TAXINET, last_words
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.bench.start_up import TAXINET
-from taxinet_ros.campaign.options import LEDGER
+from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.scenario import Scenario
 
@@ -21,7 +21,10 @@ WORKERS = (1, 2)
 RUNS = 8
 """Runs of each campaign; those that fill the workers for the first time are not counted."""
 
-_SETTINGS: tuple[str, ...] = ()
+_SEARCH = (
+    'falsify', 's_falsif', '--sampler', 'random', '--perception', 'taxinet', '--images', 'none',
+    '--quiet',
+)
 _LOOK_S = 0.005
 _LIMIT_S = 600.0
 
@@ -56,24 +59,19 @@ def part_name(workers: int) -> str:
 
 def _search(folder: Path, workers: int) -> Mapping[str, int]:
     out = Path(tempfile.mkdtemp(dir=folder)) / 'out'
-    words = [
-        'falsify', 's_falsif', '--sampler', 'random', '--perception', 'taxinet', '--images',
-        'none', '--workers', str(workers), '--runs', str(RUNS), '--quiet', '--out', str(out),
-    ]
-    for setting in _SETTINGS:
-        words += ['--set', setting]
+    words = [*_SEARCH, '--workers', str(workers), '--runs', str(RUNS), '--out', str(out)]
     with subprocess.Popen(
         [*TAXINET, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     ) as process:
         try:
-            stamps = _watch(process, out / LEDGER)
+            stamps = _watch(process, out / LEDGER_NAME)
         except BaseException:
             process.terminate()
             raise
-    if process.returncode not in (0, 1) or len(stamps) != RUNS:
-        detail = f'exit code {process.returncode} after {len(stamps)} of {RUNS} runs'
-        raise InfraError('start', 'taxinet falsify', -1, detail)
+        if process.returncode not in (0, 1) or len(stamps) != RUNS:
+            detail = f'{len(stamps)} of {RUNS} runs, {last_words(process)}'
+            raise InfraError('start', 'taxinet falsify', -1, detail)
     counted = RUNS - workers
     return {part_name(workers): (stamps[-1] - stamps[workers - 1]) // counted}
 

@@ -15,16 +15,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import psutil
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
 
 from taxinet_ros.bench import loop
-from taxinet_ros.bench.amounts import Amounts, folder_bytes, peak_memory
+from taxinet_ros.bench.amounts import Amounts, folder_bytes
 from taxinet_ros.bench.measure import Clock, Subject
+from taxinet_ros.bench.processes import peak_memory, processor_time_ns
 from taxinet_ros.bench.standing import StandingGraph
 from taxinet_ros.bench.tick import tick_subject
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.processes import process_graph
@@ -60,13 +60,15 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
     """
     if os.environ.get(_DOMAIN):
         raise UsageError(f'bench: {_DOMAIN} puts all its graphs into one domain; unset it')
+    # Graphs side by side have nodes of the same names, of which their common log would complain.
+    set_logger_level('rcl.logging_rosout', LoggingSeverity.ERROR)
     maker = _Maker(stack)
     found: list[Subject] = []
     for word in PERCEPTIONS:
         composed = maker.make('composed', word)
         found.append(composed.subject)
         if word == 'network':
-            found.append(tick_subject(lambda bag=composed.graph: bag.bag))
+            found.append(tick_subject(composed.bag))
             amounts['a run without pictures'] = composed.bytes
     logs = maker.folder / 'logs'
     for word in PERCEPTIONS:
@@ -80,6 +82,7 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
     pictures = maker.make('with pictures', 'network', images='all')
     amounts['a run with pictures'] = pictures.bytes
     unrecorded = maker.make('no recorder', 'network', kind=_Unrecorded)
+    amounts['memory: this process, with all its graphs'] = partial(peak_memory, [os.getpid()])
     return [*found, pictures.subject, unrecorded.subject]
 
 
@@ -96,6 +99,10 @@ class _Standing:
             simulated_s=loop.SCENARIO.duration_s, cpu=_clock(pids),
         )
 
+    def bag(self) -> Path:
+        """The bag of its last run."""
+        return self.graph.bag
+
     def bytes(self) -> float:
         """What its last run has left on disk."""
         return folder_bytes(self.graph.bag)
@@ -106,7 +113,8 @@ class _Maker:
 
     def __init__(self, stack: ExitStack) -> None:
         self._stack = stack
-        self.folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-bench-')))
+        folder = tempfile.TemporaryDirectory(prefix='taxinet-bench-')
+        self.folder = Path(stack.enter_context(folder))
 
     def make(
         self, way: str, word: str, start: Open = composed_graph, *, images: str = 'none',
@@ -115,26 +123,14 @@ class _Maker:
         """Set up a graph: the ``way`` it works, and the ``word`` for its perception."""
         bags = self.folder / way / word
         options = kind(perception=PERCEPTIONS[word], out=bags, images=images)
-        before = _children()
         graph = self._stack.enter_context(start(options))
-        pids = [pid for pid in _children() if pid not in before]
+        pids = [child.process.pid for child in getattr(graph, 'children', ())]
         known = options.nodes()
         there = [name for name in interface.PARTICIPANTS if name in known]
         standing = self._stack.enter_context(StandingGraph(graph, there, bags))
-        return _Standing(f'{way}/{word}', standing, pids, most)
-
-
-def _children() -> list[int]:
-    return [child.pid for child in psutil.Process().children()]
+        return _Standing(f'{way}, {word}', standing, pids, most)
 
 
 def _clock(pids: Sequence[int]) -> Clock:
     """Processor time of this process and of some children [ns]; theirs in steps of 10 ms."""
-    processes = [psutil.Process(pid) for pid in pids]
-
-    def now() -> int:
-        times = [process.cpu_times() for process in processes]
-        others = sum(time.user + time.system for time in times)
-        return time.process_time_ns() + round(others * NS_PER_S)
-
-    return now
+    return lambda: time.process_time_ns() + sum(processor_time_ns(pid) for pid in pids)

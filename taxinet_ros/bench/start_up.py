@@ -1,4 +1,4 @@
-"""From the command to something seen: ``taxinet run`` to its first step on disk, a node to its name.
+"""From a command to something seen: ``taxinet run`` to a step on disk, a node to its name.
 
 Processes of their own, watched from outside every few milliseconds; Python files and libraries are
 in the system's cache after the first.
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -21,20 +21,18 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from taxinet_ros.bench.amounts import Amounts, peak_memory
+from taxinet_ros.bench.amounts import Amounts
+from taxinet_ros.bench.commands import LIMIT_S, LOOK_S, TAXINET, last_words, wait_for
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.bench.processes import peak_memory
+from taxinet_ros.core.errors import InfraError
 from taxinet_ros.nodes import interface, steering_controller
 from taxinet_ros.nodes.graph import own_domain
 
-TAXINET = (sys.executable, '-P', '-c', 'from taxinet_ros.cli.main import main; main()')
-"""What starts ``taxinet`` as people's shells do, with this Python."""
-
+_NAME = 'start-up'
 _RUN = (
     'run', 's_falsif', '--perception', 'taxinet', '--images', 'none', '--set', 'duration=1',
 )
-_LIMIT_S = 120.0
-_LOOK_S = 0.003
 _MAGIC_BYTES, _CHUNK = 8, 6
 _HEAD = struct.Struct('<BQ')
 
@@ -57,9 +55,9 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
     stack.callback(onlooker.destroy_node)
     return [
         Subject(
-            name='start-up/taxinet run', run=partial(_start_run, folder, peaks), warm_ups=0, most=3
+            name=_NAME, run=partial(_start_run, folder, peaks), warm_ups=0, most=3
         ),
-        Subject(name='start-up/node', run=partial(_start_node, onlooker), warm_ups=0, most=3),
+        Subject(name=_NAME, run=partial(_start_node, onlooker), warm_ups=0, most=3),
     ]
 
 
@@ -95,21 +93,21 @@ def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
             first = wait_for(process, on_disk, 'taxinet run') - start
             while process.poll() is None:
                 on_disk()
-                time.sleep(_LOOK_S)
+                time.sleep(LOOK_S)
         except BaseException:
             process.kill()
             raise
         whole = time.perf_counter_ns() - start
-    if process.returncode not in (0, 1):
-        raise InfraError('start', 'taxinet run', -1, f'exit code {process.returncode}')
-    return {'first step': first, 'whole': whole}
+        if process.returncode not in (0, 1):
+            raise InfraError('start', 'taxinet run', -1, last_words(process))
+    return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
 
 
 def _start_node(onlooker: Node) -> Mapping[str, int]:
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(onlooker.context.get_domain_id())}
-    deadline = time.monotonic() + _LIMIT_S
+    deadline = time.monotonic() + LIMIT_S
     while _seen(onlooker) and time.monotonic() < deadline:
-        time.sleep(_LOOK_S)  # the one before has not been forgotten yet
+        time.sleep(LOOK_S)  # the one before has not been forgotten yet
     start = time.perf_counter_ns()
     with subprocess.Popen(
         [sys.executable, '-P', '-m', steering_controller.__name__], env=environment,
@@ -119,31 +117,8 @@ def _start_node(onlooker: Node) -> Mapping[str, int]:
             seen = wait_for(process, partial(_seen, onlooker), 'node') - start
         finally:
             process.terminate()
-    return {'seen': seen}
+    return {'node, seen': seen}
 
 
 def _seen(onlooker: Node) -> bool:
     return interface.STEERING_CONTROLLER in onlooker.get_node_names()
-
-
-def wait_for(
-    process: subprocess.Popen[bytes], there: Callable[[], bool], who: str
-) -> int:
-    """Look until something is there.
-
-    Returns:
-        When that was, on the clock of :func:`time.perf_counter_ns`.
-
-    Raises:
-        InfraError: the process has ended, or too much time has passed.
-    """
-    deadline = time.monotonic() + _LIMIT_S
-    while not there():
-        if process.poll() is not None and not there():
-            lines = process.stderr.read().decode(errors='replace').split('\n') if process.stderr else []
-            last = next((line for line in reversed(lines) if line.strip()), 'it said nothing')
-            raise InfraError('start', who, -1, f'exit code {process.returncode}: {last}')
-        if time.monotonic() > deadline:
-            raise InfraError('start', who, -1, f'nothing to be seen after {_LIMIT_S:g} s')
-        time.sleep(_LOOK_S)
-    return time.perf_counter_ns()

@@ -35,7 +35,7 @@ PARTS = (
 
 TRANSPORT = 'transport'
 WHOLE = 'whole'
-GRAPH = 'graph/composed/network'
+GRAPH = 'graph/composed, network'
 """The figure of the whole."""
 
 _NAME = 'tick'

@@ -89,6 +89,41 @@ def localize(
     raise typer.Exit(run_localize(options, as_json=as_json))
 
 
+def explain(
+    bag: Annotated[
+        Path, typer.Argument(metavar='BAG', help="a run's folder, usually of a counterexample")
+    ],
+    perception: Annotated[
+        str | None,
+        typer.Option(
+            metavar='WORD|FILE', help='network to ask; the one that took part where not named'
+        ),
+    ] = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='training images to hold the frames against'),
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=1, max=20, help='most frames to look into: the worst, and the start')
+    ] = 4,
+    out: Annotated[
+        Path | None, typer.Option(help='folder for page and pictures; must be new')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find why the network failed in one run.
+
+    Shows where its estimates are wrong, what it sees at the worst moments without shadow, crossing
+    or rain, under another sky and at another hour, which part of the picture it goes by, and the
+    training images that come nearest.
+    """
+    from taxinet_ros.cli.explain import ExplainOptions, run_explain
+
+    raise typer.Exit(run_explain(ExplainOptions(
+        bag=bag, perception=perception, dataset=dataset, frames=frames, out=out, as_json=as_json,
+    )))
+
+
 def gate(
     campaign: CampaignArgument,
     min_satisfaction: Annotated[

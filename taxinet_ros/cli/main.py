@@ -18,7 +18,7 @@ from typer.exceptions import TyperException
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
-from taxinet_ros.cli.analysis_commands import analyze, experiment, gate, localize
+from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.monitor_command import monitor
@@ -36,8 +36,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, falsify, learned, shrink, analyze, localize, experiment, gate, monitor, demo, train,
-    dataset, evaluate,
+    run, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, demo,
+    train, dataset, evaluate,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -49,7 +49,9 @@ def bench(
     subjects: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar='[SUBJECT]...', help='camera, inference, physics, monitor, loop or all'
+            metavar='[SUBJECT]...',
+            help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
+            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -61,11 +63,20 @@ def bench(
         str | None,
         typer.Option(metavar='PYTHON', help="one that has other people's monitors: measure them"),
     ] = None,
+    guard: Annotated[
+        bool, typer.Option('--guard', help='exit 1 if a guarded ratio is beyond its bounds')
+    ] = False,
 ) -> None:
-    """Measure how long everything takes, on one core."""
+    """Measure how long everything takes, on one core.
+
+    Medians, with their spread, and ratios between them: the closed loop over ROS 2, composed and
+    as processes, and without; what a control step is made of; bytes and memory.
+    """
     from taxinet_ros.cli.bench import run_bench
 
-    run_bench(subjects or (), repeats=repeats, as_json=as_json, old=compare, peers=peers)
+    raise typer.Exit(run_bench(
+        subjects or (), repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
+    ))
 
 
 @app.command(context_settings={'ignore_unknown_options': True, 'allow_extra_args': True})

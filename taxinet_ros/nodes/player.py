@@ -52,7 +52,8 @@ class Player(Node):
             executor: the one that spins this node.
             node: goes to :class:`rclpy.node.Node`.
         """
-        super().__init__('player', **node)
+        # Nodes wait for one another by name, and here this one is the simulator.
+        super().__init__(interface.SIMULATOR, **node)
         self._scenario, self._steps, self._target = scenario, steps, target
         self._collector = StepCollector({answer.name: per_step})
         self.answers: dict[int, dict[str, list[Any]]] = {}

@@ -68,3 +68,42 @@ def test_given_bad_words_when_typed_then_one_line_says_so(
     assert (code, out) == (2, '')
     assert err.startswith(f'taxinet: error: {message}')
     assert err.count('\n') == 1
+
+
+def report_of(ratio: float) -> dict[str, object]:
+    return {
+        'machine': {}, 'figures': {},
+        'ratios': {'a / b': {'value': ratio, 'low': ratio, 'high': ratio, 'clock': 'processor',
+                             'least': None, 'most': 2.0, 'kept': ratio <= 2}},
+        'tick': {'physics': 1e-3, 'whole': 4e-3},
+        'amounts': {'a run': 3e6},
+        'left_out': {'start-up': 'no reason'},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(('ratio', 'code', 'line'), [
+    (1.0, 0, ''),
+    (3.0, 1, 'bench: a / b is 3.00, guarded at 2 or less\n'),
+])
+def test_given_a_guard_when_a_ratio_is_beyond_its_bound_then_the_exit_code_and_a_line_say_so(
+    ratio: float, code: int, line: str, capsys, monkeypatch
+) -> None:
+    monkeypatch.setattr('taxinet_ros.cli.bench.run_subjects', lambda *args: report_of(ratio))
+    found, out, err = call(capsys, 'graph', '--guard')
+    assert (found, err) == (code, line)
+    for words in ('a / b', 'physics', '25%', '3.0 MB', '<= 2', 'left out: start-up: no reason'):
+        assert words in out
+    assert call(capsys, 'graph')[0] == 0
+
+
+def test_given_a_guard_without_a_graph_when_typed_then_it_is_refused(capsys, monkeypatch) -> None:
+    code, out, err = call(capsys, 'physics', '--guard')
+    assert (code, out) == (2, '')
+    assert err == (
+        'taxinet: error: bench: --guard guards the ratios of the graph; name graph or all\n'
+    )
+    report = {'machine': {}, 'figures': {}, 'left_out': {'graph': 'no rclpy'}}
+    monkeypatch.setattr('taxinet_ros.cli.bench.run_subjects', lambda *args: report)
+    code, _, err = call(capsys, '--guard')
+    assert code == 2
+    assert 'no guarded ratio was measured; the graph needs ROS 2' in err

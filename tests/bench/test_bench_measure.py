@@ -33,9 +33,10 @@ def test_given_known_times_when_measured_then_the_statistics_are_theirs() -> Non
     assert [figure.min_s, figure.q1_s, figure.median_s, figure.q3_s] == pytest.approx(
         [1e-8, 2e-8, 3e-8, 4e-8]
     )
-    assert figure.cpu_s == pytest.approx(1.5e-8)
+    assert [figure.cpu_q1_s, figure.cpu_s, figure.cpu_q3_s] == pytest.approx([1e-8, 1.5e-8, 2e-8])
     assert figure.repeats == 5
     assert figure.real_time_factor == pytest.approx(2.0)
+    assert figure.real_time_per_core == pytest.approx(4.0)
 
 
 def test_given_several_calls_in_a_run_when_measured_then_the_figure_is_of_one() -> None:
@@ -43,6 +44,7 @@ def test_given_several_calls_in_a_run_when_measured_then_the_figure_is_of_one() 
     figure = measure([taking(clock, 'a', [80], calls=4)], 1, wall=clock, cpu=clock)['a']
     assert (figure.median_s, figure.cpu_s) == pytest.approx((2e-8, 2e-8))
     assert figure.real_time_factor is None
+    assert figure.real_time_per_core is None
 
 
 def test_given_subjects_when_measured_then_they_take_turns_and_the_costly_one_stops_early() -> None:
@@ -71,3 +73,19 @@ def test_given_a_subject_that_times_its_parts_when_measured_then_only_they_have_
     assert list(figures) == ['a/x', 'a/y']
     assert figures['a/x'].median_s == pytest.approx(2e-8)
     assert figures['a/x'].cpu_s is None
+
+
+def test_given_a_subject_with_a_clock_of_its_own_when_measured_then_that_counts() -> None:
+    clock, others = Clock(), Clock()
+
+    def run() -> None:
+        clock.now_ns += 10
+        others.now_ns += 70
+
+    subjects = [
+        Subject(name='alone', run=run, warm_ups=0),
+        Subject(name='with children', run=run, warm_ups=0, cpu=others),
+    ]
+    figures = measure(subjects, 1, wall=clock, cpu=clock)
+    assert figures['alone'].cpu_s == pytest.approx(1e-8)
+    assert figures['with children'].cpu_s == pytest.approx(7e-8)

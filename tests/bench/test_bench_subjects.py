@@ -9,8 +9,9 @@ import cv2
 import pytest
 
 from taxinet_ros.bench import monitor
+from taxinet_ros.bench import run as bench_run
 from taxinet_ros.bench.camera import SUM
-from taxinet_ros.bench.run import SUBJECTS, run_subjects
+from taxinet_ros.bench.run import SUBJECTS, WITH_ROS, run_subjects
 from taxinet_ros.bench.scenes import SCENES
 from taxinet_ros.campaign.samplers.make import SAMPLERS
 from taxinet_ros.core.camera import STAGES
@@ -86,16 +87,35 @@ def test_given_no_word_when_measured_then_every_subject_is_asked(monkeypatch) ->
     asked: list[str] = []
     for word in SUBJECTS:
         monkeypatch.setitem(SUBJECTS, word, lambda word=word: asked.append(word) or [])
+    for word in WITH_ROS:
+        monkeypatch.setitem(
+            WITH_ROS, word, lambda stack, amounts, word=word: asked.append(word) or []
+        )
     for words in ((), ('all',), ('all', 'physics')):
         asked.clear()
         assert figures(*words) == {}
-        assert asked == list(SUBJECTS)
+        assert asked == [*SUBJECTS, 'graph', 'start-up']
+    asked.clear()
+    assert figures('campaign', 'graph') == {}
+    assert asked == ['loop', 'graph', 'campaign']
+
+
+def test_given_no_ros_when_measured_then_all_leaves_out_what_needs_it_and_says_so(
+    monkeypatch
+) -> None:
+    monkeypatch.setattr(bench_run, 'find_spec', lambda name: None)
+    for word in SUBJECTS:
+        monkeypatch.setitem(SUBJECTS, word, list)
+    report = run_subjects([], 1, lambda done, total: None)
+    assert report['left_out'] == {'graph': 'no rclpy', 'start-up': 'no rclpy'}
+    with pytest.raises(UsageError, match='start-up needs ROS 2, and this Python has no rclpy'):
+        run_subjects(['start-up'], 1, lambda done, total: None)
 
 
 @pytest.mark.parametrize(
     ('words', 'repeats', 'message'),
     [
-        (['camera', 'cameras'], 3, r"'cameras' is unknown; known: camera, .*, loop, all"),
+        (['camera', 'cameras'], 3, r"'cameras' is unknown; known: camera, .*, campaign, all"),
         ([], 0, r'--repeats is 0, needs to be 1 or more'),
     ],
 )
