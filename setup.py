@@ -33,7 +33,6 @@ REQUIREMENTS = [
     'optuna',
     'pandas',
     'pillow',
-    'psutil',
     'pyarrow',
     'pymap3d',
     'PyYAML',

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from taxinet_ros.analysis.explain import Explanation, Insight
 from taxinet_ros.analysis.explain_track import Floats, Frame, Moment
@@ -85,7 +86,7 @@ def nearest_picture(insight: Insight, images: TrainingImages) -> Picture:
         title=f'Nearest training images, at {moment.t_s:.1f} s',
         caption='Left the frame; then the images nearest to it, above as pictures, below by '
                 'labels and weather. All are reduced to what the networks here see.',
-        draw=partial(_draw_nearest, insight, images), size_in=(9.0, 3.1),
+        draw=partial(_draw_nearest, insight, images), size_in=(9.0, 2.7),
     )
 
 
@@ -214,7 +215,9 @@ def _draw_occlusion(insight: Insight, figure: Figure, theme: Theme) -> None:
         axes.set_title(unit, fontsize=9, loc='left')
         # Of its own: the picture's opacity goes by the place, and a scale has none.
         colours = ScalarMappable(norm=drawn.norm, cmap=drawn.cmap)
-        figure.colorbar(colours, cax=scale, orientation='horizontal').ax.tick_params(labelsize=7)
+        bar = figure.colorbar(
+            colours, cax=scale, orientation='horizontal', ticks=MaxNLocator(6, symmetric=True))
+        bar.ax.tick_params(labelsize=7)
 
 
 def _draw_nearest(insight: Insight, images: TrainingImages, figure: Figure, theme: Theme) -> None:

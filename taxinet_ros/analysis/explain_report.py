@@ -17,7 +17,6 @@ from taxinet_ros.analysis.explain_pictures import (
 from taxinet_ros.analysis.explain_track import Moment
 from taxinet_ros.analysis.explain_words import (
     attention_sentences,
-    effect_words,
     explain_sentences,
     moment_words,
     recomputed_sentence,
@@ -54,7 +53,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         'recomputed': {
             'cte_m': _plain(cte_m), 'he_rad': _plain(he_rad), 'equal': cte_m == he_rad == 0,
         },
-        'on_runway_until_s': _plain(found.track.t_s[found.track.steps_on_runway - 1]),
+        'steps_on_runway': found.track.steps_on_runway,
         'blamed': None if blamed is None else blamed.factor.name,
         'factors': [
             {'name': effect.factor.name, 'words': effect.factor.words,
@@ -87,7 +86,6 @@ def _sections(found: Explanation) -> Iterator[Section]:
                 'Each change is made alone and nothing else changes, so what goes with it is '
                 'caused by it. This holds for the pictures; whether the whole run would have '
                 'passed, only a run tells.',
-                *(f'{effect.factor.words}: {effect_words(effect)}.' for effect in found.effects),
             ),
             pictures=(
                 factor_picture(found),

@@ -106,7 +106,10 @@ def effect_words(effect: Effect) -> str:
 
 def _cause(found: Explanation) -> Iterator[str]:
     track, worst = found.track, found.insights[found.worst].moment
-    if not abs(worst.misled_rad) >= _HARDLY_RAD:
+    if not worst.estimate.usable:
+        yield 'The network had no answer to any of the frames that were looked into.'
+        return
+    if abs(worst.misled_rad) < _HARDLY_RAD:
         yield (
             f'While the aircraft was on the runway, its network misled the steering law by '
             f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, hardly for '
@@ -156,8 +159,8 @@ def _nearness(found: Explanation) -> Iterator[str]:
     name = found.training.images.name
     far = (
         f'At the worst the nearest training image is {worst.by_picture[0].distance:.1f} grey '
-        f'levels away, farther than {100 * worst.farther_than:.1f} % of the images of {name} are '
-        f'from their nearest other one (usual: {worst.usual:.1f})'
+        f'levels away, farther than {100 * worst.farther_than:.1f} % of the images of data set '
+        f'{name} are from their nearest other one (usual: {worst.usual:.1f})'
     )
     if foreign:
         yield f'{far}; {len(foreign)} of {len(near)} frames are out of distribution.'

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import beta
+
+from taxinet_ros.campaign.rates import share_bounds
 
 MOST_RUNS = 10**7
 """Beyond so many further runs nobody waits for an answer."""
@@ -82,7 +83,4 @@ def effective_runs(weights: Sequence[float] | np.ndarray) -> float:
 def _one_sided(share: float, runs: float, confidence: float) -> tuple[float, float]:
     if not runs:
         return 0.0, 1.0
-    good = share * runs
-    low = float(beta.ppf(1 - confidence, good, runs - good + 1)) if share > 0 else 0.0
-    high = float(beta.ppf(confidence, good + 1, runs - good)) if share < 1 else 1.0
-    return low, high
+    return share_bounds(share * runs, (1 - share) * runs, 1 - confidence)

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import beta
 
-from taxinet_ros.campaign.rates import CONFIDENCE
+from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
 from taxinet_ros.campaign.samplers.estimate import Estimate, estimate_rate
 
 _FEW = 5
@@ -68,10 +67,10 @@ def _of_few(runs: int, failures: int, found: Estimate) -> GroupRate:
 
     The variance of a weighted share is itself not known from a handful of failures.
     """
-    share, tail = found.rate.rate, (1 - CONFIDENCE) / 2
-    hits, misses = share * found.effective, (1 - share) * found.effective
-    low = float(beta.ppf(tail, hits, misses + 1)) if failures else 0.0
-    high = float(beta.ppf(1 - tail, hits + 1, misses)) if failures < runs else 1.0
+    share = found.rate.rate
+    low, high = share_bounds(
+        share * found.effective, (1 - share) * found.effective, (1 - CONFIDENCE) / 2
+    )
     return GroupRate(runs, failures, share, low, high, found.effective)
 
 

@@ -20,10 +20,10 @@ from taxinet_ros.analysis.explain_track import Floats, Frame, Look
 from taxinet_ros.core.steering import SteeringGains
 
 PATCH_PX = 30
-"""Side of a patch: about as wide as the centreline at 5 m."""
+"""Side of a patch: as wide as the centreline looks from 7 m."""
 
 STRIDE_PX = 10
-"""From one patch to the next: some 700 looks for a map, about a second with a network of ours."""
+"""From one patch to the next: 836 looks for a map, about a second with a network of ours."""
 
 _SOFT_PX = 6
 _ROWS = ('upper', '', 'lower')

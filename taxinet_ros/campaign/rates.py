@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
@@ -21,6 +21,20 @@ class Rate(NamedTuple):
     rate: float
     low: float
     high: float
+
+
+def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]:
+    """Ends of a Clopper-Pearson interval of a share.
+
+    Args:
+        hits: runs that count; a fraction where runs are weighted.
+        misses: runs that do not.
+        tail: probability that is left out at each end, 0.025 for an interval of 95 %.
+    """
+    # The quantile of scipy.stats.beta, to the last bit, for a tenth of the time to import it.
+    low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0
+    return low, high
 
 
 def rate(k: int, n: int) -> Rate:
@@ -39,12 +53,8 @@ def rate(k: int, n: int) -> Rate:
     """
     if not 0 <= k <= n:
         raise ValueError(f'{k} of {n} is no share')
-    tail = (1 - CONFIDENCE) / 2
-    return Rate(
-        rate=k / n if n else math.nan,
-        low=float(beta.ppf(tail, k, n - k + 1)) if k > 0 else 0.0,
-        high=float(beta.ppf(1 - tail, k + 1, n - k)) if k < n else 1.0,
-    )
+    low, high = share_bounds(k, n - k, (1 - CONFIDENCE) / 2)
+    return Rate(rate=k / n if n else math.nan, low=low, high=high)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

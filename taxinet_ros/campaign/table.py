@@ -10,13 +10,14 @@ import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
+
+if TYPE_CHECKING:  # A run need not wait for it before it begins.
+    import pandas as pd
 
 CSV_NAME = 'runs.csv'
 PARQUET_NAME = 'runs.parquet'
@@ -67,6 +68,8 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
 
     A run's point has one column ``u_<dimension>`` for each dimension that any row has.
     """
+    import pandas as pd
+
     ordered = sorted(rows, key=lambda row: row.index)
     judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
     names = list(dict.fromkeys([*specs, *judged_by]))
@@ -102,6 +105,8 @@ def read_table(folder: Path) -> pd.DataFrame:
     Raises:
         UsageError: there is none, or it is damaged.
     """
+    import pandas as pd
+
     path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     try:
         frame = pd.read_parquet(path)

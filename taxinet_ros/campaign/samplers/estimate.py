@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import beta
 
-from taxinet_ros.campaign.rates import CONFIDENCE, Rate, rate
+from taxinet_ros.campaign.rates import CONFIDENCE, Rate, rate, share_bounds
 from taxinet_ros.campaign.samplers.product import Floats
 
 
@@ -97,12 +96,8 @@ def _interval(share: float, variance: float, otherwise: float) -> Rate:
         otherwise: number of runs to take then.
     """
     runs = share * (1 - share) / variance if variance > 0 and 0 < share < 1 else otherwise
-    failures, tail = share * runs, (1 - CONFIDENCE) / 2
-    return Rate(
-        rate=share,
-        low=float(beta.ppf(tail, failures, runs - failures + 1)) if share > 0 else 0.0,
-        high=float(beta.ppf(1 - tail, failures + 1, runs - failures)) if share < 1 else 1.0,
-    )
+    low, high = share_bounds(share * runs, (1 - share) * runs, (1 - CONFIDENCE) / 2)
+    return Rate(rate=share, low=low, high=high)
 
 
 def _effective(weight: Floats) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-
-from scipy.stats import qmc
+from typing import TYPE_CHECKING
 
 from taxinet_ros.campaign.samplers.draws import as_point, prior_point
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point, Space
+
+if TYPE_CHECKING:
+    from scipy.stats import qmc
 
 BLOCK = 256
 """Points that are computed at once; a power of two, as Sobol's wants."""
@@ -57,6 +59,8 @@ class QuasiRandom(FromPrior):
 
 def halton(space: Space, seed: int) -> QuasiRandom:
     """Halton's sequence, its digits permuted at random (Owen, arXiv:1706.02808)."""
+    from scipy.stats import qmc  # half a second that only these two are worth
+
     return QuasiRandom(qmc.Halton(len(space), scramble=True, rng=seed))
 
 
@@ -65,6 +69,8 @@ def sobol(space: Space, seed: int) -> QuasiRandom:
 
     It is best balanced after a number of runs that is a power of two: take 1024 rather than 1000.
     """
+    from scipy.stats import qmc
+
     return QuasiRandom(qmc.Sobol(len(space), scramble=True, rng=seed))
 
 
