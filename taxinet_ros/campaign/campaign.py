@@ -38,6 +38,7 @@ class Campaign:
     def __init__(
         self, options: CampaignOptions, participants: tuple[str, ...],
         on_row: Callable[[RunRow], None] = lambda row: None,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Nothing is started or written before the ``with``.
 
@@ -45,6 +46,7 @@ class Campaign:
             options: what to do.
             participants: node names that take part in every run.
             on_row: called with each row as soon as it is on disk.
+            meanwhile: called while the program's process starts, which takes seconds.
         """
         self.options = options
         self.rows: list[RunRow] = []
@@ -52,7 +54,7 @@ class Campaign:
         self._on_row = on_row
         self._source = SceneSource(
             options.program, seed=options.seed, overrides=options.overrides,
-            laid_over=options.laid_over,
+            laid_over=options.laid_over, meanwhile=meanwhile,
         )
         self._specs = tuple(parse_spec(text) for text in options.specs)
         self._next = 0

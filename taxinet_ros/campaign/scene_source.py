@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -67,6 +67,7 @@ class SceneSource:
     def __init__(
         self, program: str | Path, *, seed: int, overrides: Mapping[str, str] = _NO_OVERRIDES,
         laid_over: Mapping[str, str] = _NO_OVERRIDES, timeout_s: float = 60.0,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Check the arguments; the child starts, and the program is compiled, on ``with``.
 
@@ -78,6 +79,7 @@ class SceneSource:
             laid_over: likewise, but the dimensions are those without them, so a point gives the
                 scene that it gives without them, with these values changed.
             timeout_s: most wall-clock time for compiling, and for each scene [s].
+            meanwhile: is called while the child imports Scenic, which takes seconds.
 
         Raises:
             UsageError: unknown program, bad seed or bad override.
@@ -90,6 +92,7 @@ class SceneSource:
         self._overrides = dict(overrides)
         self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
+        self._meanwhile = meanwhile
         self._child: subprocess.Popen[bytes] | None = None
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
@@ -103,6 +106,7 @@ class SceneSource:
         """
         self._start()
         try:
+            self._meanwhile()
             self._receive(START_TIMEOUT_S)
             self._ask({'op': 'compile', 'program': str(self.program)})
             self._probe_weather()

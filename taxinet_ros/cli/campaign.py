@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -12,6 +13,8 @@ from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import heading, row_line, summary
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core import camera
+from taxinet_ros.core.perception import GroundTruth
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.processes import process_graph
@@ -46,7 +49,10 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             progress.advance(bar)
 
         at_hand = _AtHand()
-        with Campaign(options, PARTICIPANTS, show) as campaign, interrupts(at_hand.interrupt):
+        with (
+            Campaign(options, PARTICIPANTS, show, _meanwhile(options)) as campaign,
+            interrupts(at_hand.interrupt),
+        ):
             progress.console.print(heading(options), soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
@@ -57,6 +63,12 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
                     at_hand.graph = None
     console.print(summary(campaign.rows, options), soft_wrap=True)
     return campaign.rows
+
+
+def _meanwhile(options: CampaignOptions) -> Callable[[], None]:
+    """What this process can do while another one starts: the simulator's first picture needs it."""
+    pictures = options.perception != GroundTruth.word or options.images == 'all'
+    return camera.prepare if pictures and not options.processes else lambda: None
 
 
 def _graph(options: CampaignOptions) -> contextlib.AbstractContextManager[Graph]:

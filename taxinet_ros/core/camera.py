@@ -136,6 +136,12 @@ def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[n
     return table[0, :, brightest].copy(), np.minimum(gain, 1.0)
 
 
+def prepare() -> None:
+    """Make ahead what all cameras of a process share; else the first one takes the time."""
+    ground_atlas()
+    grain_atlas()
+
+
 class Camera:
     """The wing camera in one scenario's light and weather. Not to be shared between threads."""
 

@@ -6,7 +6,7 @@ the run, and the run's first messages would pass that node by.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from rclpy.node import Node
@@ -23,12 +23,11 @@ def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
         publisher: the speaking end.
         names: of the nodes that must hear it.
     """
-    matched = publisher.get_subscription_count()
-    if matched < len(names):  # Far cheaper than what follows, and asked many times.
-        return False
-    known = node.get_subscriptions_info_by_topic(publisher.topic_name)
-    fitting = sum(_fits(publisher.qos_profile, one.qos_profile) for one in known)
-    return set(names) <= {one.node_name for one in known} and matched >= fitting
+    return _found(
+        publisher.get_subscription_count(), names,
+        lambda: node.get_subscriptions_info_by_topic(publisher.topic_name),
+        lambda other: qos_check_compatible(publisher.qos_profile, other)[0],
+    )
 
 
 def hears_from(node: Node, subscription: Subscription, names: Collection[str]) -> bool:
@@ -39,13 +38,27 @@ def hears_from(node: Node, subscription: Subscription, names: Collection[str]) -
         subscription: the listening end.
         names: of the nodes that must be heard.
     """
-    matched = subscription.get_publisher_count()
-    if matched < len(names):
+    return _found(
+        subscription.get_publisher_count(), names,
+        lambda: node.get_publishers_info_by_topic(subscription.topic_name),
+        lambda other: qos_check_compatible(other, subscription.qos_profile)[0],
+    )
+
+
+def _found(
+    matched: int, names: Collection[str], known: Callable[[], Sequence[Any]],
+    fit: Callable[[Any], Any],
+) -> bool:
+    """Whether as many ends are matched as are known and fit, all named ones among them.
+
+    Args:
+        matched: number of other ends that are connected.
+        names: of nodes that must have one of them.
+        known: the other ends as the graph knows them.
+        fit: whether quality of service lets an end with the given profile connect.
+    """
+    if matched < len(names):  # Far cheaper than what follows, and asked many times.
         return False
-    known = node.get_publishers_info_by_topic(subscription.topic_name)
-    fitting = sum(_fits(one.qos_profile, subscription.qos_profile) for one in known)
-    return set(names) <= {one.node_name for one in known} and matched >= fitting
-
-
-def _fits(offered: Any, asked: Any) -> bool:
-    return qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR
+    ends = known()
+    fitting = sum(fit(end.qos_profile) != QoSCompatibility.ERROR for end in ends)
+    return set(names) <= {end.node_name for end in ends} and matched >= fitting

@@ -21,6 +21,11 @@ from taxinet_ros.nodes.standalone_sampler import StandaloneSampler, parameter_wo
 
 INFRA, INTERRUPTED = 4, 130
 
+_RIVAL = (
+    'another sampler drives this graph; end it first (one that was killed is forgotten after some '
+    '20 s), or give each graph its own ROS_DOMAIN_ID'
+)
+
 
 def run_standalone() -> None:
     """Sample, run and tabulate as the parameters say, then exit."""
@@ -82,10 +87,7 @@ def _drive(
 ) -> None:
     """Have the graph run one request after the other."""
     if node.rivals():
-        answers.trouble = (
-            'another sampler drives this graph; end it first (one that was killed is forgotten '
-            'after some 20 s), or give each graph its own ROS_DOMAIN_ID'
-        )
+        answers.trouble = _RIVAL
         return
     spin_until(executor, node.start(executor, requests, answers))
 
@@ -110,16 +112,17 @@ class _Answers:
         infra = result.outcome is Outcome.INFRA_ERROR
         # A run whose second try finds no graph may be what broke it, so that is its result.
         if infra and request.index not in self._broken:
-            self.trouble = _trouble(result, self._node.absent())
+            self.trouble = _trouble(result, self._node)
             if self.trouble:
                 return False
             self._broken.add(request.index)
         return self._take(request, result)
 
 
-def _trouble(result: RunResult, absent: list[str]) -> str:
+def _trouble(result: RunResult, node: StandaloneSampler) -> str:
     if result.kind == 'busy':
-        return (
+        # The simulator may have been found before the sampler that it works for.
+        return _RIVAL if node.rivals() else (
             'the simulator is busy with a run of somebody else; wait for its end, or give each '
             'graph its own ROS_DOMAIN_ID'
         )
@@ -127,7 +130,7 @@ def _trouble(result: RunResult, absent: list[str]) -> str:
         return ''
     if result.who == interface.SIMULATOR:
         return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'
-    if absent:
+    if absent := node.absent():
         names = ', '.join(absent)
         return f'{names}: not in the graph; start it, or name in participants who takes part'
     return f'{result.who}: {result.detail}; see what they say'

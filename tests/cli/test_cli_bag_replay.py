@@ -3,7 +3,6 @@
 import csv
 import os
 import shutil
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,28 +10,12 @@ import pytest
 
 from taxinet_ros.bag.frames import IMAGE
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.cli.main import main
 
 GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden'
 TRUTH = GOLDEN / 'truth-nominal'
 EARLY = GOLDEN / 'original-early-light'
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def taxinet(monkeypatch, capfd, tmp_path):
-    """Call the command in an empty folder; exit code, output, complaints."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, 'argv', ['taxinet', *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capfd.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return call
 
 
 @pytest.fixture(scope='module')

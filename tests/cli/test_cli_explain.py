@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 
 import cv2
 import numpy as np
@@ -13,7 +12,6 @@ from taxinet_ros.bag.frames import restore_frames
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.bag.resimulate import WorldDiffers
 from taxinet_ros.bag.trace import read_trace
-from taxinet_ros.cli.main import main
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
@@ -27,21 +25,6 @@ SCENE = Scenario(
     duration_s=2.0,
 )
 SEQS = 21
-
-
-@pytest.fixture
-def taxinet(monkeypatch, capfd, tmp_path):
-    """Call the command in an empty folder; exit code, output, complaints."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, 'argv', ['taxinet', *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capfd.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return call
 
 
 @pytest.fixture(autouse=True)

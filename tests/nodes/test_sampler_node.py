@@ -209,7 +209,9 @@ def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupt
         third = graph.sampler(*words, f'out:={tmp_path / "third"}', name='by_another_name')
         (code, lines), (code_of_third, lines_of_third) = ended(second), ended(third)
         assert (code, code_of_third) == (4, 4)
-        assert 'another sampler drives this graph' in complaint(lines)
+        # Which one is said depends on whom discovery finds first; by another name nobody can tell.
+        known = ('another sampler drives this graph', 'the simulator is busy')
+        assert complaint(lines).removeprefix('error: ').startswith(known)
         assert 'the simulator is busy' in complaint(lines_of_third)
         assert first.poll() is None
         first.send_signal(signal.SIGINT)

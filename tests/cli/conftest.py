@@ -1,0 +1,22 @@
+"""The command as a person calls it, without a process of its own."""
+
+import sys
+
+import pytest
+
+from taxinet_ros.cli.main import main
+
+
+@pytest.fixture
+def taxinet(monkeypatch, capfd, tmp_path):
+    """Call the command in an empty folder; exit code, output, complaints."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, 'argv', ['taxinet', *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capfd.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return call
