@@ -24,6 +24,9 @@ PAIRS = 8
 LIGHT: Mapping[str, object] = {'time_of_day': 9 + 4 / 60, 'clouds': 'clear'}
 """Light of our pictures where none is named: that of the published X-Plane frames."""
 
+_RESOLUTION = 1e-9
+"""Smaller differences, in metres or degrees, are none."""
+
 _RESAMPLES = 2000
 _PAIRS_IN_A_ROW = 2
 
@@ -140,7 +143,8 @@ def quantity_errors(
         )
     errors = estimates - labels
     low, high = _interval(np.abs(errors), np.random.default_rng(seed))
-    vary = len(labels) > 1 and float(np.ptp(labels)) > 0 and float(np.ptp(estimates)) > 0
+    # Differences whose squares are lost leave no correlation to speak of.
+    vary = min(float(np.ptp(labels)), float(np.ptp(estimates))) > _RESOLUTION
     return QuantityErrors(
         mae=float(np.abs(errors).mean()),
         mae_95=(low, high),

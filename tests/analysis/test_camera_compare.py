@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
@@ -92,6 +92,7 @@ def test_given_no_estimate_at_all_when_compared_then_there_are_no_figures(tmp_pa
 
 
 @settings(max_examples=20)
+@example([(0.0, 0.0), (1.0, 1e-305)])
 @given(st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), min_size=1, max_size=30))
 def test_given_any_numbers_when_measured_then_the_interval_holds_the_mean_and_seeds_repeat(
     pairs: list[tuple[float, float]],
