@@ -10,7 +10,8 @@ os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 # How long an example takes is the machine's affair; pytest's timeout ends what hangs. Examples are
-# the same each time, so that a change is judged by itself; --hypothesis-profile=search draws others.
+# the same each time, so that a change is judged by itself; --hypothesis-profile=search draws
+# others.
 settings.register_profile('same', deadline=None, derandomize=True)
 settings.register_profile('search', deadline=None)
 settings.load_profile('same')
