@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from taxinet_ros.analysis.figure_parts import plain
 from taxinet_ros.analysis.paired_arms import Comparison, PairedArms, rho_of
 from taxinet_ros.analysis.report_parts import Picture, Theme
 
@@ -76,7 +76,7 @@ def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
         ylabel=f'ρ of {experiment.specs[0].partition("=")[0]} [m]', ylim=(_lowest(found), None),
     )
     # Upright lines join pairs there, and would be lost among those of a grid.
-    _plain(axes, theme, grid='both' if found.alone else 'y')
+    plain(axes, grid='both' if found.alone else 'y')
     axes.legend(frameon=False, loc='lower center', bbox_to_anchor=(0.5, 1.0),
                 ncols=len(experiment.arms))
 
@@ -138,7 +138,7 @@ def _draw_change(found: PairedArms, one: Comparison, figure: Figure, theme: Them
     if len(x):
         axes.plot(*_medians(x, shown), color=theme.failed, linewidth=2.0)
     axes.set(xlabel=title_of(found.over), ylabel='change of ρ [m]')
-    _plain(axes, theme)
+    plain(axes)
 
 
 def changes(found: PairedArms, one: Comparison) -> tuple[np.ndarray, np.ndarray]:
@@ -150,12 +150,6 @@ def changes(found: PairedArms, one: Comparison) -> tuple[np.ndarray, np.ndarray]
     points = np.array(known, dtype=np.float64).reshape(-1, 2)
     points = points[np.isfinite(points).all(axis=1)]
     return points[:, 0], points[:, 1]
-
-
-def _plain(axes: Axes, theme: Theme, grid: Literal['both', 'y'] = 'both') -> None:
-    axes.grid(axis=grid, color=theme.faint, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[['top', 'right']].set_visible(False)
 
 
 def bins(x: np.ndarray) -> list[tuple[float, float, np.ndarray]]:

@@ -19,6 +19,7 @@ from taxinet_ros.analysis.experiment_pictures import (
 )
 from taxinet_ros.analysis.paired_arms import Comparison, PairedArms, rho_of
 from taxinet_ros.analysis.paired_rates import Interval, PairedRates, PairedShift
+from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import (
     Cell,
     Column,
@@ -60,7 +61,7 @@ def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator
 def experiment_json(found: PairedArms) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     experiment = found.experiment
-    return {
+    return plain_values({
         'experiment': experiment.name, 'facts': _facts(experiment),
         'compare_to': experiment.compare_to, 'over': found.over,
         'arms': {
@@ -71,7 +72,7 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
         },
         'comparisons': [_comparison_json(one) for one in found.comparisons],
         'sentences': list(experiment_sentences(found)),
-    }
+    })
 
 
 # Sentences ---------------------------------------------------------------------------------------
@@ -295,5 +296,4 @@ def _shift_json(shift: PairedShift) -> dict[str, Any]:
 
 
 def _interval_json(name: str, interval: Interval) -> dict[str, Any]:
-    value, low, high = (None if math.isnan(part) else part for part in interval)
-    return {name: value, 'low': low, 'high': high}
+    return {name: interval[0], 'low': interval[1], 'high': interval[2]}

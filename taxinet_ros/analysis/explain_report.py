@@ -21,6 +21,7 @@ from taxinet_ros.analysis.explain_words import (
     moment_words,
     recomputed_sentence,
 )
+from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Cell, Column, Report, Section, Table
 from taxinet_ros.core.types import TrackingError
 
@@ -47,22 +48,22 @@ def explain_json(found: Explanation) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
     cte_m, he_rad = found.track.greatest_change
     blamed = found.blamed
-    return {
+    return plain_values({
         'run_id': found.run.request.run_id, 'perception': found.perception,
         'fingerprint': found.fingerprint, 'recorded_perception': found.run.perception,
         'recomputed': {
-            'cte_m': _plain(cte_m), 'he_rad': _plain(he_rad), 'equal': cte_m == he_rad == 0,
+            'cte_m': cte_m, 'he_rad': he_rad, 'equal': cte_m == he_rad == 0,
         },
         'steps_on_runway': found.track.steps_on_runway,
         'blamed': None if blamed is None else blamed.factor.name,
         'factors': [
             {'name': effect.factor.name, 'words': effect.factor.words,
-             'removed': _plain(effect.removed), 'picture_changed': effect.changed}
+             'removed': effect.removed, 'picture_changed': effect.changed}
             for effect in found.effects
         ],
         'moments': [_moment_json(found, number) for number in range(len(found.insights))],
         'sentences': list(explain_sentences(found)),
-    }
+    })
 
 
 def _sections(found: Explanation) -> Iterator[Section]:
@@ -219,12 +220,12 @@ def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
     m = insight.moment
     region, share = insight.occlusion.region
     return {
-        't_s': m.t_s, 'seq': m.seq, 'x_m': _plain(m.x_m), 'truth': _error_json(m.truth),
-        'estimate': _error_json(m.estimate), 'misled_rad': _plain(m.misled_rad),
+        't_s': m.t_s, 'seq': m.seq, 'x_m': m.x_m, 'truth': _error_json(m.truth),
+        'estimate': _error_json(m.estimate), 'misled_rad': m.misled_rad,
         'scenes': {
             effect.factor.name: {
                 'estimate': _error_json(effect.outcomes[number].estimate),
-                'misled_rad': _plain(effect.outcomes[number].misled_rad),
+                'misled_rad': effect.outcomes[number].misled_rad,
                 'picture_changed': effect.outcomes[number].changed,
             } for effect in found.effects
         },
@@ -253,7 +254,3 @@ def _nearness_json(found: Explanation, insight: Insight) -> dict[str, Any] | Non
 
 def _error_json(error: TrackingError) -> dict[str, float] | None:
     return {'cte_m': error.cte_m, 'he_rad': error.he_rad} if error.usable else None
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

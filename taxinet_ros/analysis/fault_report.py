@@ -12,6 +12,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.fault_localisation import Blame, Case, Localisation, Suffices
+from taxinet_ros.analysis.figure_parts import plain
+from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Column, Picture, Report, Section, Table, Theme
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.rates import Rate
@@ -68,7 +70,7 @@ def localisation_sentences(found: Localisation) -> Iterator[str]:
 
 def localisation_json(found: Localisation) -> dict[str, Any]:
     """The findings as plain values, without NaN."""
-    return {
+    return plain_values({
         'perception': found.perception, 'spec': found.spec, 'failed': found.failed,
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
         'scenes_from_ledger': found.rounded,
@@ -79,7 +81,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
         },
         'substitutions': [_share_json(found, word) for word in found.words],
         'sentences': list(localisation_sentences(found)),
-    }
+    })
 
 
 def cases_frame(found: Localisation) -> pd.DataFrame:
@@ -263,17 +265,14 @@ def _draw(found: Localisation, words: list[str], figure: Figure, theme: Theme) -
     axes.invert_yaxis()
     axes.set(xlim=(0, 112), xlabel='counterexamples that pass [%]')
     axes.set_xticks(range(0, 101, 20))
-    axes.grid(axis='x', color=theme.faint)
-    axes.set_axisbelow(True)
-    axes.spines[['top', 'right']].set_visible(False)
+    plain(axes, grid='x')
 
 
 def _share_json(found: Localisation, word: str) -> dict[str, Any]:
     passed, judged, share = found.passing(word)
     return {
         'substitution': word, 'passed': passed, 'judged': judged,
-        'share': None if math.isnan(share.rate) else share.rate,
-        'low': share.low, 'high': share.high,
+        'share': share.rate, 'low': share.low, 'high': share.high,
     }
 
 

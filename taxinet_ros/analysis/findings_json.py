@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.causes import Cause
@@ -14,6 +10,7 @@ from taxinet_ros.analysis.comparisons import Comparison
 from taxinet_ros.analysis.failure_region import Interval, Region
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.group_rates import GroupRate
+from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Report
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
@@ -55,22 +52,7 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         'baselines': [_baseline(one) for one in findings.comparisons],
         'runs_to_look_at': {run: str(folder) for run, folder in report.runs.items()},
     }
-    cleaned = plain_values(values)
-    assert isinstance(cleaned, dict)
-    return cleaned
-
-
-def plain_values(value: Any) -> Any:
-    """The same in JSON's own types, without numbers that JSON does not have."""
-    if isinstance(value, Mapping):
-        return {str(key): plain_values(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_values(one) for one in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return plain_values(values)
 
 
 def _campaign(runs: CampaignRuns) -> dict[str, Any]:

@@ -20,8 +20,11 @@ import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.analysis.gate_bounds import Bounds, bounds, effective_runs, further_runs
+import numpy as np
+
+from taxinet_ros.analysis.gate_bounds import Bounds, bounds, further_runs
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.samplers.estimate import effective_runs
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 
@@ -126,13 +129,14 @@ def ask_gate(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) 
     counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
     judged = [row for row in rows if row.outcome.judged]
     weights = _weights(judged)
+    effective = effective_runs(np.array(weights, dtype=np.float64))
     criteria = [*_criteria(judged, weights, options), _infra(counts, options.max_infra)]
     verdicts = {one.verdict for one in criteria}
     return GateAnswer(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
         criteria=tuple(criteria), counts=counts, judged=len(judged),
-        effective=effective_runs(weights), notes=tuple(_notes(counts, weights, planned)),
+        effective=effective, notes=tuple(_notes(counts, weights, effective, planned)),
     )
 
 
@@ -234,7 +238,7 @@ def _weights(judged: Sequence[RunRow]) -> list[float]:
 
 
 def _notes(
-    counts: Mapping[Outcome, int], weights: Sequence[float], planned: int
+    counts: Mapping[Outcome, int], weights: Sequence[float], effective: float, planned: int
 ) -> list[str]:
     notes = []
     for outcome, words in (
@@ -248,6 +252,6 @@ def _notes(
     if any(weight != 1 for weight in weights):
         notes.append(
             f'the sampler is biased: the runs are weighted and say as much as '
-            f'{effective_runs(weights):.0f} drawn ones; their bounds are approximate'
+            f'{effective:.0f} drawn ones; their bounds are approximate'
         )
     return notes

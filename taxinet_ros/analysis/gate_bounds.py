@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from taxinet_ros.campaign.rates import share_bounds
+from taxinet_ros.campaign.samplers.estimate import weighted_share
 
 MOST_RUNS = 10**7
 """Beyond so many further runs nobody waits for an answer."""
@@ -65,19 +66,8 @@ def _share(good: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     """Weighted share of good runs, and the number of independent runs that know it as well."""
     if not len(weights):
         return math.nan, 0.0
-    share = float(weights[good].sum() / weights.sum())
-    if np.all(weights == 1):
-        return share, float(len(weights))
-    variance = float(np.sum((weights * (good - share)) ** 2) / weights.sum() ** 2)
-    if variance <= 0 or not 0 < share < 1:
-        return share, effective_runs(weights)
-    return share, share * (1 - share) / variance
-
-
-def effective_runs(weights: Sequence[float] | np.ndarray) -> float:
-    """Independent runs that know a mean as well (Kish, Survey Sampling, 1965)."""
-    values = np.asarray(weights, dtype=np.float64)
-    return float(values.sum() ** 2 / np.sum(values**2)) if len(values) else 0.0
+    share, runs = weighted_share(weights, good)
+    return share, float(len(weights)) if np.all(weights == 1) else runs
 
 
 def _one_sided(share: float, runs: float, confidence: float) -> tuple[float, float]:

@@ -78,13 +78,12 @@ def parse_record(opcode: int, body: Body) -> McapRecord | None:
     if opcode == Opcode.ATTACHMENT:
         _check_attachment(body)
     # A file may hold any number here; its type is the enumeration's only where it is known.
-    return _read(_KINDS.get(opcode), body)  # type: ignore[call-overload]
+    return _read(_KINDS.get(opcode), body)  # type: ignore[call-overload]  # any int may be asked
 
 
 def parse_index(opcode: int, body: Body) -> McapRecord | None:
     """The index record with this opcode and body, or None for all that are no index."""
-    # Any number, as above.
-    return _read(_INDEX_KINDS.get(opcode), body)  # type: ignore[call-overload]
+    return _read(_INDEX_KINDS.get(opcode), body)  # type: ignore[call-overload]  # as above
 
 
 def _read(kind: Any, body: Body) -> McapRecord | None:

@@ -55,6 +55,7 @@ class _Loader(yaml.SafeLoader):
         super().flatten_mapping(node)
 
 
+# A base class that is chosen at run time has no type that mypy could know.
 class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
     """YAML without anchors and aliases; libyaml, where it is there, writes the same text sooner."""
 

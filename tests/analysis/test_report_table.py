@@ -58,7 +58,9 @@ def test_given_a_cell_when_viewed_then_it_reads_as_people_write_it(
 
 
 def test_given_numbers_of_numpy_when_viewed_then_they_are_numbers() -> None:
-    view = view_table(table_of(np.float32(0.5), np.int64(3), None, decimals=1), ())  # type: ignore[arg-type]
+    # Not what a cell is declared to be, but what a data frame hands over.
+    cells = (np.float32(0.5), np.int64(3), None)
+    view = view_table(table_of(*cells, decimals=1), ())  # type: ignore[arg-type]
     assert json.loads(view.data)['rows'] == [[0.5], [3], [None]]
     assert view.columns == (('A', True),)
 

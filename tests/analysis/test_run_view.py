@@ -101,6 +101,7 @@ def test_given_a_long_run_when_thinned_then_the_number_of_frames_is_bounded(
     asked: list[bool] = []
 
     def watched(_: object, wanted: object) -> list[object]:
+        # The stand-in takes anything; here it is the predicate on steps.
         asked.extend(wanted(seq) for seq in range(2000))  # type: ignore[operator]
         return []
 

@@ -6,17 +6,15 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from taxinet_process import TAXINET
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.trace import read_trace
-
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 
 def taxinet(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

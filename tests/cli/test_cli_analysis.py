@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pandas as pd
 import pytest
+from taxinet_process import begun, taxinet
 
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.cli.main import main
-
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 # A start 4 m off is too far to settle in a second: all of one arm fail and none of the other.
 EXPERIMENT = """
@@ -37,13 +33,6 @@ arms:
 pytestmark = pytest.mark.ros
 
 
-def taxinet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, 'COLUMNS': '80'}
-    return subprocess.run(
-        [*TAXINET, *words], capture_output=True, text=True, timeout=110, cwd=cwd, env=environment,
-    )
-
-
 @pytest.fixture
 def here(folder, monkeypatch, capsys):
     """Runs a command in this process, which is quicker; gives exit code and both outputs."""
@@ -56,17 +45,6 @@ def here(folder, monkeypatch, capsys):
         return int(left.value.code or 0), *capsys.readouterr()
 
     return run
-
-
-@contextlib.contextmanager
-def begun(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        [*TAXINET, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.fixture(scope='module')
@@ -131,7 +109,9 @@ def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder, here):
 
 
 def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_bit(folder):
-    with begun('localize', 'c', '--with', 'truth', '--out', 'l', cwd=folder) as process:
+    with begun(
+        'localize', 'c', '--with', 'truth', '--out', 'l', cwd=folder, stderr=subprocess.PIPE
+    ) as process:
         trials = folder / 'l' / 'trials.jsonl'
         deadline = time.monotonic() + 60
         while not (trials.exists() and trials.read_bytes().count(b'\n') > 1):

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from taxinet_process import TAXINET
 
 from taxinet_ros.cli import main
-
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 # Some forty pictures are drawn; a busy machine takes its time.
 pytestmark = pytest.mark.timeout(300)

@@ -7,19 +7,18 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from taxinet_process import TAXINET
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.learned_result import LearnedResult
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 WORDS = [
     'falsify', 'nominal', '--runs', '10', '--perception', 'truth', '--set', 'duration=2',
     '--seed', '4', '--sampler-option', 'every=2',

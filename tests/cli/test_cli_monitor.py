@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from taxinet_process import TAXINET
 
 from taxinet_ros.bag.judged_bag import BagVerdict, judge_bag, judged_spec
 from taxinet_ros.bag.judged_bags import judge_bags
@@ -22,7 +23,6 @@ from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
 
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 SOON = 'soon=F[0, 1] G abs(cte) <= 3'
 WORDS = [
     'falsify', 's_falsif', '--perception', 'truth', '--sampler', 'random', '--seed', '7',

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import shlex
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from taxinet_process import begun, taxinet
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.table import read_table
-
-TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 # Fails where the aircraft starts more than 2.05 m off, in rain or not: ground truth sees no rain.
 SPEC = 'near=always(abs(cte) <= 2.05)'
@@ -29,23 +23,6 @@ RUN = [
 ]
 
 pytestmark = pytest.mark.ros
-
-
-def taxinet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, 'COLUMNS': '80'}
-    return subprocess.run(
-        [*TAXINET, *words], capture_output=True, text=True, timeout=110, cwd=cwd, env=environment,
-    )
-
-
-@contextlib.contextmanager
-def begun(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen([*TAXINET, *words], stdout=subprocess.PIPE, text=True, cwd=cwd)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.fixture(scope='module')

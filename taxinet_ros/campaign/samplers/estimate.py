@@ -71,34 +71,45 @@ def estimate_rate(rhos: Sequence[float], weights: Sequence[float | None]) -> Est
         )
     return Estimate(
         rate=_normalised(weight, failed), unnormalised=_unnormalised(weight, failed),
-        runs=len(weight), failures=failures, effective=_effective(weight),
+        runs=len(weight), failures=failures, effective=effective_runs(weight),
     )
 
 
+def weighted_share(weight: Floats, counted: npt.NDArray[np.bool_]) -> tuple[float, float]:
+    """Share of the runs that count, and how many independent runs would know it as well."""
+    share = float(weight[counted].sum() / weight.sum())
+    variance = float(np.sum((weight * (counted - share)) ** 2) / weight.sum() ** 2)
+    return share, _worth(share, variance, effective_runs(weight))
+
+
+def effective_runs(weight: Floats) -> float:
+    """Independent runs that know a mean as well (Kish, Survey Sampling, 1965); 0 for none."""
+    return float(weight.sum() ** 2 / np.sum(weight**2)) if len(weight) else 0.0
+
+
 def _normalised(weight: Floats, failed: npt.NDArray[np.bool_]) -> Rate:
-    share = float(weight[failed].sum() / weight.sum())
-    variance = float(np.sum((weight * (failed - share)) ** 2) / weight.sum() ** 2)
-    return _interval(share, variance, _effective(weight))
+    return _interval(*weighted_share(weight, failed))
 
 
 def _unnormalised(weight: Floats, failed: npt.NDArray[np.bool_]) -> Rate:
     terms = np.where(failed, weight, 0.0)
     share = min(float(terms.mean()), 1.0)
-    return _interval(share, float(terms.var()) / len(terms), _effective(weight))
+    runs = _worth(share, float(terms.var()) / len(terms), effective_runs(weight))
+    return _interval(share, runs)
 
 
-def _interval(share: float, variance: float, otherwise: float) -> Rate:
-    """A share and the interval that as many runs as have its variance would give it.
+def _worth(share: float, variance: float, otherwise: float) -> float:
+    """How many independent runs give a share this variance.
 
     Args:
         share: 0..1.
         variance: of the share; says nothing where the share is 0 or 1.
         otherwise: number of runs to take then.
     """
-    runs = share * (1 - share) / variance if variance > 0 and 0 < share < 1 else otherwise
+    return share * (1 - share) / variance if variance > 0 and 0 < share < 1 else otherwise
+
+
+def _interval(share: float, runs: float) -> Rate:
+    """A share and the interval that so many independent runs would give it."""
     low, high = share_bounds(share * runs, (1 - share) * runs, (1 - CONFIDENCE) / 2)
     return Rate(rate=share, low=low, high=high)
-
-
-def _effective(weight: Floats) -> float:
-    return float(weight.sum() ** 2 / np.sum(weight**2))
