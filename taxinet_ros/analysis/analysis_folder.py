@@ -16,6 +16,7 @@ from taxinet_ros.analysis.picture_files import LIGHT, write_png
 from taxinet_ros.analysis.report_parts import Report, Table
 from taxinet_ros.bag.layout import write_atomically, write_whole
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 JSON_NAME, PAGE_NAME = 'analysis.json', 'report.html'
 
@@ -109,7 +110,7 @@ def _write_runs(findings: Findings, out: Path) -> None:
 def _written_before(out: Path) -> list[str] | None:
     """The files that an earlier analysis has written there; None if there was none."""
     try:
-        values = json.loads((out / JSON_NAME).read_bytes())
+        values = load_json((out / JSON_NAME).read_bytes())
     except (OSError, ValueError):
         return None
     if not isinstance(values, dict) or values.get('schema') != SCHEMA:

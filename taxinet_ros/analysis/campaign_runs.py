@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -15,9 +14,11 @@ import pandas as pd
 from taxinet_ros.analysis.group_rates import Floats, GroupRate, Mask, group_rate
 from taxinet_ros.analysis.run_features import PLAIN, feature_columns
 from taxinet_ros.campaign.facts import FACTS_NAME
+from taxinet_ros.campaign.outcome_words import count_kinds, count_words
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.plain_values import load_json
 
 _SCENE = [feature.source for feature in PLAIN]
 _NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
@@ -51,6 +52,7 @@ class CampaignRuns:
             stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
             the features.
         others: number of runs by outcome, of those without a verdict.
+        kinds: number of runs that the bench broke, by how.
         undecided: judged runs that were stopped before this formula was decided.
         weighting: what shares of these runs say.
     """
@@ -64,6 +66,7 @@ class CampaignRuns:
     facts: Mapping[str, Any]
     frame: pd.DataFrame
     others: Mapping[str, int]
+    kinds: Mapping[str, int]
     undecided: int
     weighting: Weighting
 
@@ -118,18 +121,20 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
     name = _spec_name(table, path, spec)
     counts = table.loc[~table['outcome'].isin(_JUDGED), 'outcome'].value_counts()
     others = {str(outcome): int(count) for outcome, count in sorted(counts.items())}
+    broken = table[table['outcome'] == Outcome.INFRA_ERROR]
+    kinds = count_kinds(broken['kind'].astype(str)) if 'kind' in table.columns else {}
     judged = table[table['outcome'].isin(_JUDGED)].sort_values('index', ignore_index=True)
     frame = _frame(judged, name)
     decided = ~frame['failed'].isna()
-    _check(judged, decided, others, path, name)
+    _check(judged, decided, count_words(others, kinds), path, name)
     frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
     perception = _common(table['perception'])
     return CampaignRuns(
         label=_network(perception), path=path, program=_common(table['program']),
         perception=perception,
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
-        spec=name, facts=_facts(path), frame=frame,
-        others=others,
+        spec=name, facts=read_facts(path), frame=frame,
+        others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
     )
 
@@ -182,12 +187,10 @@ def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
 
 
 def _check(
-    judged: pd.DataFrame, decided: pd.Series[bool], others: Mapping[str, int], path: Path,
-    spec: str,
+    judged: pd.DataFrame, decided: pd.Series[bool], others: str, path: Path, spec: str
 ) -> None:
     if not decided.any():
-        counts = ', '.join(f'{count} {outcome}' for outcome, count in others.items())
-        why = f' ({counts})' if counts else ''
+        why = f' ({others})' if others else ''
         if len(judged):
             why = f' by {spec}: all {len(judged)} were stopped before'
         raise UsageError(f'{path}: no run was judged{why}, so there is nothing to analyse')
@@ -212,12 +215,13 @@ def _network(perception: str) -> str:
     return Path(perception).stem if perception.endswith(('.safetensors', '.onnx')) else perception
 
 
-def _facts(path: Path) -> dict[str, Any]:
+def read_facts(path: Path) -> dict[str, Any]:
+    """What ``campaign.json`` beside a campaign's table says; empty where there is none."""
     if path.is_file() and path.name != PARQUET_NAME:
         return {}
     folder = path if path.is_dir() else path.parent
     try:
-        facts = json.loads((folder / FACTS_NAME).read_bytes())
+        facts = load_json((folder / FACTS_NAME).read_bytes())
     except (OSError, ValueError):
         return {}
     return dict(facts) if isinstance(facts, dict) else {}

@@ -28,6 +28,7 @@ from taxinet_ros.analysis.report_parts import (
     Table,
 )
 from taxinet_ros.campaign.experiment_file import Experiment
+from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 
@@ -50,12 +51,11 @@ def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator
         yield from _headlines(found, comparison)
         if details:
             yield from _comparison_sentences(found, comparison)
-    broken = {
-        name: sum(not row.outcome.judged for row in rows) for name, rows in found.rows.items()
-    }
-    for name, number in broken.items():
-        if number:
-            yield f'{number} runs of {name} were not judged; their scenes are in no pair.'
+    for name, rows in found.rows.items():
+        unjudged = [row for row in rows if not row.outcome.judged]
+        if unjudged:
+            how = count_outcomes(unjudged)
+            yield f'Runs of {name} without verdict, whose scenes are in no pair: {how}.'
 
 
 def experiment_json(found: PairedArms) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxinet_ros.analysis.gate_bounds import Bounds, bounds, further_runs
+from taxinet_ros.campaign.outcome_words import count_kinds, kind_words
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.estimate import effective_runs
 from taxinet_ros.core.errors import UsageError
@@ -130,7 +131,7 @@ def ask_gate(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) 
     judged = [row for row in rows if row.outcome.judged]
     weights = _weights(judged)
     effective = effective_runs(np.array(weights, dtype=np.float64))
-    criteria = [*_criteria(judged, weights, options), _infra(counts, options.max_infra)]
+    criteria = [*_criteria(judged, weights, options), _infra(rows, options.max_infra)]
     verdicts = {one.verdict for one in criteria}
     return GateAnswer(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
@@ -209,14 +210,16 @@ def _rounded(number: int) -> int:
     return int(float(f'{number:.1e}'))
 
 
-def _infra(counts: Mapping[Outcome, int], most: int) -> Criterion:
-    broken = counts[Outcome.INFRA_ERROR]
+def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
+    kinds = [row.kind for row in rows if row.outcome is Outcome.INFRA_ERROR]
+    broken = len(kinds)
+    how = f': {kind_words(count_kinds(kinds))}' if kinds else ''
     runs = 'run was' if broken == 1 else 'runs were'
     return Criterion(
         name=f'broken by the bench <= {most}',
         verdict=Verdict.PASS if broken <= most else Verdict.FAIL,
         sentence=f'{broken} {runs} broken by the bench and {"is" if broken == 1 else "are"} in no '
-                 'share',
+                 f'share{how}',
     )
 
 

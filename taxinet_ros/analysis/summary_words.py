@@ -5,6 +5,7 @@ from __future__ import annotations
 from taxinet_ros.analysis.campaign_runs import CampaignRuns, Weighting
 from taxinet_ros.analysis.failure_clusters import CLEAR, Clusters
 from taxinet_ros.analysis.findings import Findings
+from taxinet_ros.campaign.outcome_words import count_words
 
 _WEAK = 0.25
 
@@ -78,7 +79,7 @@ def cluster_sentence(clusters: Clusters) -> str:
 
 
 def _without_verdict(runs: CampaignRuns) -> tuple[str, ...]:
-    words = [f'{count:,} {outcome}' for outcome, count in runs.others.items()]
+    words = [count_words(runs.others, runs.kinds)] if runs.others else []
     if runs.undecided:
         words.append(f'{runs.undecided:,} stopped before {runs.spec} was decided')
     return (f'Without verdict, and in no rate: {", ".join(words)}.',) if words else ()

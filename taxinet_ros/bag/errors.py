@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from taxinet_ros.core.errors import plain_line
+
 
 class BagError(Exception):
     """A bag cannot be written or read.
@@ -17,7 +19,7 @@ class BagError(Exception):
     def __init__(
         self, message: str, *, path: Path | None = None, recovered: int = 0, offset: int = -1
     ) -> None:
-        super().__init__(message)
+        super().__init__(plain_line(message))
         self.path = path
         self.recovered = recovered
         self.offset = offset

@@ -17,6 +17,7 @@ from pathlib import Path
 from taxinet_ros.bag.compare import TopicComparison, compare_bags
 from taxinet_ros.bag.layout import METADATA_FILE, write_atomically
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 STACK_FILE = 'stack.json'
 TRUTH_TOLERANCE, NETWORK_TOLERANCE = 1e-6, 0.15
@@ -86,7 +87,7 @@ def stack_facts() -> dict[str, str]:
 def read_stack(folder: Path) -> dict[str, str]:
     """The stack that the golden bags in a folder come from; empty where untold."""
     try:
-        values = json.loads((folder / STACK_FILE).read_text(encoding='utf-8'))
+        values = load_json((folder / STACK_FILE).read_text(encoding='utf-8'))
         return {str(name): str(value) for name, value in values.items()}
     except (OSError, ValueError, AttributeError):
         return {}

@@ -22,6 +22,19 @@ STORAGE_ID = 'mcap'
 T = TypeVar('T')
 
 _NUMBER = re.compile(r'_(\d+)$')
+_RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}')
+
+
+def run_folder(out: Path, run_id: str) -> Path:
+    """The folder of a run within that of its campaign.
+
+    Raises:
+        UsageError: the name could lead elsewhere.
+    """
+    if not _RUN_ID.fullmatch(run_id):
+        text = 'use letters, digits, _, - and . only, and neither - nor . first'
+        raise UsageError(f'run {run_id!r:.80}: {text}')
+    return out / run_id
 
 
 def mcap_path(folder: Path) -> Path:

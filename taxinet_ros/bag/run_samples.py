@@ -94,11 +94,14 @@ def read_samples(path: Path, names: Collection[str] | None = None) -> RunSamples
         raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
     if path.is_dir() and not (path / METADATA_FILE).is_file():
         trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
-    return reader.run(trouble[0] if trouble else '')
+    try:
+        return reader.run(trouble[0] if trouble else '')
+    except _UNREADABLE as error:
+        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
 
 
 _Read = tuple['_Reader', list[str]]
-_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, UsageError)
+_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
 
 
 def _read_sound(path: Path, names: Collection[str] | None) -> _Read | None:

@@ -25,6 +25,7 @@ from taxinet_ros.bag.run_topics import (
 Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
 
+_MOST = 2**63 - 1
 _TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
 _ALWAYS = (
     'x_m', 'y_m', 'speed_mps', 'cte_m', 'he_rad', 'est_cte_m', 'est_he_rad', 'steering_rad',
@@ -109,6 +110,8 @@ class _Table:
 
 
 def _truth(table: _Table, stamp_ns: int, message: Any) -> None:
+    if not 0 <= message.seq <= _MOST or stamp_ns > _MOST:
+        raise ValueError(f'step {message.seq} at {stamp_ns} ns is beyond all numbers')
     table.stamps[int(message.seq)] = stamp_ns
     table.put(message.seq, cte_m=message.cross_track_error, he_rad=message.heading_error)
 

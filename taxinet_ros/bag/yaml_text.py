@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from taxinet_ros.core.plain_values import YAML_TROUBLES, check_depth
+
 MAX_CHARS = 2**22
 """Longer texts are not read: YAML costs a millisecond for every few hundred characters."""
 
@@ -29,11 +31,11 @@ def load_yaml(text: str, *, aliases: bool = True) -> Any:
     if len(text) > MAX_CHARS:
         raise ValueError(f'{len(text)} characters, more than the {MAX_CHARS} allowed')
     try:
+        check_depth(text)
         loader = _Loader(text)
         loader.aliases = aliases
         return loader.get_single_data()
-    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError,
-            RecursionError) as error:
+    except YAML_TROUBLES as error:
         raise ValueError(f'not YAML of plain values: {text[:60]!r}') from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -12,6 +11,7 @@ from typing import Any
 from taxinet_ros.bench.machine import LOAD
 from taxinet_ros.bench.measure import Figure
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 Report = dict[str, Any]
 """``machine``: facts; ``figures``: what was measured, by name; both ready for JSON."""
@@ -32,7 +32,7 @@ def load_report(path: Path) -> Report:
         UsageError: no such file, or not a report.
     """
     try:
-        report = json.loads(path.read_text(encoding='utf-8'))
+        report = load_json(path.read_bytes())
     except OSError as error:
         raise UsageError(f'bench: cannot read {path}: {error.strerror}') from error
     except ValueError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,7 +14,28 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
+
+
+def of_network(experiment: Experiment, perception: str) -> Experiment:
+    """The experiment with another network in all its arms.
+
+    Args:
+        experiment: the experiment.
+        perception: word or file.
+
+    Raises:
+        UsageError: there is no such network, or it is the network that the arms differ in.
+    """
+    check_perception(perception)
+    if len({arm.perception for arm in experiment.arms}) > 1:
+        raise UsageError(
+            f'--perception {perception}: the arms of {experiment.name} differ in their network; '
+            'leave the option out'
+        )
+    arms = tuple(dataclasses.replace(arm, perception=perception) for arm in experiment.arms)
+    return dataclasses.replace(experiment, arms=arms)
 
 
 def arm_searches(

@@ -7,22 +7,35 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
+
+_newest: int = signal.SIGINT
+
 
 @contextlib.contextmanager
-def interrupts(first: Callable[[], None]) -> Iterator[None]:
-    """Within the ``with``, have the first interrupt call ``first``.
+def interrupts(
+    first: Callable[[], None], second: Callable[[], bool] = lambda: False
+) -> Iterator[None]:
+    """Within the ``with``, have the first interrupt call ``first``, and the next one ``second``.
+
+    Args:
+        first: has what is at hand end in order.
+        second: has whoever waits give up, or answers False where there is nobody to be told.
 
     Raises:
-        KeyboardInterrupt: at the second.
+        KeyboardInterrupt: where ``second`` answers False, and at the third interrupt.
     """
-    asked = False
+    asked = 0
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal asked
-        if asked:
+        asked += 1
+        _note(number)
+        if asked == 1:
+            first()
+        elif asked > 2 or not second():
             raise KeyboardInterrupt
-        asked = True
-        first()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -30,3 +43,26 @@ def interrupts(first: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def end_now(number: int, frame: FrameType | None) -> None:
+    """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
+
+    Raises:
+        KeyboardInterrupt: always.
+    """
+    _note(number)
+    raise KeyboardInterrupt
+
+
+def told_apart(code: int) -> int:
+    """An exit code, where an interrupt's is that of the signal that came: 130, or 143 of SIGTERM.
+
+    So do shells, with 128 and the signal's number (POSIX.1-2024, XCU section 2.8.2).
+    """
+    return 128 + _newest if code == INTERRUPTED else code
+
+
+def _note(number: int) -> None:
+    global _newest
+    _newest = number

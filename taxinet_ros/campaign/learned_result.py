@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Self
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 LEARNED_NAME = 'learned.json'
 
@@ -54,7 +55,7 @@ class LearnedResult:
         """
         path = folder / LEARNED_NAME
         try:
-            values = json.loads(path.read_bytes())
+            values = load_json(path.read_bytes())
             dimensions = values['dimensions']
             choices = tuple(Choice.from_json(dimension) for dimension in dimensions)
             return cls(

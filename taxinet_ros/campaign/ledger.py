@@ -6,7 +6,6 @@ record as finished, as begun, or not at all, and a campaign resumes by doing wha
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,8 +15,10 @@ from typing import Any, Self
 
 from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.journal import Journal, whole_lines
+from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,6 +38,9 @@ class LedgerContent:
     unfinished: tuple[int, ...]
     attempts: Mapping[int, int]
     added: Mapping[str, str]
+
+
+_DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
 
 class Ledger:
@@ -119,13 +123,13 @@ def read_ledger(path: Path) -> LedgerContent:
     added: dict[str, str] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            event = json.loads(line)
+            event = load_json(line)
             if event['event'] == 'requirement':
                 added[event['name']] = event['formula']
                 _judge(event, rows)
             else:
                 _take(event, campaign, rows, begun)
-        except (ValueError, KeyError, TypeError, UsageError) as error:
+        except _DAMAGED as error:
             raise UsageError(f'{path}:{number}: damaged line ({error})') from error
     return LedgerContent(
         campaign=campaign,
@@ -150,6 +154,7 @@ def _take(
     if event['event'] == 'campaign':
         campaign.update(event['campaign'])
     elif event['event'] == 'intent':
+        check_kind('index', 'int', event['index'])
         begun[event['index']] += 1
     elif event['event'] == 'result':
         row = RunRow.from_json(event['row'])

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.rates import summarise
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
@@ -86,7 +87,7 @@ def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
 def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     """What came of it all: counts, rate with its interval, speed, and where the table is."""
     figures = summarise(rows)
-    lines = [', '.join(f'{n} {outcome}' for outcome, n in figures.counts.items() if n)]
+    lines = [count_outcomes(rows)]
     if figures.judged:
         value, low, high = figures.satisfied
         speed = statistics.median(row.real_time_factor for row in rows if row.outcome.judged)

@@ -26,6 +26,7 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.substituted_perception import (
     AS_RECORDED,
     TRUTH,
@@ -214,7 +215,7 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
     trials: dict[tuple[str, str], Trial] = {}
     for number, line in enumerate(journal.lines, start=1):
         try:
-            event = json.loads(line)
+            event = load_json(line)
             if event['event'] == 'trial':
                 trial = Trial.from_json(event['trial'])
                 trials[trial.run_id, trial.word] = trial

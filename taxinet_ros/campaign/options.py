@@ -92,7 +92,7 @@ def make_options(
     Raises:
         UsageError: one line on the first thing that is wrong.
     """
-    overrides, gains = _split(settings)
+    overrides, gains = split_settings(settings)
     check_overrides(overrides)
     SteeringGains(**gains)
     chosen = read_specs(specs) or DEFAULT_SPECS
@@ -153,7 +153,12 @@ def check_new(out: Path) -> None:
         )
 
 
-def _split(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
+def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
+    """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
+
+    Raises:
+        UsageError: one is neither.
+    """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
     for setting in settings:

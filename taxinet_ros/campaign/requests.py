@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,12 +15,13 @@ from taxinet_ros.core.types import NS_PER_S
 
 
 def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
-    """Name of a run, and of its bag.
+    """Name of a run, and of its bag, whatever the program's file is called.
 
     Where the graph outlives a broken run, each attempt has a name of its own: what a node still
     says of one attempt is never taken for the next, nor is a bag written where another one is.
     """
-    name = f'{_stem(options)}-s{options.seed}-{index:05d}'
+    stem = re.sub(r'^[.-]|[^A-Za-z0-9_.-]', '_', _stem(options))[:150]
+    name = f'{stem}-s{options.seed}-{index:05d}'
     return f'{name}.{attempt}' if attempt > 1 and options.standing_graph else name
 
 

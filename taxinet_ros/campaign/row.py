@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
@@ -178,13 +179,17 @@ class RunRow:
         """Read back what :meth:`to_json` gave.
 
         Raises:
-            UsageError: a column is missing or unknown, or the outcome is none of the five.
+            UsageError: a column is missing, unknown or of another kind, or the outcome is none of
+                the five.
         """
         # A row from before the crossing could be taken away has a crossing if it has a scene.
         drawn = None if values.get('shadows') is None else True
         try:
-            return cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
-        except (KeyError, TypeError, ValueError) as error:
+            row = cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
+            for column in dataclasses.fields(cls):
+                check_kind(column.name, str(column.type), getattr(row, column.name))
+            return row
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise UsageError(f'not a row of this version: {error}') from error
 
 

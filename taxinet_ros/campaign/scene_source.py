@@ -21,6 +21,7 @@ from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Space
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import Scenario
 
 MEMORY_BYTES = 4 << 30
@@ -28,6 +29,9 @@ MEMORY_BYTES = 4 << 30
 
 START_TIMEOUT_S = 120.0
 """For importing Scenic: 1.5 s on a quiet machine, many times that on a loaded one."""
+
+MAX_ANSWER_BYTES = 16 << 20
+"""Of one answer; a program's whole space takes some kilobytes."""
 
 GRACE_S = 3.0
 """How long after its time the child may take to say which line hangs, before it is killed."""
@@ -225,11 +229,19 @@ class SceneSource:
                 how = self._how_it_died()
                 raise UsageError(f'{_shown(self.program)}: the Scenic process {how}')
             self._unread += part
+            if len(self._unread) > MAX_ANSWER_BYTES:
+                self._stop()
+                raise UsageError(f'{_shown(self.program)}: the Scenic process says too much')
         line, _, self._unread = self._unread.partition(b'\n')
-        answer: dict[str, Any] = json.loads(line)
-        if 'error' in answer:
-            raise UsageError(self._error_line(**answer['error']))
-        return answer
+        try:
+            answer = load_json(line)
+            if 'error' in answer:
+                raise UsageError(self._error_line(**answer['error']))
+            return dict(answer)
+        except (ValueError, TypeError):
+            self._stop()
+            text = f'{_shown(self.program)}: the program has meddled with the Scenic process'
+            raise UsageError(text) from None
 
     def _how_it_died(self) -> str:
         assert self._child is not None

@@ -45,6 +45,10 @@ MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
 
 
+MAX_CHARACTERS = 1000
+"""Of what an error says; a program may raise one with any text."""
+
+
 class OutOfTime(BaseException):
     """A request took longer than allowed; no ``except Exception`` of a program may swallow it."""
 
@@ -124,7 +128,7 @@ def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, 
 
 
 def _message(error: BaseException, allowed_s: float) -> str:
-    text = ' '.join(str(error).split())
+    text = ' '.join(str(error)[:MAX_CHARACTERS].split())
     if isinstance(error, OutOfTime):
         return f'still running after {allowed_s:g} s; does a loop never end?'
     if isinstance(error, SystemExit):

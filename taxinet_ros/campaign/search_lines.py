@@ -13,7 +13,8 @@ from taxinet_ros.campaign.lines import (
     stopped_words,
     table_line,
 )
-from taxinet_ros.campaign.rates import Rate, summarise
+from taxinet_ros.campaign.outcome_words import count_outcomes
+from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.estimate import Estimate
 from taxinet_ros.campaign.search import Search
@@ -42,8 +43,7 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
         resuming: what to add to the command to continue it.
     """
     rows, campaign = search.rows, search.options.campaign
-    counts = summarise(rows).counts
-    lines = [', '.join(f'{n} {outcome}' for outcome, n in counts.items() if n) or 'no run ended']
+    lines = [count_outcomes(rows) or 'no run ended']
     lines += [*_rate_lines(rows), *stopped_words(rows), *_worst(rows)]
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped

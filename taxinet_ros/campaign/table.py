@@ -25,6 +25,8 @@ PARQUET_NAME = 'runs.parquet'
 WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
 """The last columns: all others are equal if the campaign is run again."""
 
+_FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
+
 _POINT = 'u_'
 _RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
@@ -92,7 +94,10 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
         specs: names of its formulas, as for :func:`table`.
     """
     frame = table(rows, specs)
-    _replace(folder / CSV_NAME, lambda file: frame.to_csv(file, index=False))
+    words = frame.apply(
+        lambda column: column.map(_no_formula) if column.dtype == 'string' else column
+    )
+    _replace(folder / CSV_NAME, lambda file: words.to_csv(file, index=False))
     _replace(folder / PARQUET_NAME, lambda file: frame.to_parquet(file, index=False))
 
 
@@ -106,21 +111,32 @@ def read_table(folder: Path) -> pd.DataFrame:
         UsageError: there is none, or it is damaged.
     """
     import pandas as pd
+    import pyarrow.parquet
 
     path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     try:
+        pyarrow.parquet.read_table(path).validate(full=True)  # texts that are none, for one
         frame = pd.read_parquet(path)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise UsageError(f'{path}: no such table; is {folder} a campaign?') from error
-    except (OSError, ValueError) as error:
-        raise UsageError(f'{path}: damaged ({str(error).splitlines()[0]})') from error
+    except Exception as error:  # a foreign reader on untrusted bytes: every failure is the file's
+        raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
+    if len(set(names)) < len(names):
+        raise UsageError(f'{path}: damaged (a column is there twice)')
     # No formula's name has a dot, so none is mistaken for the end of an interval.
     specs = [name.removeprefix(_RHO) for name in names if re.fullmatch(rf'{_RHO}[^.]*', name)]
     dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
     kinds = _kinds(specs, dimensions)
     # A table from before a column was thought of is still a table.
-    return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+    try:
+        return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+    except (ValueError, TypeError, OverflowError) as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> UsageError:
+    return UsageError(f'{path}: damaged ({next(iter(str(error).splitlines()), "")})')
 
 
 def _kinds(specs: Sequence[str], dimensions: Iterable[str]) -> dict[str, str]:
@@ -144,6 +160,11 @@ def _line(row: RunRow, specs: Sequence[str], dimensions: Sequence[str]) -> dict[
         low, high = row.interval(name) or (None, None)
         rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
     return {**values, **point, **rho}
+
+
+def _no_formula(word: Any) -> Any:
+    """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
+    return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word
 
 
 def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:

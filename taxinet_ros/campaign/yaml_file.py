@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import YAML_TROUBLES, load_strict_yaml
+
+MAX_BYTES = 1 << 20
+"""Longer files are not read: YAML takes a second for some ten thousand characters."""
 
 
 def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
@@ -23,7 +25,9 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
         UsageError: it cannot be read, is not YAML, or gives a key twice.
     """
     try:
-        return yaml.load(path.read_bytes().decode('utf-8-sig'), _Loader)  # safe: a SafeLoader
+        if path.stat().st_size > MAX_BYTES:
+            raise UsageError(f'{path}: has more than {MAX_BYTES >> 20} MiB; is it the right file?')
+        return load_strict_yaml(path.read_bytes().decode('utf-8-sig'))
     except OSError as error:
         where = f'{option} {path}'.strip()
         raise UsageError(f'{where}: cannot be read: {error.strerror}') from error
@@ -34,18 +38,6 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
         place = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
         syntax = not isinstance(error, yaml.constructor.ConstructorError)
         raise UsageError(f'{path}: {place}{error.problem}{mend if syntax else ""}') from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except YAML_TROUBLES as error:
         raise UsageError(f'{path}: is not YAML: {" ".join(str(error).split())[:120]}') from None
 
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a key that is given twice, of which YAML would keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The mapping, or an error that names the key."""
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        for number, (key, _) in enumerate(node.value):
-            if isinstance(key, yaml.ScalarNode) and key.value in keys[:number]:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f'{key.value} is given twice', key.start_mark)
-        return super().construct_mapping(node, deep)

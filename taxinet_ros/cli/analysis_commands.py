@@ -175,6 +175,9 @@ def experiment(
     runs: Annotated[
         int | None, typer.Option(min=1, help="number of scenes, instead of the file's")
     ] = None,
+    perception: Annotated[
+        str | None, typer.Option(metavar='WORD|FILE', help="network, instead of the file's")
+    ] = None,
     workers: Annotated[int, typer.Option(help='graphs that run at once; same results')] = 1,
     resume: Annotated[
         bool, typer.Option('--resume', help='continue what was interrupted in --out')
@@ -185,6 +188,7 @@ def experiment(
 
     Each arm of the experiment is a campaign of its own; the runs of a scene are compared in pairs.
     """
+    from taxinet_ros.campaign.experiment import of_network
     from taxinet_ros.campaign.experiment_file import find_experiment, read_experiment
     from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
     from taxinet_ros.cli.experiment import run_experiment
@@ -195,6 +199,8 @@ def experiment(
     asked = read_experiment(find_experiment(file))
     if runs is not None:
         asked = dataclasses.replace(asked, runs=runs)
+    if perception is not None:
+        asked = of_network(asked, perception)
     raise typer.Exit(
         run_experiment(
             asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),

@@ -15,6 +15,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core import camera
 from taxinet_ros.core.perception import GroundTruth
+from taxinet_ros.nodes.domain import domain_by_hand
 from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.processes import process_graph
@@ -39,7 +40,12 @@ def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
 
 
 def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list[RunRow]:
-    """Run a campaign and print it; the rows of its table."""
+    """Run a campaign and print it; the rows of its table.
+
+    Raises:
+        KeyboardInterrupt: after an interrupt, where runs are left.
+    """
+    domain_by_hand()  # Before a folder is made for what cannot be run.
     console = Console(highlight=False)
     with _progress(console) as progress:
         bar = progress.add_task('', total=options.runs)
@@ -51,17 +57,19 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
         at_hand = _AtHand()
         with (
             Campaign(options, PARTICIPANTS, show, _meanwhile(options)) as campaign,
-            interrupts(at_hand.interrupt),
+            interrupts(at_hand.interrupt, at_hand.give_up),
         ):
             progress.console.print(heading(options), soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:
                 with _graph(options) as graph, _view(foxglove, graph):
-                    at_hand.graph = graph
+                    at_hand.take(graph)
                     graph.run(campaign.requests(), campaign.take)
                     at_hand.graph = None
     console.print(summary(campaign.rows, options), soft_wrap=True)
+    if at_hand.interrupted and len(campaign.rows) < options.runs:
+        raise KeyboardInterrupt
     return campaign.rows
 
 
@@ -111,3 +119,13 @@ class _AtHand:
         self.interrupted = True
         if self.graph is not None:
             self.graph.interrupt()
+
+    def give_up(self) -> bool:
+        """End the run at hand at once, if there is one."""
+        return self.graph is not None and self.graph.give_up()
+
+    def take(self, graph: Graph) -> None:
+        """Have a graph that may have been asked for before somebody interrupted."""
+        self.graph = graph
+        if self.interrupted:
+            graph.interrupt()

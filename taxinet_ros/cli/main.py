@@ -1,12 +1,13 @@
 """``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
-3 a recording is incomplete, 4 the bench broke, 130 interrupted.
+3 a recording is incomplete, 4 the bench broke, 130 interrupted, 143 by SIGTERM.
 """
 
 from __future__ import annotations
 
 import errno
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,15 +19,18 @@ from typer.exceptions import TyperException
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
+from taxinet_ros.campaign.interrupts import INTERRUPTED, end_now, told_apart
 from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
+from taxinet_ros.cli.given import given_options
 from taxinet_ros.cli.monitor_command import monitor
-from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink
+from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
+from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
 from taxinet_ros.core.errors import InfraError, UsageError
 
-USAGE, INFRA, INTERRUPTED = 2, 4, 130
+USAGE, INFRA = 2, 4
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 app = typer.Typer(
@@ -36,8 +40,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, demo,
-    train, dataset, evaluate,
+    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, demo,
+    train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -46,12 +50,13 @@ app.add_typer(bag_app, name='bag')
 
 @app.command()
 def bench(
+    context: typer.Context,
     subjects: Annotated[
         list[str] | None,
         typer.Argument(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores',
+            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or soak',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -66,12 +71,31 @@ def bench(
     guard: Annotated[
         bool, typer.Option('--guard', help='exit 1 if a guarded ratio is beyond its bounds')
     ] = False,
+    runs: Annotated[int | None, typer.Option(min=1, help='soak: how many runs; 1000')] = None,
+    duration: Annotated[
+        float | None, typer.Option(help='soak: simulated length of each run; 3 [s]')
+    ] = None,
+    minutes: Annotated[
+        float | None, typer.Option(help='soak: wall time after which it ends; of --pid, 10 [min]')
+    ] = None,
+    pid: Annotated[
+        int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
+    ] = None,
 ) -> None:
-    """Measure how long everything takes, on one core.
+    """Measure how long everything takes, on one core; or soak.
 
     Medians, with their spread, and ratios between them: the closed loop over ROS 2, composed and
     as processes, and without; what a control step is made of; bytes and memory.
+
+    `taxinet bench soak` runs very many short scenes in one process, or watches a process that runs
+    already, for memory, files, threads and shared memory that grow; exit code 1 if any does.
     """
+    from taxinet_ros.cli.soak import asks_for_soak, run_soak
+
+    if asks_for_soak(subjects or (), given_options(context)):
+        raise typer.Exit(run_soak(
+            runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
+        ))
     from taxinet_ros.cli.bench import run_bench
 
     raise typer.Exit(run_bench(
@@ -107,7 +131,12 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    sys.exit(_exit_code(lambda: app(standalone_mode=False)))
+    before = signal.signal(signal.SIGTERM, end_now)
+    try:
+        code = _exit_code(lambda: app(standalone_mode=False))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    sys.exit(told_apart(code))
 
 
 def _exit_code(command: Callable[[], object]) -> int:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.given import given_options
 from taxinet_ros.cli.option_types import (
     BoundOption,
     BudgetOption,
@@ -83,10 +84,7 @@ def run(
 def _run_from(context: typer.Context, bag: Path) -> int:
     from taxinet_ros.cli.rerun import check_options, run_again
 
-    given = {
-        name: value for name, value in context.params.items()
-        if getattr(context.get_parameter_source(name), 'name', '') == 'COMMANDLINE'
-    }
+    given = given_options(context)
     check_options(given)
     return run_again(
         bag, perception=given.get('perception'), out=given.get('out'),
@@ -190,3 +188,56 @@ def demo(
     from taxinet_ros.cli.demo import run_demo
 
     raise typer.Exit(run_demo(out, runs=runs, seed=seed))
+
+
+def up(
+    perception: PerceptionOption = 'taxinet',
+    out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
+    record: Annotated[
+        bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
+    ] = True,
+    images: ImagesOption = 'all',
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE',
+            help='a gain of the controller (steering.heading_gain=1.2); repeatable',
+        ),
+    ] = None,
+    restart: Annotated[
+        str,
+        typer.Option(
+            metavar='RULE',
+            help='when a node dies: on-failure starts it again, at most 3 times in 60 s; never '
+            'ends the graph',
+        ),
+    ] = 'on-failure',
+    domain: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=232,
+            help='ROS domain; else ROS_DOMAIN_ID, else one that no other graph of ours uses',
+        ),
+    ] = None,
+    silent_after: Annotated[
+        float,
+        typer.Option(
+            min=0.5, max=3600.0, metavar='SECONDS',
+            help='name a node that has not answered for so long; on-failure kills it after three '
+            'times that',
+        ),
+    ] = 10.0,
+) -> None:
+    """Start every node but the sampler, each a process, and keep them up.
+
+    Another terminal has them run scenes: `ros2 run taxinet_ros scenario_sampler`, in the ROS domain
+    that is printed. Ctrl-C ends the run at hand in order, and the graph; a second one kills it.
+    Exit code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
+    """
+    from taxinet_ros.cli.up import make_up_options, run_up
+
+    options = make_up_options(
+        perception=perception, out=out, record=record, images=images, settings=settings or (),
+        restart=restart, domain=domain, silent_s=silent_after,
+    )
+    raise typer.Exit(run_up(options))

@@ -28,6 +28,26 @@ def train(
     validation_data: Annotated[
         Path | None, typer.Option(help='folder of images to measure on, instead')
     ] = None,
+    sampler: Annotated[
+        str, typer.Option(help='how scenes are drawn: random, halton, sobol or grid')
+    ] = 'random',
+    validation_program: Annotated[
+        str | None, typer.Option(help='program of the scenes held back, instead')
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar='PROGRAM=COUNT', help='add scenes of another program; repeatable'),
+    ] = None,
+    add_runs: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='CAMPAIGN=COUNT',
+            help="add places on the way of a campaign's failed runs; repeatable",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(help='weights to begin from, word or file; else fresh ones')
+    ] = None,
     varied: VariedOption = False,
     augment: Annotated[
         bool, typer.Option('--augment', help='change exposure, focus, noise at every look')
@@ -52,9 +72,15 @@ def train(
     """
     from taxinet_ros.cli.train import run_train
     from taxinet_ros.training.options import TrainOptions
+    from taxinet_ros.training.portions import parse_portion
 
     run_train(TrainOptions(
         program=program, data=tuple(data or ()), validation_data=validation_data, out=out,
+        sampler=sampler, validation_program=validation_program, start=start,
+        add=(
+            *(parse_portion(text, 'program') for text in add or ()),
+            *(parse_portion(text, 'runs') for text in add_runs or ()),
+        ),
         images=images, validation=validation, varied=varied, augment=augment, epochs=epochs,
         batch=batch, learning_rate=learning_rate, patience=patience, seed=seed, workers=workers,
         overwrite=overwrite,

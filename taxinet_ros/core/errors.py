@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
+MAX_CHARACTERS = 2000
+"""Of a message; somebody has to read it."""
+
+
+def plain_line(text: str) -> str:
+    """A text as one line that a terminal shows as it is.
+
+    What is quoted in a message may come from a bag or a file of anybody's: line breaks and other
+    signs that a terminal obeys are spelled out, and what is beyond :data:`MAX_CHARACTERS` is cut.
+    """
+    if len(text) > MAX_CHARACTERS:
+        text = f'{text[:MAX_CHARACTERS]}…'
+    if text.isprintable():
+        return text
+    return ''.join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
 
 class UsageError(Exception):
     """Bad input. The message is one line: what is wrong, where, and how to mend it. CLI exit 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(plain_line(message))
 
 
 class InfraError(Exception):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import TypeGuard
 
 import yaml
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import YAML_TROUBLES, load_strict_yaml
 
 
 def bad(path: Path, what: str) -> UsageError:
@@ -24,13 +25,13 @@ def load(path: Path, data: bytes) -> object:
         UsageError: it is not YAML, or has a key twice.
     """
     try:
-        return yaml.load(data.decode('utf-8-sig'), _Loader)  # safe: a SafeLoader
+        return load_strict_yaml(data.decode('utf-8-sig'))
     except UnicodeDecodeError:
         raise bad(path, 'is not text in UTF-8; write it as YAML') from None
     except yaml.MarkedYAMLError as error:
         line = f'line {error.problem_mark.line + 1}: ' if error.problem_mark else ''
         raise bad(path, f'is not YAML: {line}{error.problem}; mend it there') from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except YAML_TROUBLES as error:
         raise bad(path, f'is not YAML: {" ".join(str(error).split())[:120]}; mend it') from None
 
 
@@ -124,19 +125,6 @@ class Section:
         ):
             raise self.wrong(f'is {_shown(value)}; write {mend}', key)
         return tuple(map(float, value))
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a key that is given twice, of which YAML would keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f'{_shown(key.value)} is given twice', key.start_mark)
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-        return super().construct_mapping(node, deep)
 
 
 _FEW_WORDS = reprlib.Repr()

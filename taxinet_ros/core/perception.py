@@ -1,8 +1,8 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
-One word chooses: ``truth``, one of the shipped networks ``taxinet`` and ``original``, or a file:
-weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not known
-is an error, for a test of the network that silently ran on the truth would prove nothing.
+One word chooses: ``truth``, one of the shipped networks ``taxinet``, ``broad`` and ``original``, or
+a file: weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not
+known is an error, for a test of the network that silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Perception(Protocol):
     """Estimates the tracking error once per control step, from nothing but its arguments.
 
     Attributes:
-        word: ``truth``, ``taxinet`` or ``original``; for a file ``weights`` or ``onnx``.
+        word: ``truth`` or that of a shipped network; for a file ``weights`` or ``onnx``.
         fingerprint: SHA-256 of the weights file, or of the ONNX file with its description after
             it; empty for the truth.
         needs_image: whether it looks at camera frames.

@@ -17,6 +17,10 @@ from taxinet_ros.core.light import Light
 
 _SHEET_HEIGHT, _SHEET_WIDTH = 400, 720
 _SLANT = 0.12
+_LEVELS = 20
+"""Steps of intensity. A process keeps a sheet of each, a quarter of a megabyte: they take 0.1 s to
+draw, and the scenes of a campaign need all of them."""
+
 _MASK64 = (1 << 64) - 1
 
 
@@ -36,7 +40,7 @@ class RainSheet:
         brightness = 0.16 * light.sky_low * (0.4 + 0.6 * light.rain)
         shares = np.arange(256)[:, None] * (brightness / 255)
         table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
-        streaks = _streaks(round(light.rain * 20))
+        streaks = _streaks(round(light.rain * _LEVELS))
         self._sheet = np.asarray(cv2.LUT(cv2.merge([streaks] * 3), table), np.uint8)
         self._size = (height, width)
 
@@ -49,9 +53,9 @@ class RainSheet:
         return self._sheet[top : top + height, left : left + width]
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=_LEVELS + 1)
 def _streaks(level: int) -> NDArray[np.uint8]:
-    """Streak sheet for an intensity of ``level`` twentieths; near drops are long and broad."""
+    """Streaks of one of the :data:`_LEVELS` steps of intensity; near drops are long and broad."""
     rng = np.random.default_rng(500)
     sheet = np.zeros((_SHEET_HEIGHT, _SHEET_WIDTH), np.float32)
     for thickness, length, count, weight in (
@@ -60,7 +64,7 @@ def _streaks(level: int) -> NDArray[np.uint8]:
         (2, 46, 130, 0.7),
     ):
         layer = np.zeros((_SHEET_HEIGHT, _SHEET_WIDTH), np.uint8)
-        for _ in range(math.ceil(count * level / 20)):
+        for _ in range(math.ceil(count * level / _LEVELS)):
             x, y = rng.uniform(0, _SHEET_WIDTH), rng.uniform(-length, _SHEET_HEIGHT)
             run = length * rng.uniform(0.6, 1.3)
             ends = [(round((x + s * run * _SLANT) * 16), round((y + s * run) * 16)) for s in (0, 1)]

@@ -27,10 +27,12 @@ from taxinet_ros.core.network import ARCHITECTURES
 
 SUFFIX = '.safetensors'
 SHIPPED = {
-    word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}' for word in ('taxinet', 'original')
+    word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}'
+    for word in ('taxinet', 'broad', 'original')
 }
-"""Weights by the word that chooses them: ``taxinet`` has learned in all of S_falsif's world,
-``original`` in the part of it that the paper's network may have been trained in."""
+"""Weights by the word that chooses them: ``original`` has learned in the part of S_falsif's world
+that the paper's network may have been trained in, ``broad`` in all of it, and ``taxinet``, which
+began as ``broad``, further where that one failed."""
 
 MAX_BYTES = 64 << 20
 """Largest file that is read; the shipped one is below 1 MiB."""
@@ -41,8 +43,9 @@ ERROR_QUANTITIES = ('cte_m', 'he_deg')
 Weights = Mapping[str, NDArray[np.float32]]
 
 
-SOURCE_KINDS = ('program', 'folder')
-"""Where pictures come from: rendered scenes of a Scenic program, or a folder with a label table."""
+SOURCE_KINDS = ('program', 'folder', 'runs')
+"""Where pictures come from: rendered scenes of a Scenic program, a folder with a label table, or
+the failed runs of a campaign."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,8 +54,9 @@ class Source:
 
     Attributes:
         kind: one of :data:`SOURCE_KINDS`.
-        name: of the program or folder.
-        sha256: digest of the program's text, or of the folder's labels and images.
+        name: of the program, folder or campaign.
+        sha256: digest of the program's text, of the folder's labels and images, or of the
+            campaign's ledger.
     """
 
     kind: str
@@ -82,6 +86,7 @@ class ModelCard:
         package_version: of this package at the time.
         date: ISO date of the training (UTC).
         command_line: what makes these weights again.
+        start_sha256: digest of the weights that the training began from; None for fresh ones.
     """
 
     architecture: str
@@ -102,6 +107,7 @@ class ModelCard:
     package_version: str
     date: str
     command_line: str
+    start_sha256: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -110,6 +116,11 @@ class Model:
 
     card: ModelCard
     weights: Weights
+
+
+def weights_path(word_or_file: str | Path) -> Path:
+    """The file of a shipped network's word, or the file itself."""
+    return SHIPPED.get(str(word_or_file), Path(word_or_file))
 
 
 def card_path(path: Path) -> Path:
@@ -217,6 +228,7 @@ def _load_card(path: Path) -> ModelCard:
     if not isinstance(values, dict):
         raise _bad(path, 'is no model card: not a JSON object')
     names = [field.name for field in fields(ModelCard)]
+    values = {'start_sha256': None, **values}  # cards from before it have none
     if values.keys() != set(names):
         name = min(values.keys() ^ set(names))
         raise _bad(path, f'{name!r} {"is missing" if name in names else "is unknown"} in the card')
@@ -271,6 +283,7 @@ def _are_errors(value: object) -> bool:
 _CHECKS: dict[str, Callable[[object], bool]] = {
     'training_data': lambda value: value != [] and _are_sources(value),
     'validation_data': _are_sources,
+    'start_sha256': lambda value: value is None or _is_text(value),
     'varied': _is_switch,
     'augment': _is_switch,
     'errors': _are_errors,

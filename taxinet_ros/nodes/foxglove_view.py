@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes.foxglove_server import HOST, LOOKING_ON, NOT_INSTALLED
-from taxinet_ros.nodes.processes import die_with_parent
+from taxinet_ros.nodes.node_process import dying_with_parent
 
 _GRACE_S = 5.0
 
@@ -57,7 +57,7 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
             command, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors,
             # Ctrl-C in the terminal is for the campaign, which then ends what it has begun.
-            start_new_session=True, preexec_fn=die_with_parent,
+            start_new_session=True, preexec_fn=dying_with_parent(),
         )
         try:
             assert server.stdout is not None

@@ -6,21 +6,20 @@ Both start the same node classes on a ROS domain of their own, with discovery on
 from __future__ import annotations
 
 import contextlib
-import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import rclpy
-from domain_coordinator import domain_id
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.domain import own_domain as own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
@@ -33,6 +32,8 @@ from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
+SAMPLERS_TIMEOUTS = ('server_timeout', 'silence_timeout')
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraphOptions:
@@ -43,7 +44,8 @@ class GraphOptions:
         out: folder that takes one bag folder per run.
         images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
-        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
+        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout``, and the sampler's
+            ``server_timeout`` and ``silence_timeout`` [s], where not default.
     """
 
     perception: str
@@ -52,6 +54,11 @@ class GraphOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def patience(self) -> dict[str, float]:
+        """Those of the timeouts that are the sampler's."""
+        return {n: limit_s for n, limit_s in self.timeouts.items() if n in SAMPLERS_TIMEOUTS}
+
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node but the sampler, by node name."""
         if self.perception == 'truth':
@@ -59,7 +66,10 @@ class GraphOptions:
         else:
             perception = (TaxinetPerception, {'weights': self.perception})
         return {
-            interface.SIMULATOR: (Simulator, dict(self.timeouts)),
+            interface.SIMULATOR: (Simulator, {
+                name: limit_s for name, limit_s in self.timeouts.items()
+                if name not in SAMPLERS_TIMEOUTS
+            }),
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
             interface.MTL_MONITOR: (MtlMonitor, {}),
@@ -80,34 +90,8 @@ class Graph(Protocol):
     def interrupt(self) -> None:
         """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
 
-
-# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
-_domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
-
-
-@contextlib.contextmanager
-def own_domain() -> Iterator[int]:
-    """Reserve a ROS domain id that no other graph on this machine uses, if all of them reserve.
-
-    Discovery stays on this machine unless the user has set another range.
-    ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools.
-    """
-    with _localhost():
-        yield from _reserved()
-
-
-def _reserved() -> Iterator[int]:
-    fixed = os.environ.get('TAXINET_DOMAIN_ID')
-    if fixed:
-        yield int(fixed)
-        return
-    # Entered and left by hand: the library's manager swallows an OSError of its body.
-    reservation = domain_id(_domains.__next__)
-    number = reservation.__enter__()
-    try:
-        yield number
-    finally:
-        reservation.__exit__(None, None, None)
+    def give_up(self) -> bool:
+        """Have :meth:`run` raise KeyboardInterrupt now; False where it does not run."""
 
 
 @contextlib.contextmanager
@@ -121,37 +105,34 @@ def composed_graph(
     with own_domain() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
-        graph = SampledGraph(context, executor)
+        graph = SampledGraph(context, executor, options.patience)
         try:
             for node, parameters in options.nodes().values():
-                overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-                graph.add(node(context=context, parameter_overrides=overrides))
+                graph.add(node(context=context, parameter_overrides=_overrides(parameters)))
             yield graph
         finally:
             graph.close()
             rclpy.try_shutdown(context=context)
 
 
-@contextlib.contextmanager
-def _localhost() -> Iterator[None]:
-    """Discovery on this machine only, unless the user has set another range."""
-    before = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in parameters.items()]
 
 
 class SampledGraph:
     """A graph with a sampler in this process, beside whatever other nodes are added to it."""
 
     def __init__(
-        self, context: Context, executor: Callable[..., Any] = EventsExecutor
+        self, context: Context, executor: Callable[..., Any] = EventsExecutor,
+        patience: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        """Spin on ``context``, which is the caller's to shut down, with an executor of a kind."""
+        """Spin on ``context``, which is the caller's to shut down, with an executor of a kind.
+
+        ``patience`` holds parameters of the sampler.
+        """
         self._context = context
+        self._patience = patience
+        self._interrupted = False
         self._executor = executor(context=context)
         self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
@@ -176,8 +157,11 @@ class SampledGraph:
 
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
         """See :class:`Graph`."""
-        sampler = ScenarioSampler(context=self._context)
+        overrides = _overrides(self._patience)
+        sampler = ScenarioSampler(context=self._context, parameter_overrides=overrides)
         self._sampler = sampler
+        if self._interrupted:
+            sampler.interrupt()
         self.prepare(sampler)
         self.add(sampler)
         finished = sampler.start(self._executor, requests, on_result)
@@ -185,8 +169,13 @@ class SampledGraph:
 
     def interrupt(self) -> None:
         """See :class:`Graph`."""
+        self._interrupted = True
         if self._sampler is not None:
             self._sampler.interrupt()
+
+    def give_up(self) -> bool:
+        """See :class:`Graph`."""
+        return self._sampler is not None and self._sampler.give_up()
 
     def close(self) -> None:
         """Take every node out of the graph."""

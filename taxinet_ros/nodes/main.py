@@ -7,13 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import ROSInterruptException
+from rclpy.exceptions import ParameterException, ROSInterruptException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from taxinet_ros.campaign.interrupts import INTERRUPTED, told_apart
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes.spinning import spin_until
 
@@ -36,7 +37,7 @@ def run_node(
             until it is stopped, or until its future ``ended`` is done, if it has one.
     """
     handlers, stopped = (
-        (SignalHandlerOptions.ALL, 0) if work is None else (SignalHandlerOptions.NO, 130)
+        (SignalHandlerOptions.ALL, 0) if work is None else (SignalHandlerOptions.NO, INTERRUPTED)
     )
     code = 0
     try:
@@ -55,11 +56,14 @@ def run_node(
             # rclpy's way to end where a message comes in while it shuts down.
             code = stopped
         finally:
-            node.close()
+            _leave(node, executor)
     except _INTERRUPTS:
         code = stopped
     except UsageError as error:
         code = complain(str(error), 2)
+    except ParameterException as error:
+        # Of a parameter that rclpy declares itself, as use_sim_time.
+        code = complain(' '.join(str(error).split()), 2)
     except rclpy.exceptions.InvalidHandle as error:
         code = complain(str(error), 4)
     except _BAD_ARGUMENTS as error:
@@ -67,7 +71,18 @@ def run_node(
         code = complain(' '.join(str(error).split(', at /')[0].split()), 2)
     finally:
         rclpy.try_shutdown()
-    sys.exit(code)
+    sys.exit(told_apart(code))
+
+
+def _leave(node: Any, executor: Any) -> None:
+    """Take a node out of the graph in order, so that nobody takes it for one that is still there.
+
+    The interpreter's end would do it in any order, or not at all.
+    """
+    node.close()
+    executor.remove_node(node)
+    node.destroy_node()
+    executor.shutdown()
 
 
 def complain(line: str, code: int) -> int:

@@ -63,7 +63,8 @@ class MtlMonitor(Participant):
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
 
     def _collect(self, topic: str, message: Any) -> None:
-        if not self._specs:
+        # What is left of a run that was broken off is not of this one; odometry tells no run.
+        if not self._specs or getattr(message, 'run_id', self.run_id) != self.run_id:
             return
         seq = stamp_of(message.header.stamp) // CONTROL_PERIOD_NS
         for step, messages in self._steps.add(topic, seq, message):

@@ -20,6 +20,11 @@ from taxinet_ros.nodes.matching import heard_by, hears_from
 _READY_POLL_S = 0.005
 
 
+def one_line(error: BaseException) -> str:
+    """Kind and first line of an exception."""
+    return f'{type(error).__name__}: {error}'.splitlines()[0]
+
+
 class Participant(Node):
     """A node that sets itself up for each scenario and then answers messages.
 
@@ -117,7 +122,7 @@ class Participant(Node):
             try:
                 callback(message)
             except Exception as error:
-                reason = f'{type(error).__name__}: {error}'.splitlines()[0]
+                reason = one_line(error)
                 self.get_logger().error(f'run {self.run_id}: {reason}')
                 self.report(NodeStatus.ERROR, detail=reason)
 

@@ -10,6 +10,7 @@ from taxinet_msgs.msg import TrackingError
 from taxinet_ros.bag.image_cdr import frame_of_cdr
 from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import error_message, stamp_of
@@ -39,6 +40,8 @@ class PerceptionNode(Participant, abc.ABC):
 
     def _see(self, cdr: bytes) -> None:
         stamp_ns, pixels = frame_of_cdr(cdr)
+        if not is_frame(pixels):
+            raise ValueError(f'image is {pixels.shape}, expected {IMAGE_SHAPE}')
         estimate = self._perception.estimate(pixels, None)
         seq = stamp_ns // CONTROL_PERIOD_NS
         self._estimates.publish(error_message(estimate, self.run_id, seq, stamp_ns))

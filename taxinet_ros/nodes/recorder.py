@@ -18,6 +18,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
 from taxinet_ros import __version__
 from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
 from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.writer import BagWriter
@@ -117,7 +118,7 @@ class Recorder(Participant):
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
-            self._out / scenario.run_id,
+            run_folder(self._out, scenario.run_id),
             self._topics,
             metadata=self._facts(scenario),
             attachments=run_attachments(scenario, self._out),
@@ -136,7 +137,12 @@ class Recorder(Participant):
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
             return
-        seq = stamp_of_cdr(cdr) // CONTROL_PERIOD_NS
+        seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
+        if off_ns:
+            raise RuntimeError(
+                f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
+                'is no control step; does a second simulator publish?'
+            )
         for step in self._steps.add(topic.name, seq, cdr):
             self._held.append(step)
         self._write_steps()

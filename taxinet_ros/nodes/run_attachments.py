@@ -10,6 +10,7 @@ from taxinet_msgs.msg import Scenario
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.campaign.facts import FACTS_NAME
 from taxinet_ros.campaign.programs import SUFFIX
+from taxinet_ros.core.plain_values import load_json
 
 
 def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
@@ -32,7 +33,7 @@ def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
 def _program_text(program: str, facts_file: Path) -> str:
     """What the campaign's facts hold of a program, or ''."""
     try:
-        facts = json.loads(facts_file.read_bytes())
+        facts = load_json(facts_file.read_bytes())
         return str(facts['program_text']) if Path(facts['program']).stem == program else ''
     except (OSError, ValueError, KeyError, TypeError):
         return ''

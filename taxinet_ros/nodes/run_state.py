@@ -11,12 +11,15 @@ from taxinet_msgs.msg import RunStatus, Verdict
 
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.lockstep import Lockstep
+from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.participant import one_line
 
 
 class ActiveRun:
@@ -27,6 +30,7 @@ class ActiveRun:
 
         Raises:
             UsageError: the scenario has a value out of range, or an unknown rule to stop.
+            InfraError: the world cannot be built.
         """
         message = goal.request.scenario
         self.goal = goal
@@ -75,3 +79,17 @@ class ActiveRun:
         """How far the run has come."""
         seq = max(self.lockstep.seq, 0)
         return RunScenario.Feedback(seq=seq, elapsed=seq * CONTROL_PERIOD_NS / 1e9)
+
+
+def not_begun(run_id: str, error: Exception) -> RunStatus:
+    """How a run ends whose world could not be built: the scenario's fault, or the bench's."""
+    status = RunStatus(
+        run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind='sim',
+        who=interface.SIMULATOR, detail=one_line(error),
+    )
+    if isinstance(error, UsageError):
+        status.outcome, status.kind, status.who = Outcome.REJECTED, '', ''
+        status.detail = str(error)
+    elif isinstance(error, InfraError):
+        status.kind, status.who, status.detail = error.kind, error.who, error.detail
+    return status

@@ -45,6 +45,7 @@ class ScenarioSampler(Node):
         )
         self._goal: Any = None
         self._answer: Future | None = None
+        self._finished: Future | None = None
         self.interrupted = False
         self._request: RunRequest | None = None
         self.seq = 0
@@ -64,9 +65,9 @@ class ScenarioSampler(Node):
             on_result: called with every answer; False ends the campaign.
         """
         self._executor = executor
-        finished = Future(executor=executor)
-        executor.create_task(self._campaign, finished, iter(requests), on_result)
-        return finished
+        self._finished = Future(executor=executor)
+        executor.create_task(self._campaign, self._finished, iter(requests), on_result)
+        return self._finished
 
     def interrupt(self) -> None:
         """Cancel the run at hand, take its answer, and ask for no more."""
@@ -74,23 +75,34 @@ class ScenarioSampler(Node):
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
+    def give_up(self) -> bool:
+        """Wait for no answer: the campaign ends with KeyboardInterrupt. False where none is on."""
+        if self._finished is None or self._finished.done():
+            return False
+        self._finished.set_exception(KeyboardInterrupt())
+        return True
+
     def mourn(self, node: str, detail: str) -> None:
         """A node's process is known to be dead: end its run at once, with the reason."""
         if self._request is None or self._answer is None or self._answer.done():
             return
         run_id = self._request.run_id
         if node == interface.SIMULATOR:
-            # Nobody else can tell the recorder that the run is over.
-            ending = RunStatus(
-                run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
-                kind='died', who=node, detail=detail, seq=self.seq,
-            )
-            self._run_status.publish(ending)
-            self._answer.set_result(_broken('died', node, detail, self.seq))
+            self._lose_simulator('died', detail)
         else:
             self._obituary.publish(
                 NodeStatus(run_id=run_id, node=node, state=NodeStatus.DIED, detail=detail)
             )
+
+    def _lose_simulator(self, kind: str, detail: str) -> None:
+        """End the run in its stead, for nobody else can tell the recorder that it is over."""
+        assert self._request is not None
+        assert self._answer is not None
+        self._run_status.publish(RunStatus(
+            run_id=self._request.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
+            kind=kind, who=interface.SIMULATOR, detail=detail, seq=self.seq,
+        ))
+        self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:
         """Leave the graph; every answer is already taken."""
@@ -107,12 +119,15 @@ class ScenarioSampler(Node):
                 result = dataclasses.replace(result, wall_s=time.monotonic() - started)
                 if not on_result(request, result) or self.interrupted:
                     break
-            finished.set_result(None)
+            if not finished.done():
+                finished.set_result(None)
         except BaseException as error:
             # It belongs to whoever waits for the campaign, not to the executor.
             finished.set_exception(error)
 
     async def _run(self, request: RunRequest) -> RunResult:
+        if self.interrupted:
+            return RunResult(outcome=Outcome.INTERRUPTED)
         self._request, self.seq = request, 0
         self._server_found = Future(executor=self._executor)
         self._answer = Future(executor=self._executor)
@@ -155,8 +170,7 @@ class ScenarioSampler(Node):
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
-                detail = f'silent for {silence_timeout_s:g} s'
-                answer.set_result(_broken('timeout', interface.SIMULATOR, detail, self.seq))
+                self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
         elif self._client.server_is_ready():
             if not self._server_found.done():
                 self._server_found.set_result(None)
@@ -175,14 +189,19 @@ def _result_of(answer: Any) -> RunResult:
     judged = outcome.judged
     return RunResult(
         outcome=outcome,
-        kind=status.kind,
-        who=status.who,
-        detail=status.detail,
+        kind=_plain(status.kind),
+        who=_plain(status.who),
+        detail=_plain(status.detail),
         last_seq=status.seq,
         perception=status.perception,
         fingerprint=status.fingerprint,
         **(_judged(verdict) if judged else {}),
     )
+
+
+def _plain(words: str) -> str:
+    """What somebody in the graph said, with no sign in it that could steer a terminal."""
+    return ''.join(sign if sign.isprintable() else '\ufffd' for sign in words)
 
 
 def _judged(verdict: Verdict) -> dict[str, Any]:

@@ -8,7 +8,9 @@ never decide a verdict.
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -17,28 +19,25 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
 
-from taxinet_ros.bag.image_cdr import image_cdr
 from taxinet_ros.bag.message_values import command_of
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import (
-    camera_info_message,
-    error_message,
-    header,
-    odometry_message,
-    time_of,
-)
+from taxinet_ros.nodes.answer_check import check_answer, check_command
+from taxinet_ros.nodes.convert import camera_info_message
+from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by, hears_from
+from taxinet_ros.nodes.observation_messages import observation_messages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
-from taxinet_ros.nodes.run_state import ActiveRun
+from taxinet_ros.nodes.participant import one_line
+from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 
 _WATCH_PERIOD_S = 0.1
+_RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
 _TROUBLE = {NodeStatus.ERROR: 'node_error', NodeStatus.DIED: 'died'}
 
 
@@ -69,7 +68,8 @@ class Simulator(Node):
             (interface.COMMAND, self._on_command),
             (interface.VERDICT, self._on_verdict),
         ):
-            heard = self.create_subscription(topic.type, topic.name, callback, topic.qos)
+            hear = functools.partial(self._hear, callback)
+            heard = self.create_subscription(topic.type, topic.name, hear, topic.qos)
             self._listeners.append((topic, heard))
         self._server = ActionServer(
             self,
@@ -78,6 +78,7 @@ class Simulator(Node):
             self._execute,
             goal_callback=self._accept,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            result_timeout=_RESULT_KEPT_S,
         )
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
@@ -99,11 +100,8 @@ class Simulator(Node):
         scenario = goal.request.scenario
         try:
             run = ActiveRun(goal, self.executor)
-        except UsageError as error:
-            result.status = RunStatus(
-                run_id=scenario.run_id, state=RunStatus.ENDED, outcome=Outcome.REJECTED,
-                detail=str(error),
-            )
+        except Exception as error:
+            result.status = not_begun(scenario.run_id, error)
             goal.abort()
             return result
         self._run = run
@@ -121,10 +119,21 @@ class Simulator(Node):
 
     # What the graph says -----------------------------------------------------------------------
 
-    def _on_status(self, status: NodeStatus) -> None:
-        run = self._of(status)
-        if run is None:
-            return
+    def _hear(self, callback: Callable[[ActiveRun, Any], None], message: Any) -> None:
+        """Take a message of the active run; whatever goes wrong with it ends that run."""
+        run = self._run
+        if run is not None and message.run_id == run.run_id:
+            self._attempt(run, lambda: callback(run, message))
+
+    def _attempt(self, run: ActiveRun, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except InfraError as error:
+            self._fail(run, error.kind, error.who, error.detail)
+        except Exception as error:
+            self._fail(run, 'sim', interface.SIMULATOR, one_line(error))
+
+    def _on_status(self, run: ActiveRun, status: NodeStatus) -> None:
         if status.state == NodeStatus.READY:
             run.listens[status.node] = set(status.listens)
             if status.node == interface.PERCEPTION:
@@ -141,15 +150,16 @@ class Simulator(Node):
         elif status.state == NodeStatus.DONE and run.ending is not None:
             run.finish()
 
-    def _on_estimate(self, estimate: TrackingError) -> None:
-        run = self._of(estimate)
-        if run is not None and run.lockstep.answer(interface.PERCEPTION, estimate.seq):
+    def _on_estimate(self, run: ActiveRun, estimate: TrackingError) -> None:
+        check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
+        if run.lockstep.answer(interface.PERCEPTION, estimate.seq):
             run.heard()
 
-    def _on_command(self, command: TaxiCommand) -> None:
-        run = self._of(command)
-        if run is None or run.ending is not None:
+    def _on_command(self, run: ActiveRun, command: TaxiCommand) -> None:
+        if run.ending is not None:
             return
+        check_answer(command, interface.STEERING_CONTROLLER, run.lockstep.seq)
+        check_command(command, interface.STEERING_CONTROLLER)
         # The estimate travels on another topic and may be overtaken by the command made from it.
         run.lockstep.answer(interface.PERCEPTION, command.seq)
         if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq):
@@ -157,26 +167,17 @@ class Simulator(Node):
             run.heard()
             self._go_on(run)
 
-    def _on_progress(self, status: NodeStatus) -> None:
-        run = self._of(status)
-        if run is not None:
-            run.lockstep.progress(status.node, status.seq)
-            run.heard()
-            self._go_on(run)
+    def _on_progress(self, run: ActiveRun, status: NodeStatus) -> None:
+        run.lockstep.progress(status.node, status.seq)
+        run.heard()
+        self._go_on(run)
 
-    def _on_verdict(self, verdict: Verdict) -> None:
-        run = self._of(verdict)
-        if run is not None:
-            run.verdict = verdict
-            if verdict.stopped_early:
-                run.lockstep.end(interface.MTL_MONITOR)
-            run.heard()
-            self._go_on(run)
-
-    def _of(self, message: Any) -> ActiveRun | None:
-        """The active run, if the message belongs to it."""
-        run = self._run
-        return run if run is not None and message.run_id == run.run_id else None
+    def _on_verdict(self, run: ActiveRun, verdict: Verdict) -> None:
+        run.verdict = verdict
+        if verdict.stopped_early:
+            run.lockstep.end(interface.MTL_MONITOR)
+        run.heard()
+        self._go_on(run)
 
     # Stepping --------------------------------------------------------------------------------
 
@@ -208,11 +209,7 @@ class Simulator(Node):
             self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
-            try:
-                run.world.advance(command)
-            except InfraError as error:
-                self._fail(run, error.kind, error.who, error.detail)
-                return
+            run.world.advance(command)
             self._publish_frame(run)
         elif run.lockstep.complete and run.verdict is not None:
             self._conclude(run, run.verdict)
@@ -222,15 +219,8 @@ class Simulator(Node):
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq)
-        truth = now.state.tracking_error
-        self._say(interface.CLOCK, Clock(clock=time_of(now.stamp_ns)))
-        self._say(interface.ODOMETRY, odometry_message(now.state, now.stamp_ns))
-        self._say(interface.TRUTH, error_message(truth, run.run_id, now.seq, now.stamp_ns))
-        self._camera_info.header = header(now.stamp_ns, interface.CAMERA_FRAME)
-        self._say(interface.CAMERA_INFO, self._camera_info)
-        if now.image is not None:
-            frame = image_cdr(now.image, now.stamp_ns, interface.CAMERA_FRAME)
-            self._say(interface.IMAGE, frame)
+        for topic, message in observation_messages(now, run.run_id, self._camera_info):
+            self._say(topic, message)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):
@@ -271,18 +261,22 @@ class Simulator(Node):
             if silence > self._answer_timeout_s:
                 self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
         elif not run.started:
-            self._start_if_ready(run)
-            if run.goal.is_cancel_requested:
-                self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
-            elif time.monotonic() - run.created > self._ready_timeout_s:
-                who = ', '.join(run.lockstep.missing() or self._deaf(run))
-                detail = f'not ready within {self._ready_timeout_s:g} s'
-                self._fail(run, 'not_ready', who, detail)
+            self._attempt(run, lambda: self._await_ready(run))
         elif run.goal.is_cancel_requested:
             self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+
+    def _await_ready(self, run: ActiveRun) -> None:
+        self._start_if_ready(run)
+        if run.started:
+            return
+        if run.goal.is_cancel_requested:
+            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        elif time.monotonic() - run.created > self._ready_timeout_s:
+            who = ', '.join(run.lockstep.missing() or self._deaf(run))
+            self._fail(run, 'not_ready', who, f'not ready within {self._ready_timeout_s:g} s')
 
     def _say(self, topic: Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)
@@ -290,7 +284,12 @@ class Simulator(Node):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros simulator``."""
-    run_node(Simulator)
+    run_node(_alone)
+
+
+def _alone() -> Simulator:
+    stand_alone()
+    return Simulator()
 
 
 if __name__ == '__main__':

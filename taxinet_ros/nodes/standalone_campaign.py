@@ -42,7 +42,7 @@ def _work(node: StandaloneSampler, executor: Any) -> int:
 def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """The scenes that the program draws, as ``taxinet run`` has them."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
-    with interrupts(node.interrupt), campaign:
+    with interrupts(node.interrupt, node.give_up), campaign:
         node.get_logger().info(heading(node.campaign))
         answers = _Answers(node, campaign.take)
         _drive(node, executor, campaign.requests(), answers)
@@ -68,7 +68,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
         return True
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
-    with interrupts(interrupt), search:
+    with interrupts(interrupt, node.give_up), search:
         node.get_logger().info(search_heading(options))
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)

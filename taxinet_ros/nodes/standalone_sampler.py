@@ -8,11 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from taxinet_msgs.msg import RunStatus
+
 from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
 from taxinet_ros.campaign.samplers.make import SAMPLERS
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.stop_on import StopOn
+from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
@@ -37,6 +40,8 @@ class StandaloneSampler(ScenarioSampler):
             UsageError: one line on the first that is wrong.
         """
         super().__init__(**node)
+        status = interface.RUN_STATUS
+        self.create_subscription(RunStatus, status.name, self._on_run_status, status.qos)
         text = 'node names that take part in the lockstep beside the simulator'
         self.participants = tuple(declare(self, 'participants', list(PARTICIPANTS), text))
         sampler, how = self._declare_search()
@@ -69,6 +74,15 @@ class StandaloneSampler(ScenarioSampler):
         """Participants that are not seen in this graph."""
         seen = self._in_graph()
         return [name for name in self.participants if name not in seen]
+
+    def _on_run_status(self, status: RunStatus) -> None:
+        """Who looks after the simulator's process knows at once that it is dead."""
+        dead = (status.kind, status.who) == ('died', interface.SIMULATOR)
+        if dead and self._is_at(status.run_id):
+            self.mourn(status.who, status.detail)
+
+    def _is_at(self, run_id: str) -> bool:
+        return self._request is not None and self._request.run_id == run_id
 
     def _in_graph(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()

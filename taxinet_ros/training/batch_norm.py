@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from taxinet_ros.core.network import Architecture
+from taxinet_ros.core.weights import Weights
 from taxinet_ros.training.torch_network import torch_network
 
 
@@ -42,6 +43,39 @@ def folded(network: nn.Sequential) -> dict[str, NDArray[np.float32]]:
             weights[f'{name}.weight'] = np.array(weight.contiguous().numpy())
             weights[f'{name}.bias'] = np.array(bias.numpy())
     return weights
+
+
+def unfold(network: nn.Sequential, weights: Weights, seen: torch.Tensor) -> None:
+    """Give a network of :func:`build_normed` the weights of a plain one, to train it further.
+
+    Every normalisation is set to what leaves its convolution's answers to ``seen`` as they are, so
+    that evaluation gives the plain network's answers, and training begins close to them.
+
+    Args:
+        network: written to.
+        weights: of its plain architecture.
+        seen: inputs, (N, 1, H, W), some hundreds of those that it will be trained on.
+    """
+    network.eval()
+    with torch.no_grad():
+        for name, layer in network.named_children():
+            if isinstance(layer, nn.Conv2d | nn.Linear):
+                layer.weight.copy_(torch.from_numpy(weights[f'{name}.weight']))
+                assert layer.bias is not None  # every layer of ours has one
+                layer.bias.copy_(torch.from_numpy(weights[f'{name}.bias']))
+            elif isinstance(layer, nn.BatchNorm2d):
+                _leave_as_is(layer, seen)
+            seen = layer(seen)
+
+
+def _leave_as_is(norm: nn.BatchNorm2d, answers: torch.Tensor) -> None:
+    variance, mean = torch.var_mean(answers, dim=(0, 2, 3), correction=0)
+    assert norm.running_mean is not None  # both are kept, as is the default
+    assert norm.running_var is not None
+    norm.running_mean.copy_(mean)
+    norm.running_var.copy_(variance)
+    norm.weight.copy_(torch.sqrt(variance + norm.eps))
+    norm.bias.copy_(mean)
 
 
 def _norm_of(convolution: str) -> str:

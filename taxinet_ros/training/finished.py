@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -10,6 +9,7 @@ from typing import Self
 
 from taxinet_ros.campaign.journal import Journal
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -70,7 +70,7 @@ class FinishedImages:
 
     def _read(self) -> dict[int, FinishedImage]:
         try:
-            rows = [FinishedImage(**json.loads(line)) for line in self._journal.lines]
+            rows = [FinishedImage(**load_json(line)) for line in self._journal.lines]
         except (ValueError, TypeError) as error:
             raise UsageError(
                 f'dataset: {self._path}: damaged; delete it, and every image is rendered and '

@@ -13,8 +13,9 @@ from torch.nn.functional import smooth_l1_loss
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import Architecture, normalise, scaled, unscaled
+from taxinet_ros.core.weights import Weights
 from taxinet_ros.training.augment import augment
-from taxinet_ros.training.batch_norm import build_normed, folded
+from taxinet_ros.training.batch_norm import build_normed, folded, unfold
 from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.history import Epoch
 
@@ -72,8 +73,9 @@ def fit(
     validation: Dataset,
     recipe: Recipe,
     progress: Progress = silent,
+    start: Weights | None = None,
 ) -> Fitted:
-    """Train a fresh network, by AdamW under one cycle of the learning rate.
+    """Train a network, by AdamW under one cycle of the learning rate.
 
     One thread and seeded generators make it repeatable: on one machine, the same arguments give
     the same weights to the bit. The number of threads holds for all of torch in this process.
@@ -84,6 +86,7 @@ def fit(
         validation: others, which choose the epoch.
         recipe: how.
         progress: told after every epoch.
+        start: weights to begin from; None to draw fresh ones.
 
     Raises:
         UsageError: the loss left the numbers; a lower learning rate mends that.
@@ -91,7 +94,7 @@ def fit(
     torch.set_num_threads(1)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
-        trainer = _Trainer(architecture, training, validation, recipe)
+        trainer = _Trainer(architecture, training, validation, recipe, start)
         history: list[Epoch] = []
         best = 0
         for number in range(1, recipe.epochs + 1):
@@ -109,9 +112,13 @@ class _Trainer:
     """A network in training, with all that has a state."""
 
     def __init__(
-        self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe
+        self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe,
+        start: Weights | None,
     ) -> None:
         network = build_normed(architecture)
+        if start is not None:
+            some = np.linspace(0, len(training) - 1, min(len(training), _MEASURED_AT_ONCE))
+            unfold(network, start, torch.from_numpy(normalise(training.pictures[some.astype(int)])))
         # The annotations of Module.to leave the memory format out.
         self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest, program_text
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training.dataset import SAMPLERS, Progress, draw_scenes, silent
@@ -146,7 +147,7 @@ def _claim(options: DatasetOptions, request: Mapping[str, Any]) -> None:
 def _check_request(out: Path, request: Mapping[str, Any]) -> None:
     path = out / REQUEST
     try:
-        begun = json.loads(path.read_text(encoding='utf-8'))
+        begun = load_json(path.read_bytes())
         (out / IMAGES).mkdir(exist_ok=True)
     except FileNotFoundError as error:
         raise UsageError(

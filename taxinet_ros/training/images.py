@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,7 @@ from PIL import Image
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.labelled_frames import LabelledFrame, labelled_frames
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import Source
 from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.layout import FACTS, LABELS, REQUEST
@@ -186,7 +186,7 @@ def _table(folder: Path) -> Path:
 def _check_digest(folder: Path, table: Path) -> None:
     facts = folder / FACTS
     try:
-        expected = json.loads(facts.read_text(encoding='utf-8'))['labels_sha256']
+        expected = load_json(facts.read_bytes())['labels_sha256']
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise UsageError(f'{facts}: cannot be read; make the dataset again') from error
     if hashlib.sha256(table.read_bytes()).hexdigest() != expected:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.weights import SUFFIX, card_path
+from taxinet_ros.training.dataset import SAMPLERS
+from taxinet_ros.training.portions import Portion
 
 _LIMITS: dict[str, tuple[float, float]] = {
     'images': (1, 1_000_000),
@@ -33,6 +35,13 @@ class TrainOptions:
         program: word of a shipped Scenic program or path of one, or None to train on ``data``.
         data: folders of labelled images, or none to train on ``program``.
         validation_data: folder of the validation images; None to hold some of the others back.
+        sampler: how the program's scenes are drawn, a word of
+            :data:`~taxinet_ros.training.dataset.SAMPLERS`.
+        validation_program: program of the validation scenes, which are those that a training on
+            it with the same seed and number of images would hold back; None for ``program``.
+        add: pictures added to those of ``program``, with validation pictures in proportion.
+        start: weights to begin from, as a file or a shipped network's word; None to draw fresh
+            ones.
         images: pictures to train on, one per scene of the program.
         validation: further scenes of the program, or rows of the data, held back to choose the
             epoch and to measure the errors on.
@@ -54,6 +63,10 @@ class TrainOptions:
     program: str | None = None
     data: tuple[Path, ...] = ()
     validation_data: Path | None = None
+    sampler: str = 'random'
+    validation_program: str | None = None
+    add: tuple[Portion, ...] = ()
+    start: str | None = None
     images: int = 12_000
     validation: int = 1_500
     varied: bool = False
@@ -81,12 +94,21 @@ class TrainOptions:
             self._check_data()
         elif self.validation_data is not None:
             raise UsageError('train: --validation-data goes with --data, not with a program')
+        elif self.sampler not in SAMPLERS:
+            known = ', '.join(SAMPLERS)
+            raise UsageError(f'train: sampler {self.sampler!r} is unknown; known: {known}')
         elif self.batch > self.images:
             raise UsageError(f'train: a batch of {self.batch} is more than {self.images} images')
 
     def _check_data(self) -> None:
-        if self.varied:
-            raise UsageError('train: --varied is for rendered scenes; leave it out with --data')
+        for option, given in (
+            ('--varied', self.varied), ('--sampler', self.sampler != 'random'),
+            ('--validation-program', self.validation_program), ('--add or --add-runs', self.add),
+        ):
+            if given:
+                raise UsageError(
+                    f'train: {option} is for rendered scenes; leave it out with --data'
+                )
         folders = [*self.data, *([self.validation_data] if self.validation_data else [])]
         seen: set[Path] = set()
         for folder in folders:
@@ -102,10 +124,21 @@ class TrainOptions:
             words += ['--data', str(folder)]
         if self.validation_data is not None:
             words += ['--validation-data', str(self.validation_data)]
+        words += self._rendering_words()
+        if self.start is not None:
+            words += ['--start', self.start]
         words += ['--varied'] * self.varied + ['--augment'] * self.augment
         for name in self._numbers():
             words += [f'--{name.replace("_", "-")}', f'{getattr(self, name)}']
         return shlex.join([*words, '--out', self.out.name])
+
+    def _rendering_words(self) -> list[str]:
+        words = ['--sampler', self.sampler] if self.sampler != 'random' else []
+        if self.validation_program is not None:
+            words += ['--validation-program', self.validation_program]
+        for portion in self.add:
+            words += ['--add' if portion.kind == 'program' else '--add-runs', str(portion)]
+        return words
 
     def _numbers(self) -> list[str]:
         names = ['images'] if self.program is not None else []

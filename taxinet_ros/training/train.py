@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taxinet_ros import __version__
-from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
-from taxinet_ros.core.weights import ModelCard, Source, Weights, digest, save_model, to_bytes
-from taxinet_ros.training.dataset import Dataset, Progress, draw_scenes, make_dataset, silent
+from taxinet_ros.core.weights import (
+    Model,
+    ModelCard,
+    Weights,
+    digest,
+    load_model,
+    save_model,
+    to_bytes,
+    weights_path,
+)
+from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.history import history_csv
-from taxinet_ros.training.images import load_folders
+from taxinet_ros.training.material import Material, get_material
 from taxinet_ros.training.options import TrainOptions
 
 if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted
-
-_SPLIT = 2
-"""Tells the random numbers that hold rows back from those of the training."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Material:
-    """What to learn and what to measure on, and where both come from."""
-
-    training: Dataset
-    validation: Dataset
-    training_data: tuple[Source, ...]
-    validation_data: tuple[Source, ...] = ()
-
 
 def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
     """Get labelled pictures, fit a network, measure it, and write weights, card and curves.
@@ -54,8 +46,9 @@ def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
         InfraError: a worker process died, or the simulator failed.
     """
     options.check_out()
-    material = _material(options, progress)
-    fitted = _fit(options, material, progress)
+    start = None if options.start is None else load_model(weights_path(options.start))
+    material = get_material(options, progress)
+    fitted = _fit(options, material, start, progress)
     data = to_bytes(fitted.weights)
     card = ModelCard(
         architecture=DEFAULT_ARCHITECTURE,
@@ -76,65 +69,16 @@ def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
         package_version=__version__,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         command_line=options.command_line,
+        start_sha256=None if start is None else start.card.weights_sha256,
     )
     save_model(options.out, data, card)
     _write_curves(options, fitted)
     return card
 
 
-def _material(options: TrainOptions, progress: Progress) -> _Material:
-    if options.program is not None:
-        return _rendered(options, options.program, progress)
-    workers = options.workers
-    training, sources = load_folders(options.data, workers=workers, progress=progress)
-    if options.validation_data is None:
-        kept, held_back = _split(options, training)
-        return _Material(training=kept, validation=held_back, training_data=sources)
-    _check_batch(options, len(training))
-    validation, others = load_folders(
-        (options.validation_data,), workers=workers, stage='held back', progress=progress
-    )
-    return _Material(
-        training=training, validation=validation, training_data=sources, validation_data=others
-    )
-
-
-def _rendered(options: TrainOptions, program: str, progress: Progress) -> _Material:
-    sha256 = program_digest(find_program(program))
-    images = options.images + options.validation
-    scenes = draw_scenes(program, seed=options.seed, images=images, progress=progress)
-    dataset = make_dataset(
-        scenes, workers=options.workers, varied=options.varied, seed=options.seed,
-        progress=progress,
-    )
-    return _Material(
-        training=dataset.take(slice(options.images)),
-        validation=dataset.take(slice(options.images, None)),
-        training_data=(Source(kind='program', name=Path(program).stem, sha256=sha256),),
-    )
-
-
-def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
-    """Rows to learn and rows held back, each in the order of the tables."""
-    import numpy as np
-
-    left = len(dataset) - options.validation
-    if left < 1:
-        raise UsageError(
-            f'train: --validation {options.validation} leaves nothing of {len(dataset)} images to '
-            'train on; hold fewer back'
-        )
-    _check_batch(options, left)
-    order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
-    return dataset.take(np.sort(order[:left])), dataset.take(np.sort(order[left:]))
-
-
-def _check_batch(options: TrainOptions, images: int) -> None:
-    if options.batch > images:
-        raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
-
-
-def _fit(options: TrainOptions, material: _Material, progress: Progress) -> Fitted:
+def _fit(
+    options: TrainOptions, material: Material, start: Model | None, progress: Progress
+) -> Fitted:
     from taxinet_ros.training.fit import Recipe, fit  # torch: bad options should not wait for it
 
     recipe = Recipe(
@@ -142,7 +86,8 @@ def _fit(options: TrainOptions, material: _Material, progress: Progress) -> Fitt
         seed=options.seed, patience=options.patience, augmented=options.augment,
     )
     architecture = ARCHITECTURES[DEFAULT_ARCHITECTURE]
-    return fit(architecture, material.training, material.validation, recipe, progress)
+    weights = None if start is None else start.weights
+    return fit(architecture, material.training, material.validation, recipe, progress, weights)
 
 
 def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:

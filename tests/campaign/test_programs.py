@@ -182,5 +182,5 @@ def test_given_a_program_when_its_text_is_taken_then_all_it_imports_is_in_it(
 def test_given_the_shipped_folder_when_listed_then_every_program_is_known() -> None:
     assert known_programs() == (
         'crossing', 'halton_time_of_day', 'nominal', 'runway_position', 's_falsif', 's_falsif_ce',
-        'training_full', 'training_original',
+        'training_crossing', 'training_full', 'training_original',
     )

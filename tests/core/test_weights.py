@@ -173,19 +173,27 @@ def test_given_saved_weights_when_saved_again_then_the_new_pair_replaces_the_old
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize(
-    ('word', 'program'), [('taxinet', 'training_full'), ('original', 'training_original')]
-)
+@pytest.mark.parametrize(('word', 'programs', 'worst_m'), [
+    ('taxinet', ('training_full', 'training_crossing'), 0.8), ('broad', ('training_full',), 0.6),
+    ('original', ('training_original',), 0.6),
+])
 def test_given_the_shipped_weights_when_loaded_then_they_are_small_and_their_card_is_complete(
-    word: str, program: str
+    word: str, programs: tuple[str, ...], worst_m: float
 ) -> None:
     model = load_model(SHIPPED[word])
     assert SHIPPED[word].stat().st_size < 2_000_000
     assert model.weights.keys() == ARCHITECTURES[model.card.architecture].shapes().keys()
     assert [(data.kind, data.name) for data in model.card.training_data] == [
-        ('program', program)
+        ('program', program) for program in programs
     ]
-    assert model.card.command_line.startswith(f'taxinet train {program} ')
+    assert model.card.command_line.startswith(f'taxinet train {programs[0]} ')
     # On held-back scenes of the training's own world, other looks and rims included.
-    assert model.card.errors['cte_m']['mae'] <= 0.6
+    assert model.card.errors['cte_m']['mae'] <= worst_m
     assert model.card.errors['he_deg']['mae'] <= 1.5
+
+
+def test_given_the_chain_of_trainings_when_read_then_each_link_is_shipped() -> None:
+    cards = {word: load_model(path).card for word, path in SHIPPED.items()}
+    assert cards['taxinet'].start_sha256 == cards['broad'].weights_sha256
+    assert ' --start broad ' in cards['taxinet'].command_line
+    assert cards['broad'].start_sha256 is cards['original'].start_sha256 is None

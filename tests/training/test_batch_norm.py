@@ -11,7 +11,7 @@ from taxinet_ros.core.network import (
     normalise,
     unscaled,
 )
-from taxinet_ros.training.batch_norm import build_normed, folded
+from taxinet_ros.training.batch_norm import build_normed, folded, unfold
 
 ARCHITECTURE = ARCHITECTURES[DEFAULT_ARCHITECTURE]
 
@@ -39,3 +39,20 @@ def test_given_a_normed_network_when_folded_then_names_and_shapes_are_the_archit
         shapes = {name: array.shape for name, array in folded(build_normed(ARCHITECTURE)).items()}
     assert shapes == ARCHITECTURE.shapes()
     assert list(shapes) == list(ARCHITECTURE.shapes())
+
+
+def test_given_plain_weights_when_unfolded_and_folded_again_then_the_answers_are_the_same() -> None:
+    pictures = np.random.default_rng(3).integers(0, 256, (32, *INPUT_SHAPE), dtype=np.uint8)
+    seen = torch.from_numpy(normalise(pictures))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(4)
+        plain = folded(build_normed(ARCHITECTURE))
+        network = build_normed(ARCHITECTURE)
+    unfold(network, plain, seen)
+    expected = TaxiNet(ARCHITECTURE, plain).infer(pictures)
+    again = TaxiNet(ARCHITECTURE, folded(network)).infer(pictures)
+    np.testing.assert_allclose(again, expected, rtol=1e-3, atol=1e-4)
+    # Nor does normalising by the batch, as in training, carry it off.
+    with torch.inference_mode():
+        in_training = unscaled(network.train()(seen).numpy())
+    np.testing.assert_allclose(in_training, expected, rtol=1e-3, atol=1e-4)

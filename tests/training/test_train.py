@@ -11,12 +11,15 @@ from training_samples import foreign_folder
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception import make_perception
 from taxinet_ros.core.weights import Source, digest, load_model
-from taxinet_ros.training.dataset import draw_scenes, make_dataset
+from taxinet_ros.training.dataset import draw_scenes, make_dataset, silent
 from taxinet_ros.training.folder import DatasetOptions, write_dataset
 from taxinet_ros.training.images import load_folders
+from taxinet_ros.training.material import get_material
 from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.training.portions import parse_portion
 from taxinet_ros.training.train import train
 
 
@@ -100,6 +103,68 @@ def test_given_a_folder_to_measure_on_when_trained_then_nothing_is_held_back(
     assert load_model(out).card == card
 
 
+def test_given_portions_when_added_then_the_card_tells_and_the_validation_grows_in_proportion(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'net.safetensors'
+    card = train(options(out, add=(parse_portion('crossing=6', 'program'),), sampler='halton'))
+    assert (card.images, card.validation) == (12 + 6, 4 + 2)
+    assert [(data.kind, data.name) for data in card.training_data] == [
+        ('program', 'nominal'), ('program', 'crossing'),
+    ]
+    assert card.command_line.startswith(
+        'taxinet train nominal --sampler halton --add crossing=6 --images 12 --validation 4 '
+    )
+    assert load_model(out).card == card
+
+
+def test_given_something_added_then_the_pictures_of_the_set_itself_stay_the_same(
+    tmp_path: Path,
+) -> None:
+    alone, more, other = (
+        get_material(options(tmp_path / 'net.safetensors', **changes), silent)
+        for changes in (
+            {}, {'add': (parse_portion('nominal=3', 'program'),)},
+            {'program': 'crossing', 'validation_program': 'nominal'},
+        )
+    )
+    assert np.array_equal(more.training.pictures[:12], alone.training.pictures)
+    assert np.array_equal(more.validation.pictures[:4], alone.validation.pictures)
+    assert (len(more.training), len(more.validation)) == (15, 5)
+    # Three more scenes of the same program, and none of them a scene of the set.
+    assert not set(more.training.cte_m[12:]) & set(alone.training.cte_m)
+    # The validation program gives what a training on it would have held back.
+    assert np.array_equal(other.validation.pictures, alone.validation.pictures)
+    assert not np.array_equal(other.training.pictures, alone.training.pictures)
+    assert [data.name for data in other.validation_data] == ['nominal']
+
+
+def test_given_weights_to_begin_from_then_training_goes_on_from_them(tmp_path: Path) -> None:
+    first = train(options(tmp_path / 'first.safetensors', epochs=4))
+    small_steps = {'seed': 8, 'epochs': 1, 'learning_rate': 1e-8}
+    gentle = train(options(
+        tmp_path / 'gentle.safetensors', start=str(tmp_path / 'first.safetensors'), **small_steps
+    ))
+    fresh = train(options(tmp_path / 'fresh.safetensors', **small_steps))
+    assert gentle.start_sha256 == first.weights_sha256
+    assert fresh.start_sha256 is None
+    pictures = make_dataset(draw_scenes('nominal', seed=3, images=6), workers=1).pictures
+    answers = [
+        TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], load_model(tmp_path / name).weights)
+        .infer(pictures)
+        for name in ('first.safetensors', 'gentle.safetensors', 'fresh.safetensors')
+    ]
+    assert np.abs(answers[1] - answers[0]).max() < np.abs(answers[2] - answers[0]).max() / 4
+
+
+def test_given_a_start_that_is_no_network_when_trained_then_refused_before_any_work(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(UsageError, match='no such file'):
+        train(options(tmp_path / 'net.safetensors', start=str(tmp_path / 'none.safetensors')))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_given_a_dataset_of_a_program_when_trained_on_then_it_is_what_the_program_gives(
     tmp_path: Path,
 ) -> None:
@@ -133,6 +198,18 @@ def test_given_too_few_rows_when_trained_then_one_line_says_so(
         ({'program': None, 'data': (Path('d'), Path('x/../d'))}, 'given twice'),
         ({'program': None, 'data': (Path('d'),), 'validation_data': Path('d')}, 'given twice'),
         ({'validation_data': Path('d')}, '--validation-data goes with --data'),
+        ({'sampler': 'dice'}, "sampler 'dice' is unknown; known: random, halton"),
+        (
+            {'program': None, 'data': (Path('d'),), 'sampler': 'halton'},
+            '--sampler is for rendered scenes',
+        ),
+        (
+            {
+                'program': None, 'data': (Path('d'),),
+                'add': (parse_portion('crossing=1', 'program'),),
+            },
+            '--add or --add-runs is for rendered scenes',
+        ),
     ],
 )
 def test_given_options_that_do_not_go_together_when_stated_then_one_line_says_so(

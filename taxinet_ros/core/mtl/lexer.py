@@ -14,6 +14,9 @@ Kind = Literal['number', 'name', 'word', 'sign', 'end']
 MAX_TOKENS = 500
 """Longer formulas are refused: nobody can read them, and evaluation recurses over the tree."""
 
+_SHOWN = 40
+"""Characters of a word that an error message repeats."""
+
 WORDS = frozenset(
     {
         *('not', 'and', 'or', 'implies'),
@@ -62,7 +65,9 @@ class Token:
     raw: str
 
     def __str__(self) -> str:
-        return 'the end of the text' if self.kind == 'end' else repr(self.raw)
+        if self.kind == 'end':
+            return 'the end of the text'
+        return repr(self.raw if len(self.raw) <= _SHOWN else f'{self.raw[:_SHOWN]}…')
 
 
 def fail(where: str, column: int, message: str) -> NoReturn:

@@ -262,7 +262,8 @@ class _Parser:
             time_ns = _EXACT.multiply(_EXACT.create_decimal(token.text), _UNIT_NS[unit])
             whole_ns = _EXACT.to_integral_exact(time_ns)
         except decimal.DecimalException:
-            self._fail(token, f'expected a whole number of nanoseconds, got {token.text} {unit}')
+            seen = f'{token.text:.40} {unit}'
+            self._fail(token, f'expected a whole number of nanoseconds, got {seen}')
         if whole_ns > _MAX_WINDOW_NS:
             self._fail(token, f"expected at most {_MAX_WINDOW_NS // 10**9} s, or 'inf'")
         return int(whole_ns)

@@ -1,0 +1,47 @@
+"""How near to the centreline runs keep once they have had time to get there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from taxinet_ros.bag.decode import decoded_messages
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run_topics import TRUTH, is_topic
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.types import NS_PER_S
+
+SETTLED_AFTER_S = 10.0
+"""The ten seconds that phi_eventually gives a run to reach the centreline (paper, section 3.2)."""
+
+
+def settled_cross_track_m(folder: Path, runs: Iterable[str]) -> np.ndarray:
+    """Median |cross-track error| [m] of each run after its first ten seconds, from its bag.
+
+    Args:
+        folder: of the campaign.
+        runs: their ids.
+
+    Returns:
+        One value for each run; NaN where the bag is gone or damaged, or the run was shorter.
+    """
+    return np.array([_settled_m(folder / run) for run in runs], dtype=np.float64)
+
+
+def _settled_m(bag: Path) -> float:
+    try:
+        late = [
+            abs(message.cross_track_error)
+            for _, stamp_ns, message in decoded_messages(bag, _is_truth)
+            if stamp_ns >= SETTLED_AFTER_S * NS_PER_S
+        ]
+    except (BagError, UsageError, AttributeError):
+        return math.nan
+    return float(np.median(late)) if late else math.nan
+
+
+def _is_truth(topic: str) -> bool:
+    return is_topic(topic, TRUTH)

@@ -1,0 +1,88 @@
+"""``taxinet up``: a standing graph, each node a process that is looked after."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.campaign.options import (
+    DEFAULT_ROOT,
+    IMAGES,
+    check_new,
+    new_folder,
+    split_settings,
+)
+from taxinet_ros.cli.stop_signals import stop_signals
+from taxinet_ros.cli.up_view import UpView
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import check_perception
+from taxinet_ros.nodes.domain import BY_HAND, domain_number
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.supervisor import Care, GraphLostError, Restart
+from taxinet_ros.nodes.up import UpOptions, stand
+
+_INFRA = 4
+
+
+def make_up_options(
+    *, perception: str, out: Path | None, record: bool, images: str, settings: Iterable[str],
+    restart: str, domain: int | None, silent_s: float,
+) -> UpOptions:
+    """Check what a person typed.
+
+    Args:
+        perception: ``truth``, ``taxinet`` or a network's file.
+        out: folder of bags and logs, which must be new; where None, a new one below ``bags/``.
+        record: whether there is a recorder.
+        images: runs whose camera frames go into the bags.
+        settings: ``steering.<gain>=value``.
+        restart: a word of :class:`Restart`.
+        domain: ROS domain; where None, that of the environment, else one of its own.
+        silent_s: silence after which a node is named [s].
+
+    Raises:
+        UsageError: one line on the first that is wrong.
+    """
+    check_perception(perception)
+    if images not in IMAGES:
+        raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
+    if restart not in list(Restart):
+        raise UsageError(f'--restart {restart}: unknown; known: {", ".join(Restart)}')
+    overrides, gains = split_settings(settings)
+    if overrides:
+        raise UsageError(
+            f"--set {next(iter(overrides))}: a scenario value is the sampler's to set; here: "
+            'steering.<gain>=value'
+        )
+    if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
+        domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
+    out = out or new_folder(DEFAULT_ROOT / 'up')
+    check_new(out)
+    return UpOptions(
+        graph=GraphOptions(perception=perception, out=out, images=images, gains=gains),
+        record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
+    )
+
+
+def run_up(options: UpOptions) -> int:
+    """Keep the graph up until somebody stops it.
+
+    Returns:
+        Exit code: 130 after Ctrl-C, 143 after SIGTERM, 129 after the terminal went away; 4 if the
+        graph could not be kept up.
+    """
+    view = UpView(Console(highlight=False), options)
+    with stop_signals() as stop:
+        try:
+            stand(options, view, stop.hear)
+            view.say('ended')
+        except KeyboardInterrupt:
+            view.say('killed')
+        except GraphLostError as error:
+            print(f'taxinet: error: {error}', file=sys.stderr)
+            return _INFRA
+    return stop.exit_code

@@ -1,0 +1,202 @@
+"""Which ROS domain a graph has for itself, and the refusal to join one that another graph uses."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import rclpy
+from domain_coordinator import domain_id
+from domain_coordinator.impl import PORT_BASE
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes import interface
+
+HIGHEST = 232
+"""The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
+
+BY_HAND = 'TAXINET_DOMAIN_ID'
+"""Environment variable that sets the domain of a graph that would choose one itself."""
+
+DISCOVERY_RANGE, LOCALHOST = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
+"""Environment variable of ROS 2 that says how far nodes look for others, and its narrowest word."""
+
+_RESERVED = 'TAXINET_RESERVED_DOMAIN'
+"""Environment variable that tells a child which domain its parent has made sure of."""
+
+# Longest that discovery was seen to take on one machine is 2.6 s.
+_LOOK_S = 3.0
+_LOOK_PERIOD_S = 0.05
+_NAMELESS = '_NODE_NAME_UNKNOWN_'
+
+# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
+_domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
+_made_sure_of: set[int] = set()
+
+
+@contextlib.contextmanager
+def own_domain(wanted: int | None = None) -> Iterator[int]:
+    """Reserve a ROS domain id that no other graph on this machine uses, if all of them reserve.
+
+    Discovery stays on this machine unless the user has set another range.
+    ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools; a domain
+    that was set by hand is looked at for some seconds first.
+
+    Args:
+        wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
+
+    Raises:
+        UsageError: a domain that was set by hand is none, or belongs to another graph.
+    """
+    if wanted is None:
+        wanted = domain_by_hand()
+    with _localhost(), _reserved(wanted) as (domain, alone):
+        if wanted is not None:
+            refuse_neighbours(domain)
+        if not alone:
+            raise UsageError(
+                f'ROS domain {domain} is taken: another graph that starts on this machine has '
+                f'reserved it (TCP port {PORT_BASE + domain}); set another one'
+            )
+        with _set(_RESERVED, str(domain)):
+            yield domain
+
+
+def domain_by_hand() -> int | None:
+    """The domain that ``TAXINET_DOMAIN_ID`` sets, if it does.
+
+    Raises:
+        UsageError: it is none, or belongs to another graph.
+    """
+    text = os.environ.get(BY_HAND)
+    if not text:
+        return None
+    domain = domain_number(text, BY_HAND)
+    with _localhost():
+        refuse_neighbours(domain)
+    return domain
+
+
+def domain_number(text: str, where: str) -> int:
+    """Read a ROS domain id.
+
+    Args:
+        text: what somebody typed.
+        where: option or variable, for the complaint.
+
+    Raises:
+        UsageError: it is none.
+    """
+    if not (text.isascii() and text.isdecimal() and int(text) <= HIGHEST):
+        raise UsageError(f'{where} {text!r}: a ROS domain is a whole number from 0 to {HIGHEST}')
+    return int(text)
+
+
+def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> None:
+    """See that no other graph is on a domain; takes some seconds, once in a process.
+
+    Args:
+        domain: where to look.
+        go_on: asked now and then whether it still matters.
+
+    Raises:
+        UsageError: names the node that is there, and says how to mend it.
+    """
+    if domain in _made_sure_of:
+        return  # What lingers there is left over from a graph of our own.
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        probe = Node(
+            f'taxinet_probe_{os.getpid()}', context=context, enable_rosout=False,
+            start_parameter_services=False,
+        )
+        deadline = time.monotonic() + _LOOK_S
+        while not (found := clock_keepers(probe)) and go_on() and time.monotonic() < deadline:
+            time.sleep(_LOOK_PERIOD_S)
+        probe.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+    if found:
+        raise UsageError(another_graph(domain, found))
+    _made_sure_of.add(domain)
+
+
+def stand_alone() -> None:
+    """For a simulator that is started by hand: see that it will be the only one.
+
+    Raises:
+        UsageError: another graph is on the domain of this process.
+        ExternalShutdownException: somebody stopped this process meanwhile.
+    """
+    domain = domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
+    if os.environ.get(_RESERVED) != str(domain):
+        refuse_neighbours(domain, rclpy.ok)
+    if not rclpy.ok():
+        raise ExternalShutdownException
+
+
+def clock_keepers(node: Node) -> list[str]:
+    """Full names of all nodes that publish the clock, as far as ``node`` knows them by name."""
+    found = node.get_publishers_info_by_topic(interface.CLOCK.name)
+    return sorted(
+        f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
+        # A publisher may be known a moment before the node that it belongs to.
+        if end.node_name != _NAMELESS
+    )
+
+
+def another_graph(domain: int, names: list[str]) -> str:
+    """One line for somebody whose graph would meet another one."""
+    they = ' and '.join(names)
+    verb = 'publishes' if len(names) == 1 else 'publish'
+    return (
+        f'another graph is on ROS domain {domain}: {they} {verb} /clock; end it (one that was '
+        'killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
+    )
+
+
+@contextlib.contextmanager
+def _reserved(wanted: int | None) -> Iterator[tuple[int, bool]]:
+    """A domain, and whether it could be reserved."""
+    # Entered and left by hand: the library's manager swallows an OSError of its body.
+    choose = _domains.__next__ if wanted is None else lambda: wanted
+    reservation = domain_id(choose)
+    try:
+        number = reservation.__enter__()
+    except RuntimeError:
+        if wanted is None:
+            raise UsageError('all ROS domains from 1 to 100 are in use; end a graph') from None
+        yield wanted, False
+        return
+    try:
+        yield number, True
+    finally:
+        reservation.__exit__(None, None, None)
+
+
+@contextlib.contextmanager
+def _localhost() -> Iterator[None]:
+    """Discovery on this machine only, unless the user has set another range."""
+    with _set(DISCOVERY_RANGE, os.environ.get(DISCOVERY_RANGE) or LOCALHOST):
+        yield
+
+
+@contextlib.contextmanager
+def _set(name: str, value: str) -> Iterator[None]:
+    """Have an environment variable within the ``with``."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before

@@ -1,0 +1,157 @@
+"""One node as a process of its own: how it is started, how it died, how several are ended."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from taxinet_ros.campaign.child_environment import child_environment
+
+_PR_SET_PDEATHSIG = 1
+_LAST_GRACE_S = 10.0
+_LAST_BYTES = 4096
+
+SOFT = ((signal.SIGTERM, 5.0),)
+"""Ends nodes that have nothing to lose: signal, and grace [s] before the next step."""
+
+IN_ORDER = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0))
+"""Ends nodes as a person would."""
+
+
+class NodeProcess:
+    """A node's process.
+
+    Attributes:
+        name: of the node.
+        process: the one that runs now, or ran last.
+        log: file that takes what it prints, one start after the other.
+    """
+
+    def __init__(
+        self, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, logs: Path,
+        scratch: Path,
+    ) -> None:
+        """Start it.
+
+        Args:
+            name: of the node.
+            kind: node class whose module is the program.
+            parameters: the node's ROS parameters.
+            domain: ROS domain that it joins.
+            logs: folder of its log.
+            scratch: folder of its parameter file, which must last as long as the process.
+        """
+        self.name = name
+        self.log = logs / f'{name}.log'
+        self._words = [kind.__module__]
+        if parameters:
+            file = scratch / f'{name}.yaml'
+            file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+            self._words += ['--ros-args', '--params-file', str(file)]
+        self._environment = {
+            **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
+        }
+        self.start()
+
+    def start(self) -> None:
+        """Start it, or start it again."""
+        with self.log.open('ab') as log:
+            self.process = subprocess.Popen(
+                # -P: a module in the user's folder must not stand in for one of ours.
+                [sys.executable, '-P', '-m', *self._words],
+                env=self._environment, stdin=subprocess.DEVNULL, stdout=log,
+                stderr=subprocess.STDOUT,
+                # Ctrl-C in the terminal is for the parent, which then ends its nodes in order.
+                start_new_session=True, preexec_fn=dying_with_parent(),
+            )
+
+    @property
+    def dead(self) -> bool:
+        """Whether it has ended, by whatever."""
+        return self.process.poll() is not None
+
+    def obituary(self) -> str:
+        """How it died, in one line."""
+        code = self.process.returncode
+        how = f'killed by {_signal_name(-code)}' if code < 0 else f'exit code {code}'
+        said = self.last_words()
+        return f'{how}: {said}' if said and code > 0 else how
+
+    def last_words(self) -> str:
+        """The last line that it printed, or ''."""
+        with self.log.open('rb') as log:
+            log.seek(max(0, self.log.stat().st_size - _LAST_BYTES))
+            lines = log.read().decode(errors='replace').strip().splitlines()
+        return lines[-1] if lines else ''
+
+    def complaint(self) -> str:
+        """What it said before it left for a mistake of the user's, exit code 2."""
+        return self.obituary().split('error: ', 1)[-1]
+
+
+def dying_with_parent() -> functools.partial[None]:
+    """For a child that is to be started now: Linux kills it when its parent goes, however it goes.
+
+    It is killed and not asked, for one that hangs or is stopped would not hear; a bag is on disk
+    after each step.
+    """
+    return functools.partial(_die_with, os.getpid(), ctypes.CDLL(None).prctl)
+
+
+def _die_with(parent: int, prctl: Any) -> None:
+    prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # It went before we asked.
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def end_all(
+    nodes: Iterable[NodeProcess], ladder: Sequence[tuple[signal.Signals, float]] = SOFT
+) -> list[str]:
+    """Have nodes end, with signal after signal, and SIGKILL in the end: no orphans.
+
+    Args:
+        nodes: all that are to end.
+        ladder: signals, each with the grace that follows it [s].
+
+    Returns:
+        Names of those that had to be killed.
+    """
+    left = [node for node in nodes if not node.dead]
+    for number, grace_s in ladder:
+        for node in left:
+            node.process.send_signal(number)
+            node.process.send_signal(signal.SIGCONT)  # One that is stopped hears nothing else.
+        left = _outlasting(left, grace_s)
+    for node in left:
+        node.process.kill()
+    _outlasting(left, _LAST_GRACE_S)
+    return [node.name for node in left]
+
+
+def _outlasting(nodes: list[NodeProcess], grace_s: float) -> list[NodeProcess]:
+    """Those that are still there after a time."""
+    deadline = time.monotonic() + grace_s
+    left = []
+    for node in nodes:
+        try:
+            node.process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            left.append(node)
+    return left
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f'signal {number}'  # Real-time signals have no names of their own.

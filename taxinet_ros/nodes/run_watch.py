@@ -1,0 +1,92 @@
+"""What somebody beside a graph hears of its runs, without a part in them."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from taxinet_msgs.msg import NodeStatus, RunStatus
+
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.onlooker import AT_LEISURE
+
+_CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
+
+
+class RunWatch:
+    """Follows the runs of a graph, tells it of a death, and can have the run at hand ended.
+
+    Listens only to what is latched and to the action's feedback: no node counts such ears.
+
+    Attributes:
+        run_id: the run at hand, or ''.
+        running: whether it has begun.
+        seq: the control step that it has reached.
+        last_run: the run that ended last, or ''.
+        outcomes: how many runs ended how.
+    """
+
+    def __init__(self, node: Node, say: Callable[[str], None]) -> None:
+        """Listen and speak through ``node``; ``say`` takes a line when a run has ended."""
+        self._say = say
+        self.run_id = self.last_run = ''
+        self.running = self.closed = False
+        self.seq = 0
+        self.outcomes: collections.Counter[str] = collections.Counter()
+        status, run_status = interface.NODE_STATUS, interface.RUN_STATUS
+        node.create_subscription(RunStatus, run_status.name, self._on_run, run_status.qos)
+        node.create_subscription(NodeStatus, status.name, self._on_status, status.qos)
+        node.create_subscription(
+            interface.RUN_SCENARIO_TYPE.Impl.FeedbackMessage,
+            f'{interface.RUN_SCENARIO}/_action/feedback', self._on_feedback, AT_LEISURE,
+        )
+        self._obituaries = node.create_publisher(NodeStatus, status.name, status.qos)
+        self._endings = node.create_publisher(RunStatus, run_status.name, run_status.qos)
+        self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
+
+    def mourn(self, name: str, detail: str) -> None:
+        """A node's process is dead: have the run at hand end at once, with the reason."""
+        if not self.run_id:
+            return
+        if name == interface.SIMULATOR:
+            # Nobody else can tell sampler and recorder that the run is over.
+            self._endings.publish(RunStatus(
+                run_id=self.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
+                kind='died', who=name, detail=detail, seq=self.seq,
+            ))
+        else:
+            self._obituaries.publish(NodeStatus(
+                run_id=self.run_id, node=name, state=NodeStatus.DIED, detail=detail,
+            ))
+
+    def interrupt(self) -> bool:
+        """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.
+
+        An empty request means all goals, by the definition of the action's cancel service.
+        """
+        if not self.run_id or not self._cancel.service_is_ready():
+            return False
+        self._cancel.call_async(_CANCEL.Request())
+        return True
+
+    def _on_run(self, status: RunStatus) -> None:
+        if status.state != RunStatus.ENDED:
+            self.run_id = status.run_id
+            self.running = status.state == RunStatus.RUNNING
+            self.seq, self.closed = status.seq, False
+        elif status.run_id == self.run_id:
+            self.run_id, self.last_run, self.running = '', status.run_id, False
+            self.outcomes[str(status.outcome)] += 1
+            words = [str(status.outcome), status.kind, status.who, status.detail]
+            self._say(f'run {status.run_id}: {" ".join(word for word in words if word)}')
+
+    def _on_status(self, status: NodeStatus) -> None:
+        if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):
+            self.closed = True
+
+    def _on_feedback(self, message: Any) -> None:
+        if self.run_id:
+            self.seq = message.feedback.seq

@@ -1,0 +1,230 @@
+"""Case studies as files: YAML for people (``scenarios/case_study.yaml``), JSON for a study begun.
+
+Every complaint is one line with the file, the key, and what is expected there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.layout import write_atomically
+from taxinet_ros.campaign.experiment_file import find_experiment
+from taxinet_ros.campaign.programs import find_program, shipped_folder
+from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.yaml_file import read_yaml
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import check_perception
+from taxinet_ros.study.config import StudyConfig
+
+SHIPPED = 'case_study.yaml'
+STUDY_NAME = 'study.json'
+
+_LEARNERS = ('ce', 'ce-verifai', 'mab')
+"""Samplers that tell what they have learned, as a program that can be run."""
+
+_MOST_SHARE = 10
+
+# Where each value stands in a file, and what it has to be.
+_WHOLE: Mapping[str, tuple[str, int, int]] = {
+    'images': ('training.images', 1, 1_000_000),
+    'validation': ('training.validation', 1, 1_000_000),
+    'epochs': ('training.epochs', 1, 10_000),
+    'training_seed': ('training.seed', 0, 2**63 - 1),
+    'runs': ('evaluation.runs', 1, 10_000_000),
+    'seed': ('evaluation.seed', 0, 2**63 - 1),
+    'localized': ('debugging.localize', 1, 10_000_000),
+    'learning_runs': ('learning.runs', 1, 10_000_000),
+    'learning_seed': ('learning.seed', 0, 2**63 - 1),
+    'further_epochs': ('iteration.epochs', 1, 10_000),
+    'workers': ('workers', 1, LAG),
+}
+_PROGRAMS: Mapping[str, str] = {
+    'original': 'training.original', 'generic': 'training.generic',
+    'specialised': 'training.specialised', 'program': 'evaluation.program',
+    'learning_program': 'learning.program', 'crossing': 'iteration.crossing',
+}
+_OTHERS: Mapping[str, str] = {
+    'experiments': 'debugging.experiments', 'sampler': 'learning.sampler',
+    'share': 'iteration.share', 'best': 'best',
+}
+_PLACES = {**{name: place for name, (place, _, _) in _WHOLE.items()}, **_PROGRAMS, **_OTHERS}
+
+
+def shipped_config() -> Path:
+    """The study that comes with the package: the paper's, with the paper's sizes."""
+    return shipped_folder() / SHIPPED
+
+
+def read_config(path: Path) -> StudyConfig:
+    """Read a study that a person wrote; what it leaves out is as in the shipped one.
+
+    Raises:
+        UsageError: one line with the file, the key, and how to mend it.
+    """
+    shipped = shipped_config()
+    values = _Values(shipped, read_yaml(shipped)).all()
+    own = _Values(path, read_yaml(path, option='--config'))
+    values |= own.all()
+    config = StudyConfig(**values)
+    own.check_seeds(config)
+    return config
+
+
+def write_study(out: Path, config: StudyConfig) -> None:
+    """Put down what a study is, for ``--resume`` and for its report."""
+    write_atomically(out / STUDY_NAME, json.dumps(dataclasses.asdict(config), indent=2) + '\n')
+
+
+def read_study(out: Path, option: str) -> StudyConfig:
+    """What the study in ``out`` is.
+
+    Args:
+        out: its folder.
+        option: that needs it, for the message.
+
+    Raises:
+        UsageError: no study was begun there, or the file is damaged.
+    """
+    path = out / STUDY_NAME
+    try:
+        return StudyConfig(**json.loads(path.read_bytes()))
+    except FileNotFoundError:
+        raise UsageError(
+            f'{option}: {path}: no such file, so no case study was begun there; '
+            f'{"leave --resume out" if option == "--resume" else "name its folder with --out"}'
+        ) from None
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
+
+
+class _Values:
+    """The values in one file, checked one by one."""
+
+    def __init__(self, path: Path, content: object) -> None:
+        self._path = path
+        self._leaves: dict[str, Any] = {}
+        known = set(_PLACES.values())
+        groups = {place.partition('.')[0] for place in known if '.' in place}
+        for key, value in self._mapping('', content).items():
+            if key not in groups:
+                self._put(key, value, known, groups)
+                continue
+            for inner, leaf in self._mapping(key, value).items():
+                self._put(f'{key}.{inner}', leaf, known, groups)
+
+    def all(self) -> dict[str, Any]:
+        """What the file gives, by the name of the study's attribute."""
+        found: dict[str, Any] = {}
+        for name, (place, low, high) in _WHOLE.items():
+            if place in self._leaves:
+                found[name] = self._whole(place, self._leaves[place], low, high)
+        for name, place in _PROGRAMS.items():
+            if place in self._leaves:
+                found[name] = self._program(place, self._leaves[place])
+        others: dict[str, Callable[[object], object]] = {
+            'experiments': self._experiments, 'sampler': self._sampler, 'share': self._share,
+            'best': self._best,
+        }
+        for name, read in others.items():
+            if _OTHERS[name] in self._leaves:
+                found[name] = read(self._leaves[_OTHERS[name]])
+        return found
+
+    def check_seeds(self, config: StudyConfig) -> None:
+        """No network may be judged, nor a search begun, on the scenes that it has learned from."""
+        seeds = {
+            'training.seed': config.training_seed, 'evaluation.seed': config.seed,
+            'learning.seed': config.learning_seed,
+        }
+        for place, seed in seeds.items():
+            for other, value in seeds.items():
+                if other < place and seed == value:
+                    raise self._wrong(place, f'is {seed}, as {other} is; give it another, or a '
+                                      'network is judged on scenes that it has seen')
+
+    def _put(self, key: str, value: object, known: set[str], groups: set[str]) -> None:
+        if key not in known:
+            group = key.partition('.')[0]
+            here = sorted(one for one in known if one.startswith(f'{group}.'))
+            raise self._wrong(key, f'unknown key; known: {", ".join(here or sorted(groups))}')
+        self._leaves[key] = value
+
+    def _mapping(self, where: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise self._wrong(where, f'expected KEY: VALUE pairs, got {value!r:.60}')
+        for key in value:
+            if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
+                raise self._wrong(where, f"expected words as keys, got {key!r}; put it in '…'")
+        return value
+
+    def _whole(self, where: str, value: object, low: int, high: int) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self._wrong(where, f'expected a whole number, {low} to {high}, got {value!r:.60}')
+        return value
+
+    def _word(self, where: str, value: object) -> str:
+        if not isinstance(value, str) or not value:
+            raise self._wrong(where, f'expected a word, got {value!r:.60}')
+        return value
+
+    def _program(self, where: str, value: object) -> str:
+        word = self._beside(self._word(where, value))
+        self._checked(where, partial(find_program, word))
+        return word
+
+    def _experiments(self, value: object) -> dict[str, int]:
+        where = _OTHERS['experiments']
+        found = {}
+        for name, runs in self._mapping(where, {} if value is None else value).items():
+            word = self._beside(name)
+            self._checked(f'{where}.{name}', partial(find_experiment, word))
+            found[word] = self._whole(f'{where}.{name}', runs, 1, 1_000_000)
+        stems = [Path(word).stem for word in found]
+        if len(set(stems)) < len(stems):
+            raise self._wrong(where, 'two experiments have the same name; rename one of the files')
+        return found
+
+    def _sampler(self, value: object) -> str:
+        word = self._word(_OTHERS['sampler'], value)
+        if word not in _LEARNERS:
+            what = f'expected one that tells what it learned ({", ".join(_LEARNERS)}), got {word}'
+            raise self._wrong(_OTHERS['sampler'], what)
+        return word
+
+    def _share(self, value: object) -> float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        share = float(value) if number else math.nan  # type: ignore[arg-type]
+        if not 0 < share <= _MOST_SHARE:
+            what = f'expected a number above 0, at most {_MOST_SHARE}, got {value!r:.60}'
+            raise self._wrong(_OTHERS['share'], what)
+        return share
+
+    def _best(self, value: object) -> str:
+        if value in ('', None):
+            return ''
+        word = self._beside(self._word('best', value))
+        self._checked('best', partial(check_perception, word))
+        return word
+
+    def _beside(self, word: str) -> str:
+        """A file's whole path, of one beside this file or from here; else the word itself."""
+        if Path(word).suffix:
+            for path in (self._path.parent / word, Path(word)):
+                if path.is_file():
+                    return str(path.resolve())
+        return word
+
+    def _checked(self, where: str, check: Callable[[], object]) -> None:
+        try:
+            check()
+        except UsageError as error:
+            raise self._wrong(where, str(error)) from None
+
+    def _wrong(self, where: str, what: str) -> UsageError:
+        return UsageError(f'{self._path}: {where}: {what}' if where else f'{self._path}: {what}')

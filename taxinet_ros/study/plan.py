@@ -1,0 +1,169 @@
+"""The stages of the case study, in the paper's order: falsify, debug, retrain, learn, iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from taxinet_ros.campaign.table import PARQUET_NAME
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.study.config import StudyConfig
+from taxinet_ros.study.stage import Kind, Resume, Stage
+
+ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
+ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')
+BEST = 'best'
+NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
+"""Names of the networks; their campaigns are ``evaluate-<name>``, but of the original one."""
+
+FALSIFY, ANALYZE, LOCALIZE, LEARN, REPORT = (
+    'falsify-original', 'analyze-original', 'localize-original', 'learn-failures', 'report'
+)
+LEARNED_PROGRAM = f'{LEARN}/learned.scenic'
+
+_RENDERING = 2
+"""A rendered picture costs about as much time as so many looks at one in training."""
+
+_TRIALS = 4
+"""Runs that `taxinet localize` makes of one failed run: as it was, and three substitutions."""
+
+
+def campaign_of(network: str) -> str:
+    """Folder of the campaign that a network was evaluated in."""
+    return FALSIFY if network == ORIGINAL else f'evaluate-{network}'
+
+
+def weights_of(network: str) -> str:
+    """Weights file of a network that the study trains."""
+    return f'train-{network}/{network}.safetensors'
+
+
+def stages(config: StudyConfig) -> tuple[Stage, ...]:
+    """All stages of a study, each after those whose files it needs."""
+    found = [*_falsification(config), *_debugging(config), *_retraining(config)]
+    found += [_learning(config), *_iteration(config)]
+    if config.best:
+        found.append(_evaluation(config, BEST, config.best))
+    everything = tuple(name for stage in found for name in stage.outputs)
+    found.append(Stage(
+        name=REPORT, words=('case-study', '--report-only', '--out', '.'), wants=everything,
+        outputs=(f'{REPORT}/case_study.html', f'{REPORT}/case_study.json',
+                 f'{REPORT}/networks.parquet'),
+        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE,
+    ))
+    return tuple(found)
+
+
+def up_to(found: Sequence[Stage], name: str) -> tuple[Stage, ...]:
+    """The stages up to one of them.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    names = [stage.name for stage in found]
+    if name not in names:
+        raise UsageError(f'--until {name}: no such stage; known: {", ".join(names)}')
+    return tuple(found[:names.index(name) + 1])
+
+
+def _falsification(config: StudyConfig) -> Iterator[Stage]:
+    yield _training(config, ORIGINAL, config.original)
+    yield _evaluation(config, ORIGINAL)
+
+
+def _debugging(config: StudyConfig) -> Iterator[Stage]:
+    table = f'{FALSIFY}/{PARQUET_NAME}'
+    yield Stage(
+        name=ANALYZE, words=('analyze', FALSIFY, '--out', ANALYZE), inputs=(table,),
+        outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'), kind=Kind.REPORT, amount=2,
+        resume=Resume.REPLACE,
+    )
+    yield Stage(
+        name=LOCALIZE, words=('localize', FALSIFY, '--out', LOCALIZE), runs=config.localized,
+        hints=_workers(config), inputs=(table,),
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
+        amount=_TRIALS * config.localized, resume=Resume.SAME, needs_failures=FALSIFY,
+    )
+    for word, runs in config.experiments.items():
+        yield _experiment(config, word, runs)
+
+
+def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
+    name, weights = f'experiment-{Path(word).stem}', weights_of(ORIGINAL)
+    return Stage(
+        name=name, words=('experiment', word, '--perception', weights, '--out', name), runs=runs,
+        hints=_workers(config), inputs=(weights,), experiment=word,
+        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), kind=Kind.RUNS,
+        amount=2 * runs, resume=Resume.OPTION, accepts=(0, 4),
+    )
+
+
+def _retraining(config: StudyConfig) -> Iterator[Stage]:
+    yield _training(config, GENERIC, config.generic)
+    yield _training(config, HALTON, config.generic, '--sampler', 'halton')
+    yield _training(config, SPECIALISED, config.specialised,
+                    '--validation-program', config.generic)
+    for network in (GENERIC, HALTON, SPECIALISED):
+        yield _evaluation(config, network)
+
+
+def _learning(config: StudyConfig) -> Stage:
+    weights = weights_of(GENERIC)
+    return Stage(
+        name=LEARN, runs=config.learning_runs, hints=_workers(config), inputs=(weights,),
+        words=('falsify', config.learning_program, '--sampler', config.sampler,
+               '--seed', str(config.learning_seed), '--perception', weights,
+               '--images', 'none', '--out', LEARN),
+        programs=(config.learning_program,),
+        outputs=(f'{LEARN}/{PARQUET_NAME}', f'{LEARN}/learned.json', LEARNED_PROGRAM),
+        kind=Kind.RUNS, amount=config.learning_runs, resume=Resume.OPTION, accepts=(0, 1, 4),
+    )
+
+
+def _iteration(config: StudyConfig) -> Iterator[Stage]:
+    programs = (config.generic, config.crossing, LEARNED_PROGRAM)
+    for network, program in zip(ITERATIVE, programs, strict=True):
+        # The same seed: the images of the generic network once more, and others.
+        yield _training(
+            config, network, config.generic, '--start', weights_of(GENERIC),
+            '--add', f'{program}={config.added}', epochs=config.further_epochs, added=program,
+        )
+    for network in ITERATIVE:
+        yield _evaluation(config, network)
+
+
+def _training(
+    config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
+) -> Stage:
+    """The training of a network; further training of the generic one where images are added."""
+    weights, epochs = weights_of(network), epochs or config.epochs
+    inputs = [weights_of(GENERIC)] * bool(added) + [added] * (added == LEARNED_PROGRAM)
+    images = config.images + (config.added if added else 0)
+    others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
+    programs = tuple(dict.fromkeys([program, *others]))
+    return Stage(
+        name=f'train-{network}', inputs=tuple(inputs), programs=programs,
+        words=('train', program, '--images', str(config.images),
+               '--validation', str(config.validation), '--epochs', str(epochs),
+               '--batch', str(min(64, config.images)), '--seed', str(config.training_seed), *more,
+               '--out', weights),
+        hints=_workers(config),
+        outputs=(weights, str(Path(weights).with_suffix('.json'))), kind=Kind.LOOKS,
+        amount=(images + config.validation) * _RENDERING + images * epochs,
+    )
+
+
+def _evaluation(config: StudyConfig, network: str, perception: str = '') -> Stage:
+    name, weights = campaign_of(network), weights_of(network)
+    return Stage(
+        name=name, runs=config.runs, hints=_workers(config),
+        words=('falsify', config.program, '--sampler', 'random', '--seed', str(config.seed),
+               '--perception', perception or weights, '--images', 'none', '--out', name),
+        inputs=() if perception else (weights,), programs=(config.program,), perception=perception,
+        outputs=(f'{name}/{PARQUET_NAME}',), kind=Kind.RUNS, amount=config.runs,
+        resume=Resume.OPTION, accepts=(0, 1, 4),
+    )
+
+
+def _workers(config: StudyConfig) -> tuple[str, ...]:
+    return ('--workers', str(config.workers))

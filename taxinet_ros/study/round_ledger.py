@@ -1,0 +1,66 @@
+"""What the rounds of ``taxinet improve`` decided: ``rounds.jsonl``, append-only, on the disk."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from taxinet_ros.bag.layout import disk_error
+from taxinet_ros.campaign.journal import Journal
+from taxinet_ros.core.errors import UsageError
+
+ROUNDS_NAME = 'rounds.jsonl'
+_WHEN = 'date'
+
+
+class RoundLedger:
+    """The open ledger; one process at a time. A context manager."""
+
+    def __init__(self, out: Path) -> None:
+        """Open it in the loop's folder, making it if need be.
+
+        Raises:
+            UsageError: another process has it open, or it is damaged.
+        """
+        self._path = out / ROUNDS_NAME
+        try:
+            self._journal = Journal(self._path)
+        except BlockingIOError as error:
+            raise UsageError(f'{self._path}: another taxinet improve is at work on it') from error
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        try:
+            self._known = [_undated(json.loads(line)) for line in self._journal.lines]
+        except (ValueError, AttributeError) as error:
+            self._journal.close()
+            raise UsageError(f'{self._path}: damaged line ({error})') from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._journal.close()
+
+    def write(self, values: Mapping[str, Any]) -> None:
+        """Put a round down, unless it says what it said before."""
+        plain = json.loads(json.dumps(values))
+        if plain in self._known:
+            return
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds')
+        try:
+            self._journal.append({**plain, _WHEN: now})
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        self._known.append(plain)
+
+
+def _undated(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key != _WHEN}

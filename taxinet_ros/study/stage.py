@@ -1,0 +1,139 @@
+"""A stage of a case study: one ``taxinet`` command, what it needs, and what it leaves behind."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros import __version__
+from taxinet_ros.campaign.experiment_file import find_experiment, read_experiment
+from taxinet_ros.campaign.programs import find_program, program_digest
+from taxinet_ros.core.perception import check_perception
+
+
+class Resume(Enum):
+    """How a stage that was interrupted goes on."""
+
+    ANEW = 'anew'
+    """From its beginning."""
+    OPTION = 'option'
+    """With ``--resume``."""
+    SAME = 'same'
+    """By the same command."""
+    REPLACE = 'replace'
+    """From its beginning, in place of what it has left there before."""
+
+
+class Kind(Enum):
+    """What a stage spends its time with, and so how long it takes."""
+
+    RUNS = 'runs'
+    """Amount: runs of 30 s on the graph."""
+    TRIALS = 'trials'
+    """Amount: runs without a graph."""
+    LOOKS = 'looks'
+    """Amount: pictures times epochs; rendering one counts as a few."""
+    REPORT = 'report'
+    """Amount: 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One command of a case study. Paths are relative to the study's folder, where it is run.
+
+    Attributes:
+        name: of the stage and of its folder.
+        words: the command, without ``taxinet``, without how many runs, and without ``hints``.
+        hints: options that change nothing in the result, as ``--workers``.
+        runs: number of runs, the option ``--runs``; 0 where it has none. What was begun with fewer
+            goes on.
+        inputs: files of earlier stages.
+        wants: further ones, that may be missing.
+        programs: Scenic programs, as words or paths.
+        experiment: word or file of the experiment that it is, or ''.
+        perception: a network from outside the study, or ''.
+        outputs: files that it leaves behind when it is done.
+        kind, amount: of its work.
+        resume: how it goes on.
+        accepts: exit codes that mean that it is done. A run that violates its formula makes 1, and
+            4 means that the bench broke some run, which is counted and shown.
+        needs_failures: a campaign without whose failed runs there is nothing to do, or ''.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    outputs: tuple[str, ...]
+    kind: Kind
+    amount: float
+    hints: tuple[str, ...] = ()
+    runs: int = 0
+    inputs: tuple[str, ...] = ()
+    wants: tuple[str, ...] = ()
+    programs: tuple[str, ...] = ()
+    experiment: str = ''
+    perception: str = ''
+    resume: Resume = Resume.ANEW
+    accepts: tuple[int, ...] = (0,)
+    needs_failures: str = ''
+
+    def command(self, *, resume: bool = False) -> tuple[str, ...]:
+        """The words after ``taxinet``."""
+        again = ('--resume',) if resume and self.resume is Resume.OPTION else ()
+        runs = ('--runs', str(self.runs)) if self.runs else ()
+        return (*self.words, *runs, *self.hints, *again)
+
+    def ready(self, out: Path) -> bool:
+        """Whether what it needs of other stages is there."""
+        return all((out / name).is_file() for name in self.inputs)
+
+    def identity(self, out: Path) -> str:
+        """Digest of all that its result depends on, but for the number of runs.
+
+        Raises:
+            UsageError: a program, experiment or network cannot be read.
+            OSError: an input cannot.
+        """
+        return _digest(self._ingredients(out))
+
+    def key(self, out: Path) -> str:
+        """Digest of all that its result depends on. Raises as :meth:`identity`."""
+        return _digest({**self._ingredients(out), 'runs': self.runs})
+
+    def _ingredients(self, out: Path) -> dict[str, Any]:
+        found: dict[str, Any] = {
+            'words': self.words, 'version': __version__,
+            'inputs': {
+                name: file_digest(out / name) for name in (*self.inputs, *self.wants)
+                if name in self.inputs or (out / name).is_file()
+            },
+            'programs': {
+                word: program_digest(out / word if word in self.inputs else find_program(word))
+                for word in self.programs
+            },
+        }
+        if self.experiment:
+            path = find_experiment(self.experiment)
+            program = find_program(read_experiment(path).program)
+            found['experiment'] = [file_digest(path), program_digest(program)]
+        if self.perception:
+            found['perception'] = check_perception(self.perception)
+        return found
+
+    def results(self, out: Path) -> dict[str, str]:
+        """Digests of its outputs by name; of those that are there."""
+        return {name: file_digest(out / name) for name in self.outputs if (out / name).is_file()}
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open('rb') as file:
+        return hashlib.file_digest(file, 'sha256').hexdigest()
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

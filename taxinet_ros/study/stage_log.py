@@ -1,0 +1,125 @@
+"""What became of the stages of a study: ``stages.jsonl``, append-only and flushed to the disk."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from taxinet_ros import __version__
+from taxinet_ros.bag.layout import disk_error, sync_folder
+from taxinet_ros.campaign.journal import Journal, whole_lines
+from taxinet_ros.core.errors import UsageError
+
+LOG_NAME = 'stages.jsonl'
+
+
+@dataclass(kw_only=True)
+class StageRecord:
+    """What is known of one stage.
+
+    Attributes:
+        identity: of what was begun last (:meth:`.stage.Stage.identity`), '' where nothing was.
+        key, outputs: of what was done last; '' and empty where it is not done.
+        runs: number of runs that the last beginning asked for.
+        wall_s: wall time of all sittings since it was begun anew [s].
+        sittings: how many they were. One that was killed outright has left no time.
+        killed: whether one was.
+        facts: of its last end: command, date, cores, version.
+        skipped: why there was nothing to do, or ''.
+    """
+
+    identity: str = ''
+    key: str = ''
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    runs: int = 0
+    wall_s: float = 0.0
+    sittings: int = 0
+    killed: bool = False
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    skipped: str = ''
+    _open: bool = False
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """One more event of the stage."""
+        if event['event'] == 'begin':
+            self.killed = self._open or (self.killed and event['resumed'])
+            if not event['resumed']:
+                self.wall_s, self.sittings, self.killed = 0.0, 0, False
+            self.identity, self.runs, self._open = event['identity'], event['runs'], True
+            self.key, self.outputs, self.skipped = '', {}, ''
+            return
+        self._open = False
+        self.wall_s += event['wall_s']
+        self.sittings += 1
+        if event['event'] == 'end':
+            self.key, self.outputs, self.facts = event['key'], event['outputs'], event
+            self.skipped = event.get('skipped', '')
+
+
+class StageLog:
+    """The open log of one study; one process at a time. A context manager."""
+
+    def __init__(self, out: Path) -> None:
+        """Open the log in the study's folder, making it if need be.
+
+        Raises:
+            UsageError: another process has it open, or it is damaged.
+        """
+        self._path = out / LOG_NAME
+        try:
+            self._journal = Journal(self._path)
+        except BlockingIOError as error:
+            what = f'{self._path}: another taxinet case-study is at work on it'
+            raise UsageError(what) from error
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        sync_folder(out)
+        self.records = read_records(out)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._journal.close()
+
+    def write(self, event: str, stage: str, **values: Any) -> None:
+        """Put down one event: ``begin``, ``end`` or ``stopped``."""
+        line = {
+            'event': event, 'stage': stage, **values,
+            'date': datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds'),
+            'cores': len(os.sched_getaffinity(0)), 'version': __version__,
+        }
+        try:
+            self._journal.append(line)
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        self.records.setdefault(stage, StageRecord()).take(line)
+
+
+def read_records(out: Path) -> dict[str, StageRecord]:
+    """What is known of each stage, by its name; also while the study is under way.
+
+    Raises:
+        UsageError: a whole line is damaged.
+    """
+    path = out / LOG_NAME
+    if not path.exists():
+        return {}
+    records: dict[str, StageRecord] = {}
+    for number, line in enumerate(whole_lines(path.read_bytes()).splitlines(), start=1):
+        try:
+            event = json.loads(line)
+            records.setdefault(event['stage'], StageRecord()).take(event)
+        except (ValueError, KeyError, TypeError) as error:
+            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+    return records

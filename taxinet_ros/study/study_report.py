@@ -1,0 +1,135 @@
+"""The report of a case study: side by side with the paper, as a page, tables, pictures and JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros import __version__
+from taxinet_ros.analysis.plain_values import plain_values
+from taxinet_ros.analysis.report_parts import Report
+from taxinet_ros.bag.layout import write_atomically, write_whole
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.study.claim import Claim
+from taxinet_ros.study.claims import judge_claims
+from taxinet_ros.study.config import StudyConfig
+from taxinet_ros.study.plan import REPORT, stages
+from taxinet_ros.study.results import Results, read_results
+from taxinet_ros.study.stage_log import read_records
+from taxinet_ros.study.stage_times import stages_frame
+from taxinet_ros.study.study_sections import StudyFindings, study_facts, study_sections
+from taxinet_ros.study.study_tables import (
+    distances_frame,
+    hours_frame,
+    learned_frame,
+    networks_frame,
+    pairs_frame,
+)
+from taxinet_ros.study.study_words import study_summary
+
+PAGE_NAME, JSON_NAME = 'case_study.html', 'case_study.json'
+SCHEMA, VERSION = 'taxinet-case-study', 1
+
+
+def write_study_report(config: StudyConfig, out: Path) -> list[str]:
+    """Write the report of what is done so far, in place of an earlier one.
+
+    Args:
+        config: of the study.
+        out: its folder.
+
+    Returns:
+        Lines to print: the summary, and where the report is.
+
+    Raises:
+        UsageError: no network was evaluated yet, or a file of the study is damaged.
+        BagWriteError: a file cannot be written.
+    """
+    from taxinet_ros.analysis.picture_files import LIGHT, write_png
+    from taxinet_ros.analysis.report_page import write_report_page
+
+    found = find(config, out)
+    folder = out / REPORT
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'{folder}: cannot be made: {error.strerror}') from error
+    for name, frame in found.frames().items():
+        _write_table(frame, folder / f'{name}.parquet')
+    report = study_report(found)
+    for section in report.sections:
+        for picture in section.pictures:
+            write_png(picture, folder, LIGHT)
+    write_report_page(report, folder / PAGE_NAME)
+    text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
+    write_atomically(folder / JSON_NAME, text + '\n')
+    return [*report.summary, f'report: {folder / PAGE_NAME}']
+
+
+def find(config: StudyConfig, out: Path) -> StudyFindings:
+    """Everything that the report says.
+
+    Raises:
+        UsageError: no network was evaluated yet, or a file of the study is damaged.
+    """
+    results = read_results(config, out)
+    if not results.networks:
+        raise UsageError(f'{out}: no network was evaluated yet, so there is nothing to report')
+    found = [stage for stage in stages(config) if stage.name != REPORT]
+    return StudyFindings(
+        config=config, out=out, results=results, claims=judge_claims(results),
+        networks=networks_frame(results), hours=hours_frame(results),
+        distances=distances_frame(results), pairs=pairs_frame(results),
+        learned=learned_frame(results), stages=stages_frame(found, read_records(out)),
+    )
+
+
+def study_report(found: StudyFindings) -> Report:
+    """The whole, as a page."""
+    return Report(
+        title="The paper's case study, run again", facts=study_facts(found),
+        summary=study_summary(found), sections=study_sections(found),
+    )
+
+
+def study_values(found: StudyFindings) -> dict[str, Any]:
+    """The findings as plain values; shares are fractions, and what is not known is None."""
+    return plain_values({
+        'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
+        'config': dataclasses.asdict(found.config), 'summary': list(study_summary(found)),
+        'claims': [_claim(claim) for claim in found.claims],
+        **{name: _records(frame) for name, frame in found.frames().items()},
+        'localized': _localized(found.results),
+        'experiments': {
+            name: values['comparisons'] for name, values in found.results.experiments.items()
+        },
+    })
+
+
+def _claim(claim: Claim) -> dict[str, str]:
+    return {
+        'name': claim.name, 'statement': claim.statement, 'source': claim.source,
+        'verdict': claim.verdict.name.lower(), 'evidence': claim.evidence,
+    }
+
+
+def _localized(results: Results) -> dict[str, Any] | None:
+    names = ('failed', 'judged', 'looked_into', 'counted', 'substitutions')
+    found = results.localized
+    return None if found is None else {name: found[name] for name in names}
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Lines of a table, with None for what is missing."""
+    return [
+        {str(name): None if pd.isna(value) else value for name, value in line.items()}
+        for line in frame.to_dict('records')
+    ]
+
+
+def _write_table(frame: pd.DataFrame, path: Path) -> None:
+    write_whole(path, lambda draft: frame.to_parquet(draft, index=False))

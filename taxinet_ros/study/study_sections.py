@@ -1,0 +1,250 @@
+"""The sections of a study's report: words, pictures and tables of one subject each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.analysis.experiment_pictures import arms_picture
+from taxinet_ros.analysis.paired_arms import paired_arms
+from taxinet_ros.analysis.report_parts import Column, Picture, Section, Table
+from taxinet_ros.campaign.experiment import arm_rows
+from taxinet_ros.campaign.experiment_file import find_experiment, read_experiment
+from taxinet_ros.study.claim import Claim, Verdict
+from taxinet_ros.study.config import StudyConfig
+from taxinet_ros.study.results import Results
+from taxinet_ros.study.study_columns import (
+    LEARNED_COLUMNS,
+    MORE_COLUMNS,
+    NETWORK_COLUMNS,
+    PAIR_COLUMNS,
+    binned,
+    table_of,
+)
+from taxinet_ros.study.study_figures import (
+    day_pictures,
+    learned_picture,
+    rates_picture,
+    runway_pictures,
+)
+from taxinet_ros.study.study_lines import clock
+from taxinet_ros.study.study_words import OTHER_WORLD
+
+_LEAST_P = 0.0001
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyFindings:
+    """All that a report says.
+
+    Attributes:
+        config, out: of the study.
+        results: of its stages.
+        claims: the paper's statements, judged.
+        networks, hours, distances, pairs, learned: of :mod:`.study_tables`.
+        stages: of :mod:`.stage_times`.
+    """
+
+    config: StudyConfig
+    out: Path
+    results: Results
+    claims: tuple[Claim, ...]
+    networks: pd.DataFrame
+    hours: pd.DataFrame
+    distances: pd.DataFrame
+    pairs: pd.DataFrame
+    learned: pd.DataFrame
+    stages: pd.DataFrame
+
+    def frames(self) -> dict[str, pd.DataFrame]:
+        """The tables by the names of their files."""
+        return {
+            'networks': self.networks, 'rho_by_hour': self.hours,
+            'rho_by_distance': self.distances, 'pairs': self.pairs, 'learned': self.learned,
+            'stages': self.stages,
+        }
+
+
+def study_facts(found: StudyFindings) -> Mapping[str, str]:
+    """What was run."""
+    config = found.config
+    done = found.stages[found.stages['done']]
+    dates = sorted(date[:10] for date in done['date'] if date)
+    versions = ', '.join(sorted({str(version) for version in done['version'] if version}))
+    facts = {
+        'program': config.program, 'scale': f'{config.scale:g}',
+        'images': f'{config.images:,} and {config.validation:,} held back, per network',
+        'epochs': str(config.epochs), 'seeds': f'training {config.training_seed}, evaluation '
+        f'{config.seed}, learning {config.learning_seed}', 'version': versions,
+        'dates': ' to '.join(dict.fromkeys(dates[:1] + dates[-1:])),
+        'paper': 'Fremont, Chiu, Margineantu, Osipychev and Seshia, CAV 2020',
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def study_sections(found: StudyFindings) -> tuple[Section, ...]:
+    """The evidence; a section without anything to show is left out."""
+    sections = (
+        _networks(found), _claims(found), _day(found), _runway(found), _debugging(found),
+        _learned(found), _pairs(found), _stages(found),
+    )
+    return tuple(
+        section for section in sections
+        if section.sentences or section.pictures or any(table.rows for table in section.tables)
+    )
+
+
+def _networks(found: StudyFindings) -> Section:
+    return Section(
+        name='networks', heading='The networks', sentences=(OTHER_WORLD,),
+        pictures=(rates_picture(found.networks),),
+        tables=(
+            table_of(
+                found.networks, 'networks_rates', 'How often they satisfy and leave the runway',
+                'Of all judged runs, with 95 % Clopper-Pearson intervals.', NETWORK_COLUMNS),
+            table_of(found.networks, 'networks_more', 'More on them',
+                     'Medians over the runs; errors on the pictures held back, of the model cards, '
+                     'each in its own world. Settled: within 1.5 m to the end.', MORE_COLUMNS),
+        ),
+    )
+
+
+def _claims(found: StudyFindings) -> Section:
+    order = {verdict: number for number, verdict in enumerate(Verdict)}
+    claims = sorted(found.claims, key=lambda claim: order[claim.verdict])
+    return Section(
+        name='claims', heading='What the paper says, and what we see', sentences=(
+            'Each is judged by the 95 % interval of a difference on our runs: in kind as in the '
+            'paper if all of the interval is on its side, not as in the paper if all of it is on '
+            'the other, else not clear from these runs. No allowance is made for there being '
+            'several statements.',
+        ),
+        tables=(Table(
+            name='claims', title='Statements of the paper', caption='', columns=(
+                Column(name='verdict', title='verdict'),
+                Column(name='statement', title='the paper'),
+                Column(name='evidence', title='our runs'),
+            ),
+            rows=tuple(
+                (claim.verdict.value, f'{claim.statement} ({claim.source})', claim.evidence)
+                for claim in claims
+            ),
+        ),),
+    )
+
+
+def _day(found: StudyFindings) -> Section:
+    return Section(
+        name='day', heading='Over the day (Fig. 4)',
+        pictures=day_pictures(found.results, found.hours),
+        tables=(table_of(found.hours, 'hours', 'By the hour', 'Every network, every hour.',
+                         binned('h', 0)),),
+    )
+
+
+def _runway(found: StudyFindings) -> Section:
+    return Section(
+        name='runway', heading='Along the runway (Fig. 6)',
+        pictures=runway_pictures(found.results, found.distances),
+        tables=(table_of(found.distances, 'distances', 'By 100 m of runway',
+                         'By where runs start; in 30 s they come some 150 m further.',
+                         binned('m', 0)),),
+    )
+
+
+def _debugging(found: StudyFindings) -> Section:
+    results = found.results
+    causes = (results.analysis or {}).get('summary', ())
+    blame = (results.localized or {}).get('sentences', ())
+    sentences = [f'Causes: {words}' for words in causes]
+    sentences += [f'Whose fault: {words}' for words in blame]
+    for name, values in results.experiments.items():
+        sentences += [f'Experiment {name}: {words}' for words in values['sentences']]
+    return Section(
+        name='debugging', heading='Why the original network fails (Fig. 7)',
+        sentences=tuple(sentences), pictures=tuple(_experiments(found)),
+    )
+
+
+def _experiments(found: StudyFindings) -> Iterator[Picture]:
+    for word in found.config.experiments:
+        name = Path(word).stem
+        if name in found.results.experiments:
+            experiment = read_experiment(find_experiment(word))
+            rows = arm_rows(experiment, found.out / f'experiment-{name}')
+            picture = arms_picture(paired_arms(experiment, rows))
+            yield dataclasses.replace(
+                picture, name=f'experiment_{name}', title=f'Experiment {name}: {picture.title}'
+            )
+
+
+def _learned(found: StudyFindings) -> Section:
+    if found.learned.empty:
+        return Section(name='learned', heading='')
+    config = found.config
+    return Section(
+        name='learned', heading="Where the generic network's failures are, as learned",
+        sentences=(
+            f'One search of {config.learning_runs:,} runs by {config.sampler}, seed '
+            f'{config.learning_seed}; how much such searches differ is not in it. The paper '
+            "learned with VerifAI's rule, which goes for the likeliest bin (ce-verifai here).",
+        ),
+        pictures=(learned_picture(found.learned),),
+        tables=(table_of(found.learned, 'learned', 'Where on the runway', 'Shares in percent.',
+                         LEARNED_COLUMNS),),
+    )
+
+
+def _pairs(found: StudyFindings) -> Section:
+    names = [str(name) for name in found.pairs if str(name).endswith('_p')]
+    frame = found.pairs.assign(**{name: found.pairs[name].map(_p_words) for name in names})
+    return Section(
+        name='pairs', heading='Networks on the same scenes',
+        tables=(table_of(
+            frame, 'pairs', 'Differences', 'Of the second less the first in points, with 95 % '
+            "intervals for pairs (Newcombe), and McNemar's exact test.", PAIR_COLUMNS),),
+    )
+
+
+def _p_words(value: float) -> str:
+    return f'{value:.4f}' if value >= _LEAST_P else f'<{_LEAST_P:.4f}'
+
+
+def _stages(found: StudyFindings) -> Section:
+    lines = found.stages.to_dict('records')
+    titles = ('stage', 'wall time', 'sittings', 'runs', 'cores', 'workers', 'date')
+    return Section(
+        name='stages', heading='What was done', tables=(
+            Table(
+                name='stages', title='Stages', caption='Wall time of all sittings, on a machine '
+                'that may have been busy with other work.',
+                columns=tuple(
+                    Column(name=title.replace(' ', '_'), title=title) for title in titles),
+                rows=tuple(
+                    (line['stage'], _wall(line), line['sittings'] or None, line['runs'] or None,
+                     line['cores'], line['workers'], str(line['date'])[:10] or None)
+                    for line in lines
+                ),
+            ),
+            Table(
+                name='commands', title='Commands', caption="Each can be run again by hand, in the "
+                "study's folder.",
+                columns=(Column(name='stage', title='stage'),
+                         Column(name='command', title='command')),
+                rows=tuple((line['stage'], line['command']) for line in lines),
+            ),
+        ),
+    )
+
+
+def _wall(line: Mapping[Hashable, Any]) -> str:
+    if line['skipped']:
+        return 'nothing to do'
+    if not line['done']:
+        return 'not done'
+    return ('at least ' if line['at_least'] else '') + clock(line['wall_s'])

@@ -1,0 +1,156 @@
+"""The figures of a study as tables: networks, hours, stretches of runway, pairs, what was learned.
+
+Shares are fractions 0..1 in the data frames; percent for people.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.study.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
+from taxinet_ros.study.plan import (
+    BEST,
+    GENERIC,
+    HALTON,
+    ITERATIVE,
+    ORIGINAL,
+    SPECIALISED,
+)
+from taxinet_ros.study.results import Network, Results, share_of
+
+PAIRS = (
+    (ORIGINAL, GENERIC), (ORIGINAL, HALTON), (ORIGINAL, SPECIALISED), (GENERIC, HALTON),
+    (GENERIC, SPECIALISED), (HALTON, SPECIALISED), *((GENERIC, one) for one in ITERATIVE),
+    (ITERATIVE[0], ITERATIVE[1]), (ITERATIVE[0], ITERATIVE[2]), (ORIGINAL, BEST),
+    (SPECIALISED, BEST),
+)
+"""Networks that are compared on their common scenes."""
+
+_MEDIANS = {
+    'median_rho': 'rho', 'median_settle_s': 'settle_time_s',
+    'median_cte_error_m': 'cte_error_mean_abs_m',
+}
+
+HOURS = tuple(float(hour) for hour in range(6, 19))
+DISTANCES_M = tuple(float(metre) for metre in range(0, 2001, 100))
+
+
+def networks_frame(results: Results) -> pd.DataFrame:
+    """One line for each network, the paper's figures beside ours."""
+    return pd.DataFrame([_network_line(network) for network in results.networks.values()])
+
+
+def hours_frame(results: Results) -> pd.DataFrame:
+    """One line for each network and hour."""
+    return _binned(results, 'time_of_day_h', HOURS)
+
+
+def distances_frame(results: Results) -> pd.DataFrame:
+    """One line for each network and 100 m of runway to start on."""
+    return _binned(results, 'distance_m', DISTANCES_M)
+
+
+def pairs_frame(results: Results) -> pd.DataFrame:
+    """One line for each two networks that are compared."""
+    lines = []
+    for first, second in PAIRS:
+        pair = results.pair(first, second)
+        if pair is not None and len(pair.frame):
+            lines.append({
+                'first': first, 'second': second, 'scenes': len(pair.frame),
+                **_paired('satisfied', pair.satisfied()),
+                **_paired('off_runway', pair.off_runway()),
+            })
+    return pd.DataFrame(lines)
+
+
+def learned_frame(results: Results) -> pd.DataFrame:
+    """One line for each stretch of runway of which the paper tells what was learned."""
+    choice, learned = results.distances, results.learned
+    generic = results.networks.get(GENERIC)
+    if choice is None or learned is None:
+        return pd.DataFrame()
+    probabilities = learned.probabilities[choice.dimension.name]
+    lines = []
+    for (low, high), paper in zip(
+        itertools.pairwise(LEARNED_EDGES_M), PAPER_LEARNED, strict=True
+    ):
+        line = {
+            'from_m': low, 'to_m': high, 'program': choice.probability_within(low, high),
+            'learned': choice.probability_within(low, high, probabilities), 'paper': paper,
+        }
+        if generic is not None:
+            there = generic.within('distance_m', low, high)[generic.runs.failed]
+            line |= {'failures': int(there.sum()), **_named('of_failures', share_of(there))}
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def _network_line(network: Network) -> dict[str, Any]:
+    paper, table = PAPER_NETWORKS.get(network.name), network.table
+    errors: Mapping[str, Mapping[str, float]] = network.card.get('errors', {})
+    return {
+        'network': network.name, 'runs': len(table), 'without_verdict': network.unjudged,
+        'satisfied_runs': int((~network.runs.failed).sum()),
+        **_named('satisfied', network.satisfied),
+        'paper_satisfied': paper.satisfied if paper else None,
+        'off_runway_runs': int(network.off.sum()), **_named('off_runway', network.off_runway),
+        'paper_off_runway': paper.off_runway if paper else None,
+        'paper_source': paper.source if paper else '',
+        **{name: _median(table[column].to_numpy(dtype=float))
+           for name, column in _MEDIANS.items()},
+        'median_settled_cte_m': _median(network.settled_m),
+        'images': network.card.get('images'),
+        'validation_cte_mae_m': errors.get('cte_m', {}).get('mae'),
+        'validation_he_mae_deg': errors.get('he_deg', {}).get('mae'),
+        'perception': network.runs.perception,
+        'perception_sha256': str(network.table['perception_fingerprint'].iloc[0]),
+        'program': network.runs.program, 'seed': int(table['seed'].iloc[0]),
+    }
+
+
+def _binned(results: Results, column: str, edges: tuple[float, ...]) -> pd.DataFrame:
+    """Bins are closed below; the last one above too."""
+    unit = column.rpartition('_')[2]
+    lines = []
+    for network in results.networks.values():
+        passed, off = ~network.runs.failed, network.off
+        rho = network.runs.frame['rho'].to_numpy(dtype=float)
+        for low, high in itertools.pairwise(edges):
+            end = np.nextafter(high, np.inf) if high == edges[-1] else high
+            inside = network.within(column, low, end)
+            lines.append({
+                'network': network.name, f'from_{unit}': low, f'to_{unit}': high,
+                'runs': int(inside.sum()), 'satisfied_runs': int(passed[inside].sum()),
+                **_named('satisfied', share_of(passed[inside])),
+                'off_runway_runs': int(off[inside].sum()),
+                **_named('off_runway', share_of(off[inside])),
+                'median_rho': _median(rho[inside]),
+            })
+    return pd.DataFrame(lines)
+
+
+def _paired(name: str, rates: Any) -> dict[str, Any]:
+    return {
+        f'{name}_first': rates.first, f'{name}_second': rates.second,
+        f'{name}_only_first': rates.only_first, f'{name}_only_second': rates.only_second,
+        **_named(f'{name}_difference', rates.difference), f'{name}_mcnemar_p': rates.p_value,
+    }
+
+
+def _named(name: str, found: Rate | Any) -> dict[str, float]:
+    value, low, high = found
+    return {name: value, f'{name}_low': low, f'{name}_high': high}
+
+
+def _median(values: np.ndarray) -> float:
+    """Of the values that are known; NaN where none is."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else math.nan

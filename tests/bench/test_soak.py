@@ -1,0 +1,177 @@
+"""``taxinet bench soak``: what leaks is found, what does not is flat, nothing is left behind."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxinet_ros.bench import soak
+from taxinet_ros.bench.soak_sample import family, holdings
+from taxinet_ros.bench.soak_trend import (
+    FLAT,
+    GROWS,
+    MOST_SAMPLES,
+    UNSETTLED,
+    Series,
+    theil_sen,
+    trend,
+)
+from taxinet_ros.cli.main import _exit_code, app
+
+LEAK = """
+import mmap, sys, time
+kept, files = [], []
+sys.stdout.write('here\\n')
+sys.stdout.flush()
+for line in sys.stdin:
+    kept.append(bytearray(4 << 20))
+    files.append(open('/dev/null'))
+    sys.stdout.write('more\\n')
+    sys.stdout.flush()
+"""
+
+
+def call(capfd: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    capfd.readouterr()
+    code = _exit_code(lambda: app(['bench', *words], standalone_mode=False))
+    captured = capfd.readouterr()
+    return code, captured.out, captured.err
+
+
+@given(st.integers(2, 40), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+def test_given_points_on_a_line_with_an_outlier_when_fitted_then_the_slope_is_the_lines(
+    count: int, slope: float, start: float
+) -> None:
+    x = np.arange(count, dtype=float)
+    y = slope * x + start
+    assert theil_sen(x, y) == pytest.approx(slope, abs=1e-6)
+    if count > 10:
+        y[count // 2] += 1e6
+        assert theil_sen(x, y) == pytest.approx(slope, abs=1e-6)
+
+
+def test_given_a_quantity_when_it_grows_only_while_warming_up_then_it_is_flat() -> None:
+    at = list(range(100))
+    warming = [min(step, 15) * 1e6 for step in at]
+    leaking = [step * 2000.0 for step in at]
+    assert trend(at, warming, per_unit=1024, once=0.0).verdict == FLAT
+    assert trend(at, leaking, per_unit=1024, once=0.0).verdict == GROWS
+    assert trend(at, leaking, per_unit=1024, once=1e6).verdict == FLAT
+    assert trend(at[:10], leaking[:10], per_unit=1024, once=0.0).verdict == UNSETTLED
+
+
+def test_given_very_many_samples_when_kept_then_few_and_evenly() -> None:
+    series = Series()
+    for number in range(5000):
+        series.add(number, [number])
+    steps = np.diff(series.at)
+    assert MOST_SAMPLES // 2 <= len(series.at) <= MOST_SAMPLES
+    assert (steps == steps[0]).all()
+    assert series.at[-1] > 4900
+    assert [row[0] for row in series.rows] == series.at
+
+
+def test_given_this_process_when_it_takes_more_then_its_holdings_say_so() -> None:
+    before = holdings(os.getpid())
+    assert before is not None
+    stop = threading.Event()
+    thread = threading.Thread(target=stop.wait)
+    thread.start()
+    with tempfile.TemporaryFile(dir='/dev/shm') as file:
+        file.write(bytes(1 << 24))
+        file.flush()
+        with mmap.mmap(file.fileno(), 1 << 24) as mapped:
+            assert mapped[:1 << 24].count(0) == 1 << 24
+            after = holdings(os.getpid())
+    stop.set()
+    thread.join()
+    assert after is not None
+    assert after.threads == before.threads + 1
+    assert after.files >= before.files + 1
+    assert after.segments == before.segments + 1
+    assert after.memory > before.memory + (1 << 23)
+
+
+def test_given_a_child_that_leaks_when_watched_then_it_is_counted_and_found_to_grow(
+    monkeypatch
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, '-c', LEAK], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stdout.readline() == 'here\n'
+        assert child.pid in family(os.getpid())
+        moment = [0.0]
+
+        def leak(seconds: float) -> None:
+            moment[0] += seconds
+            child.stdin.write('\n')
+            child.stdin.flush()
+            assert child.stdout.readline() == 'more\n'
+
+        monkeypatch.setattr(soak.time, 'sleep', leak)
+        monkeypatch.setattr(soak.time, 'monotonic', lambda: moment[0])
+        found = soak.watch(child.pid, 0.5, lambda done, total: None)
+        child.stdin.close()
+    assert found.samples == 31
+    assert found.trends['memory'].verdict == GROWS
+    assert found.trends['memory'].slope == pytest.approx(4 << 20, rel=0.2)
+    assert found.trends['files'].slope == pytest.approx(1, abs=0.01)
+    assert found.trends['threads'].verdict == FLAT
+    assert found.verdict == GROWS
+
+
+def test_given_a_process_that_ends_when_watched_then_what_was_seen_is_told(monkeypatch) -> None:
+    with subprocess.Popen([sys.executable, '-c', LEAK], stdin=subprocess.PIPE) as child:
+        monkeypatch.setattr(soak.time, 'sleep', lambda seconds: (child.kill(), child.wait()))
+        found = soak.watch(child.pid, 1.0, lambda done, total: None)
+    assert found.samples == 1
+    assert found.verdict == UNSETTLED
+
+
+@pytest.mark.ros
+def test_given_a_few_runs_when_soaked_then_a_report_of_them_and_nothing_left(
+    capfd, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
+    code, out, err = call(capfd, 'soak', '--runs', '7', '--duration', '0.5', '--json')
+    assert (code, err) == (0, '')
+    report = json.loads(out)
+    assert report['amount'] == 7
+    assert sum(report['outcomes'].values()) == 7
+    assert report['samples'] == 2
+    assert set(report['trends']) == {*soak.QUANTITIES, soak.OBJECTS}
+    assert report['trends']['memory']['first'] > 50e6
+    assert report['trends']['segments']['first'] > 0
+    assert report['verdict'] == UNSETTLED
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['soak', 'camera'], 'bench: soak goes alone'),
+    (['soak', '--repeats', '3'], 'bench: --repeats: not with soak'),
+    (['camera', '--minutes', '3'], 'bench: --minutes: only with taxinet bench soak'),
+    (['soak', '--pid', '1', '--runs', '3'], 'bench: --pid watches what runs already'),
+    (['soak', '--minutes', '-1'], 'bench: --minutes is -1, needs to be more than 0'),
+    (['soak', '--duration', '0'], 'scenario: duration_s is 0'),
+    (['soak', '--pid', str(2**22 + 1), '--minutes', '1'], 'no such process is running'),
+])
+def test_given_bad_words_when_typed_then_one_line_says_so(
+    words: list[str], message: str, capfd
+) -> None:
+    code, out, err = call(capfd, *words)
+    assert (code, out) == (2, '')
+    assert message in err
+    assert err.count('\n') == 1

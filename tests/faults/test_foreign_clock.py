@@ -1,0 +1,59 @@
+"""Somebody else's clock in the graph: it moves no run, and what it spoils is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fault_runs import PERIOD_NS, request, run, steps_in
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from tampering import tamper
+
+from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.nodes.convert import time_of
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import CLOCK, COMMAND, RECORDER
+
+pytestmark = pytest.mark.ros
+
+
+def disturbed_run(out: Path, stamp_of_step) -> tuple[RunResult, int]:
+    """A run beside which a second clock ticks; the result, and how many ticks arrived."""
+    with composed_graph(GraphOptions(perception='truth', out=out, images='none')) as graph:
+        other = Node('another_simulator', context=graph._context)
+        clock = other.create_publisher(Clock, CLOCK.name, CLOCK.qos)
+        graph.add(other)
+        other.close = lambda: None
+        recorder = next(node for node in graph.nodes if node.get_name() == RECORDER)
+
+        def tick(step: int, message):
+            if stamp_of_step is not None:
+                clock.publish(Clock(clock=time_of(stamp_of_step(step))))
+            return [message]
+
+        tamper(graph, COMMAND, tick)
+        (result,) = run(graph, request(duration=5.0))
+        return result, recorder._steps.repeated
+
+
+def files(bag: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in bag.iterdir()}
+
+
+def test_given_a_clock_that_runs_backwards_then_not_a_byte_changes(tmp_path):
+    alone, ticks = disturbed_run(tmp_path / 'alone', None)
+    assert (alone.outcome.judged, ticks) == (True, 0)
+    result, ticks = disturbed_run(tmp_path / 'both', lambda step: max(0, step - 7) * PERIOD_NS)
+    assert (result.outcome, result.rho) == (alone.outcome, alone.rho)
+    assert ticks > 40
+    assert files(tmp_path / 'both' / 'run') == files(tmp_path / 'alone' / 'run')
+
+
+def test_given_a_clock_of_other_steps_then_the_bag_is_not_declared_sound(tmp_path):
+    result, _ = disturbed_run(tmp_path, lambda step: step * PERIOD_NS + 12_345)
+    assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
+    assert 'which is no control step; does a second simulator publish?' in result.detail
+    assert result.rho == {}
+    steps = steps_in(tmp_path / 'run')
+    assert steps == list(range(len(steps)))

@@ -1,0 +1,70 @@
+"""A node's process that is killed, or hangs, at any step: the run says which, and keeps its bag."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+
+import pytest
+from fault_runs import once, request, run, steps_in
+
+from taxinet_ros.bag.facts import read_facts
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.recover import recover
+from taxinet_ros.cli.bag_info import show_info
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR
+from taxinet_ros.nodes.processes import process_graph
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+
+NODES = (SIMULATOR, *PARTICIPANTS)
+KIND = {
+    signal.SIGKILL: ('died', 'killed by SIGKILL'), signal.SIGSTOP: ('timeout', 'silent for '),
+}
+
+
+@pytest.mark.parametrize('who', NODES)
+@pytest.mark.parametrize('number', KIND, ids=lambda number: number.name)
+def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag_stays(
+    number, who, tmp_path, capfd
+):
+    step = random.Random(f'{number}{who}').randrange(3, 90)
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none',
+        # The simulator is silent while it makes its first pictures.
+        timeouts={'answer_timeout': 2.0, 'silence_timeout': 12.0},
+    )
+    with process_graph(options, tmp_path / 'logs') as graph:
+        pid = next(child.process.pid for child in graph.children if child.name == who)
+        with once(lambda: graph.seq >= step, lambda: os.kill(pid, number)):
+            (result,) = run(graph, request())
+    assert result.outcome is Outcome.INFRA_ERROR
+    kind, words = KIND[number]
+    assert (result.kind, result.who) == (kind, who), result
+    assert words in result.detail
+    assert result.rho == {}
+    assert result.last_seq >= step
+    check_bag(tmp_path / 'run', result, who, capfd)
+
+
+def check_bag(bag, result, who, capfd) -> None:
+    """It has every step up to the last one that the run reached, or all but one."""
+    steps = steps_in(bag)
+    assert steps == list(range(len(steps)))
+    assert len(steps) >= result.last_seq - 8 * (who == RECORDER)
+    if who in (RECORDER, SIMULATOR):
+        saved = bag.with_name('saved')
+        recover(bag, saved)
+        assert steps_in(saved) == steps
+        if who == RECORDER:
+            assert show_info(bag, as_json=False) == 3
+            out = capfd.readouterr().out
+            assert 'NOT WHOLE: ' in out
+            assert f'taxinet bag recover {bag} --out NEW' in out
+        return
+    assert read_info(bag).complete
+    facts = read_facts(bag)
+    assert (facts.outcome, facts.kind, facts.who) == ('INFRA_ERROR', result.kind, who)

@@ -1,0 +1,111 @@
+"""Ctrl-C and SIGTERM, once and twice, wherever a campaign stands: exit code, bag, no leftovers."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from command_process import children, ended, gone, taxinet
+from fault_runs import steps_in, wait_for
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts, told_apart
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.table import read_table
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+
+RUN = ('run', 'nominal', '--runs', '3', '--perception', 'truth', '--images', 'none',
+       '--set', 'duration=600', '--out', 'c')
+BAG = 'c/nominal-s0-00000'
+SIGNALS = pytest.mark.parametrize(
+    ('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=['INT', 'TERM']
+)
+
+
+def grown(bag) -> bool:
+    return sum(file.stat().st_size for file in bag.glob('*.mcap')) > 100_000
+
+
+@SIGNALS
+def test_given_a_signal_while_the_program_is_compiled_then_nothing_is_left_behind(
+    number, code, tmp_path
+):
+    with taxinet(*RUN, cwd=tmp_path) as campaign:
+        wait_for(lambda: children(campaign.pid, 'scenic_child'))
+        pids = [*children(campaign.pid, '')]
+        campaign.send_signal(number)
+        result = ended(campaign)
+    assert result == (code, '', '')
+    wait_for(lambda: all(map(gone, pids)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@SIGNALS
+def test_given_a_signal_while_nodes_find_each_other_then_the_run_is_interrupted(
+    number, code, tmp_path
+):
+    with taxinet(*RUN, '--processes', cwd=tmp_path) as campaign:
+        wait_for(lambda: len(children(campaign.pid, 'taxinet_ros.nodes')) == 5)
+        pids = [*children(campaign.pid, '')]
+        campaign.send_signal(number)
+        found, out, err = ended(campaign)
+    assert found == code, err
+    assert 'Traceback' not in err
+    assert '1 INTERRUPTED' in out
+    assert list(read_table(tmp_path / 'c')['outcome']) == ['INTERRUPTED']
+    wait_for(lambda: all(map(gone, pids)))
+
+
+@SIGNALS
+def test_given_a_signal_amid_a_run_then_its_bag_is_closed_and_no_other_run_begins(
+    number, code, tmp_path
+):
+    with taxinet(*RUN, cwd=tmp_path) as campaign:
+        wait_for(lambda: grown(tmp_path / BAG))
+        campaign.send_signal(number)
+        found, out, err = ended(campaign)
+    assert (found, err) == (code, '')
+    assert '1 INTERRUPTED' in out
+    assert list(read_table(tmp_path / 'c')['outcome']) == ['INTERRUPTED']
+    assert read_info(tmp_path / BAG).complete
+    (row,) = read_ledger(tmp_path / 'c' / 'ledger.jsonl').rows
+    assert steps_in(tmp_path / BAG) == list(range(row.steps))
+
+
+def test_given_signal_after_signal_then_nothing_is_waited_for_and_nothing_is_left(tmp_path):
+    with taxinet(*RUN, '--processes', cwd=tmp_path) as campaign:
+        wait_for(lambda: grown(tmp_path / BAG))
+        pids = children(campaign.pid, '')
+        (simulator,) = children(campaign.pid, 'nodes.simulator')
+        os.kill(simulator, signal.SIGSTOP)  # One signal would now wait for it for a minute.
+        campaign.send_signal(signal.SIGINT)
+        campaign.send_signal(signal.SIGTERM)
+        result = ended(campaign)
+    assert (result[0], result[2]) == (143, '')
+    wait_for(lambda: all(map(gone, pids)))
+    steps = steps_in(tmp_path / BAG)
+    assert len(steps) > 3
+    assert steps == list(range(len(steps)))
+    assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').unfinished == (0,)
+
+
+@SIGNALS
+@pytest.mark.parametrize('told', [True, False])
+def test_given_signal_after_signal_then_the_second_gives_up_and_the_third_ends_all(
+    told, number, code
+):
+    heard = []
+
+    def thrice() -> None:
+        with interrupts(lambda: heard.append('first'), lambda: heard.append('second') or told):
+            for _ in range(3):
+                os.kill(os.getpid(), number)
+                heard.append('and on')
+
+    with pytest.raises(KeyboardInterrupt):
+        thrice()
+    assert heard == ['first', 'and on', 'second', *['and on'] * told]
+    assert told_apart(INTERRUPTED) == code
+    assert told_apart(1) == 1

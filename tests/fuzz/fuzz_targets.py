@@ -1,0 +1,183 @@
+"""What reads files from elsewhere, with sound examples of each kind to make mutants of.
+
+The examples are made by the tests, or shipped; nothing foreign is among them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import falsify_samples
+import network_samples
+import onnx_samples
+import whole_runs
+import yaml
+
+from taxinet_ros.analysis.analysis_folder import SCHEMA, check_folder
+from taxinet_ros.analysis.campaign_runs import read_facts
+from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.bag.description import read_description
+from taxinet_ros.bag.layout import METADATA_FILE
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bench.compare import load_report
+from taxinet_ros.campaign.earlier import read_earlier
+from taxinet_ros.campaign.experiment_file import known_experiments, read_experiment
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
+from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
+from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.programs import find_program, shipped_folder
+from taxinet_ros.campaign.requests import finished_row, run_request
+from taxinet_ros.campaign.spec_files import read_specs
+from taxinet_ros.campaign.table import table
+from taxinet_ros.core.onnx_sidecar import parse_sidecar
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.weights import SHIPPED, card_path, load_model
+
+Use = Callable[[bytes], object]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader: how sound examples and a function that reads bytes are made in a folder."""
+
+    text: bool
+    examples: Callable[[Path], list[bytes]]
+    reader: Callable[[Path], Use]
+
+
+def _weights(folder: Path) -> Use:
+    """Weights whose card has their checksum, so that nonsense gets beyond it."""
+    card = json.loads(card_path(network_samples.save_sample(folder)).read_text())
+    path = folder / 'net.safetensors'
+
+    def use(data: bytes) -> object:
+        path.write_bytes(data)
+        card_path(path).write_text(
+            json.dumps({**card, 'weights_sha256': network_samples.digest(data)})
+        )
+        return load_model(path)
+    return use
+
+
+def _card(folder: Path) -> Use:
+    path = network_samples.save_sample(folder)
+    return lambda data: (card_path(path).write_bytes(data), load_model(path))
+
+
+def _description(folder: Path) -> Use:
+    """``metadata.yaml`` of a sound bag."""
+    run = whole_runs.write_run(folder / 'run', _few()).parent
+
+    def use(data: bytes) -> object:
+        (run / METADATA_FILE).write_bytes(data)
+        read_info(run)
+        check_bag(run)
+        return read_description(run)
+    return use
+
+
+def _few() -> list[Any]:
+    messages = whole_runs.run_messages()
+    return [m for m in messages if m[0] != '/camera/image_raw' and m[1] <= 200_000_000]
+
+
+def _file(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
+    def reader(folder: Path) -> Use:
+        path = folder / name
+        return lambda data: (path.write_bytes(data), read(path))
+    return reader
+
+
+def _ledger_text(folder: Path) -> bytes:
+    options = falsify_samples.options(folder).campaign
+    with Ledger(folder / LEDGER_NAME) as ledger:
+        ledger.campaign({**_search_facts(folder)})
+        for index in range(4):
+            scenario = Scenario(cross_track_m=float(index), duration_s=1.0)
+            request = run_request(options, index, scenario, ('perception',))
+            ledger.intent(index, request.run_id, '0' * 64)
+            outcome = Outcome.INFRA_ERROR if index == 3 else None
+            result = falsify_samples.result(request, outcome)
+            ledger.result(finished_row(options, request, result).chosen(
+                sampler='ce', point={'x': 0.5}, weight=1.0, retries=0
+            ))
+        ledger.requirement('on_runway', 'always(abs(cte) <= 15)', {0: (1.0, 1.0)})
+    return (folder / LEDGER_NAME).read_bytes()
+
+
+def _search_facts(folder: Path) -> dict[str, Any]:
+    options = falsify_samples.options(folder).campaign
+    return {**campaign_facts(options, find_program('nominal')), 'sampler': 'ce'}
+
+
+def _resume(folder: Path) -> Use:
+    """What a resumed search does with a ledger, and an analysis."""
+    facts = _search_facts(folder)
+
+    def use(data: bytes) -> object:
+        (folder / LEDGER_NAME).write_bytes(data)
+        return table(read_earlier(folder, facts).rows.values(), ['phi_eventually'])
+    return use
+
+
+def _learned(folder: Path) -> Use:
+    def use(data: bytes) -> object:
+        (folder / LEARNED_NAME).write_bytes(data)
+        return LearnedResult.read(folder)
+    return use
+
+
+_LEARNED = LearnedResult(
+    facts={'program': 'nominal', 'seed': 1, 'sampler': 'ce'},
+    choices=falsify_samples.SPACE.choices,
+    probabilities={'x': (0.25, 0.75), 'y': (0.5, 0.5)},
+)
+_REPORT = {'machine': {'cores': 2}, 'figures': {'loop/truth': {'median_s': 0.1, 'q1_s': 0.1}}}
+_SPECS = b"""predicates:
+  on_centreline: abs(cte) <= 1.5
+specs:
+  reach: 'F[0, 10] G on_centreline'
+  gentle: always(abs(steering) <= 0.3)
+"""
+
+
+def _jsons(*values: object) -> Callable[[Path], list[bytes]]:
+    return lambda folder: [json.dumps(value, indent=1).encode() for value in values]
+
+
+TARGETS: dict[str, Target] = {
+    'weights': Target(
+        False, lambda folder: [network_samples.save_sample(folder).read_bytes()[:6000],
+                               network_samples.save_sample(folder).read_bytes()], _weights),
+    'model card': Target(True, lambda folder: [
+        card_path(network_samples.save_sample(folder)).read_bytes(),
+        card_path(SHIPPED['taxinet']).read_bytes(),
+    ], _card),
+    'metadata.yaml': Target(True, lambda folder: [
+        (whole_runs.write_run(folder / 'example', _few()).parent / METADATA_FILE).read_bytes()
+    ], _description),
+    'onnx description': Target(True, lambda folder: [
+        yaml.safe_dump(onnx_samples.described()).encode(),
+        yaml.safe_dump(onnx_samples.described(onnx_samples.our_scaling())).encode(),
+    ], lambda folder: lambda data: parse_sidecar(folder / 'net.yaml', data)),
+    'spec file': Target(True, lambda folder: [_SPECS],
+                        _file('specs.yaml', lambda path: read_specs([str(path)]))),
+    'experiment': Target(True, lambda folder: [
+        (shipped_folder() / 'experiments' / f'{name}.yaml').read_bytes()
+        for name in known_experiments()
+    ], _file('mine.yaml', read_experiment)),
+    'ledger': Target(True, lambda folder: [_ledger_text(folder)], _resume),
+    'campaign.json': Target(
+        True, lambda folder: [json.dumps(_search_facts(folder), indent=2).encode()],
+        _file(FACTS_NAME, lambda path: read_facts(path.parent))),
+    'learned.json': Target(True, lambda folder: [_LEARNED.to_json().encode()], _learned),
+    'bench report': Target(True, _jsons(_REPORT), _file('old.json', load_report)),
+    'analysis.json': Target(
+        True, _jsons({'schema': SCHEMA, 'version': 1, 'files': ['analysis.json']}),
+        _file('analysis.json', lambda path: check_folder(path.parent))),
+}

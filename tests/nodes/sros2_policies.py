@@ -1,0 +1,202 @@
+"""SROS2 policies out of what running nodes say of themselves; as a script it writes the files.
+
+``python tests/nodes/sros2_policies.py`` writes ``docs/sros2/policies`` anew. The form is that of
+policy version 0.2.0, https://design.ros2.org/articles/ros2_access_control_policies.html with the
+enclaves of https://design.ros2.org/articles/ros2_security_enclaves.html.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS, SIMULATOR
+
+FOLDER = Path(__file__).parents[2] / 'docs' / 'sros2' / 'policies'
+ENCLAVES = '/taxinet'
+TOGETHER = 'campaign'
+"""The enclave of all nodes of a campaign, for those that share one process or one environment."""
+
+SUPERVISOR = 'supervisor'
+"""The node of ``taxinet up``, which is no executable of its own."""
+
+_ACTION = '/_action/'
+_RULES = (
+    ('topics', 'publish', 'topic'), ('topics', 'subscribe', 'topic'),
+    ('services', 'reply', 'service'), ('services', 'request', 'service'),
+    ('actions', 'execute', 'action'), ('actions', 'call', 'action'),
+)
+_COMPOSED = ('simulator', 'taxinet_perception', 'ground_truth_perception', 'steering_controller',
+             'mtl_monitor', 'recorder', 'scenario_sampler', SUPERVISOR)
+
+Interface = Mapping[tuple[str, str], list[str]]
+"""Names by element and what is allowed with them, such as ('topics', 'publish')."""
+
+
+def interfaces(bag: Path, folder: Path) -> dict[str, tuple[str, Interface]]:
+    """Name of the node and its interface, by executable, of nodes that run for a moment.
+
+    Args:
+        bag: a whole run with camera frames, for the player.
+        folder: where the recorder would write.
+    """
+    found = {}
+    with own_domain() as domain:
+        for executable, (build, parameters) in _nodes(bag, folder).items():
+            with _running(build, parameters, domain) as node:
+                found[executable] = node.get_name(), interface_of(node)
+    return found
+
+
+def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
+    from taxinet_ros.nodes.bag_player import BagPlayer
+    from taxinet_ros.nodes.foxglove_server import FoxgloveServer
+    from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
+    from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+    from taxinet_ros.nodes.recorder import Recorder
+    from taxinet_ros.nodes.scene_markers import SceneMarkers
+    from taxinet_ros.nodes.simulator import Simulator
+    from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
+    from taxinet_ros.nodes.steering_controller import SteeringController
+    from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+
+    return {
+        'simulator': (Simulator, {}),
+        'taxinet_perception': (TaxinetPerception, {}),
+        'ground_truth_perception': (GroundTruthPerception, {}),
+        'steering_controller': (SteeringController, {}),
+        'mtl_monitor': (MtlMonitor, {}),
+        'recorder': (Recorder, {'out': str(folder)}),
+        'scenario_sampler': (StandaloneSampler, {'program': 'nominal', 'out': f'{folder}/new'}),
+        'scene_markers': (SceneMarkers, {}),
+        'foxglove_server': (FoxgloveServer, {'port': 0}),
+        'bag_player': (BagPlayer, {'bag': str(bag)}),
+        SUPERVISOR: (_supervisor, {}),
+    }
+
+
+def _supervisor(context: Context, parameter_overrides: list[Parameter]) -> Any:
+    """One that looks after the nodes of a graph, none of which is there."""
+    from taxinet_ros.nodes.supervisor import Care, Supervisor
+
+    processes: Any = [SimpleNamespace(name=name) for name in (SIMULATOR, *PARTICIPANTS)]
+    return Supervisor(processes, Care(), print, context=context)
+
+
+@contextmanager
+def _running(
+    build: Callable[..., Any], parameters: Mapping[str, Any], domain: int
+) -> Iterator[Any]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = build(context=context, parameter_overrides=overrides)
+        if hasattr(node, '_join'):
+            node._join()  # an onlooker subscribes when a run begins
+        yield node
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def interface_of(node: Any) -> Interface:
+    """Every topic, service and action of a node, as ROS knows them."""
+    own = (node.get_name(), node.get_namespace())
+    names = {
+        'publish': node.get_publisher_names_and_types_by_node(*own),
+        'subscribe': node.get_subscriber_names_and_types_by_node(*own),
+        'reply': node.get_service_names_and_types_by_node(*own),
+        'request': node.get_client_names_and_types_by_node(*own),
+    }
+    plain = {
+        deed: sorted({
+            _shown(name, node) if deed in ('reply', 'request') else name
+            for name, _ in pairs if _ACTION not in name
+        })
+        for deed, pairs in names.items()
+    }
+    for deed, of in (('execute', 'reply'), ('call', 'request')):
+        actions = {name.partition(_ACTION)[0] for name, _ in names[of] if _ACTION in name}
+        plain[deed] = sorted(actions)
+    return {(element, deed): plain[deed] for element, deed, _ in _RULES if plain[deed]}
+
+
+def _shown(name: str, node: Any) -> str:
+    """As a policy spells a service: private ones with ~, others in full."""
+    private = f'/{node.get_name()}/'
+    return f'~/{name.removeprefix(private)}' if name.startswith(private) else name
+
+
+def policy(enclave: str, profiles: Mapping[str, Interface]) -> str:
+    """The text of a policy file with one enclave and a profile for each of some nodes."""
+    root = ElementTree.Element('policy', version='0.2.0')
+    place = ElementTree.SubElement(
+        ElementTree.SubElement(root, 'enclaves'), 'enclave', path=f'{ENCLAVES}/{enclave}')
+    within = ElementTree.SubElement(place, 'profiles')
+    for node, rules in profiles.items():
+        profile = ElementTree.SubElement(within, 'profile', ns='/', node=node)
+        for element, deed, one in _RULES:
+            if (element, deed) not in rules:
+                continue
+            listed = ElementTree.SubElement(profile, element, {deed: 'ALLOW'})
+            for name in rules[element, deed]:
+                ElementTree.SubElement(listed, one).text = name
+    ElementTree.indent(root)
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return head + ElementTree.tostring(root, encoding='unicode') + '\n'
+
+
+def policies(found: Mapping[str, tuple[str, Interface]]) -> dict[str, str]:
+    """Text by file name: one for each executable, and one for a campaign in one process."""
+    files = {
+        f'{executable}.policy.xml': policy(executable, {node: rules})
+        for executable, (node, rules) in found.items() if executable != SUPERVISOR
+    }
+    together: dict[str, Interface] = {}
+    for executable in _COMPOSED:
+        node, rules = found[executable]
+        before = together.get(node, {})
+        together[node] = {
+            rule: sorted({*before.get(rule, ()), *rules.get(rule, ())})
+            for rule in dict.fromkeys([*before, *rules])
+        }
+    return {**files, f'{TOGETHER}.policy.xml': policy(TOGETHER, together)}
+
+
+def record(folder: Path) -> Path:
+    """A short run's bag, camera frames included."""
+    request = RunRequest(
+        run_id='short', index=0, program='', seed=0, scenario=Scenario(duration_s=0.5),
+        specs=('phi_always',), participants=PARTICIPANTS,
+    )
+    with composed_graph(GraphOptions(perception='truth', out=folder)) as graph:
+        graph.run([request], lambda request, result: result.outcome.judged)
+    return folder / request.run_id
+
+
+def main() -> None:
+    """Write the files anew."""
+    with tempfile.TemporaryDirectory() as scratch:
+        found = interfaces(record(Path(scratch)), Path(scratch))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name, text in policies(found).items():
+        (FOLDER / name).write_text(text, encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()

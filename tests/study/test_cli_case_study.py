@@ -1,0 +1,141 @@
+"""``taxinet case-study`` as a person types it: lists, refusals, and a campaign for real."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from taxinet_process import taxinet
+
+from taxinet_ros.campaign.table import read_table
+from taxinet_ros.cli.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.study.config_file import read_study
+
+PROGRAM = """model runway_world
+param time_of_day = Range(10, 11)
+param clouds = 'clear'
+param rain = 0
+param duration = 2
+ego = new Plane at (Range(-1, 1), Range(900, 1000))
+"""
+CONFIG = """evaluation: {program: plain.scenic, runs: 4}
+best: truth
+workers: 1
+"""
+BEST_ONLY = """
+import sys
+from pathlib import Path
+from taxinet_ros.cli.case_study import stage_command
+from taxinet_ros.study.config_file import read_config
+from taxinet_ros.study.plan import stages
+from taxinet_ros.study.stage_log import StageLog
+from taxinet_ros.study.study_run import StudyRun
+
+found = [stage for stage in stages(read_config(Path('mine.yaml'))) if stage.name == 'evaluate-best']
+with StageLog(Path('study')) as log:
+    run = StudyRun(Path('study'), found, log=log, command=stage_command(), workers=1,
+                   show=lambda line: print(line, flush=True))
+    sys.exit(run.run())
+"""
+
+
+def test_given_list_then_all_stages_are_named_with_their_commands_and_nothing_is_done(tmp_path):
+    done = taxinet('case-study', '--list', '--scale', '0.02', '--runs', '7', cwd=tmp_path)
+    lines = done.stdout.splitlines()
+    assert (done.returncode, len(lines)) == (0, 21), done.stderr
+    assert lines[1].split()[:5] == ['2', 'falsify-original', 'to', 'do', 'taxinet']
+    assert '--runs 7 --workers 2' in lines[1]
+    assert '--images 240 ' in lines[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_folder_that_is_full_then_the_command_says_so_in_one_line(tmp_path):
+    (tmp_path / 'full').mkdir()
+    (tmp_path / 'full' / 'something').touch()
+    done = taxinet('case-study', '--out', 'full', cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith('taxinet: error: --out full: exists already; nothing recorded')
+    assert len(done.stderr.splitlines()) == 1
+    assert [path.name for path in (tmp_path / 'full').iterdir()] == ['something']
+
+
+@pytest.mark.parametrize(('options', 'complaint'), [
+    ({'resume': True}, r'--resume: say with --out which case study to continue'),
+    ({'resume': True, 'out': Path('new')}, r'--resume: new/study.json: no such file, so no case'),
+    ({'report_only': True}, r'--report-only: say with --out of which case study'),
+    ({'report_only': True, 'out': Path('new')}, r'--report-only: new/study.json: no such file'),
+    ({'until': 'lunch'}, r'--until lunch: no such stage; known: train-original, '),
+    ({'scale': 0.0}, r'--scale 0: needs to be above 0, at most 100'),
+    ({'config': Path('gone.yaml')}, r'--config gone.yaml: cannot be read'),
+])
+def test_given_bad_input_then_it_is_refused_and_nothing_is_written(
+    tmp_path, monkeypatch, options, complaint
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=complaint):
+        run_case_study(CaseStudyOptions(**options))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(
+        'taxinet_ros.cli.case_study.stage_command', lambda: [sys.executable, '-S', '-c', '1 / 0'])
+    out = tmp_path / 'study'
+    assert run_case_study(CaseStudyOptions(out=out, scale=0.02)) == 1
+    begun = read_study(out, '--resume')
+    assert (begun.runs, begun.images) == (80, 240)
+    assert run_case_study(CaseStudyOptions(out=out, resume=True, runs=90)) == 1
+    assert read_study(out, '--resume').runs == 90
+    assert read_study(out, '--resume').images == 240
+    printed = capsys.readouterr().out
+    assert 'stopped at train-original: exit code 1; once it is mended, --resume' in printed
+    with pytest.raises(UsageError, match=r'study: exists already'):
+        run_case_study(CaseStudyOptions(out=out))
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.timeout(300)  # it starts two graphs and four interpreters
+def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_where_it_was(
+    tmp_path,
+):
+    (tmp_path / 'plain.scenic').write_text(PROGRAM)
+    (tmp_path / 'mine.yaml').write_text(CONFIG)
+    out = tmp_path / 'study'
+    out.mkdir()
+    command = [sys.executable, '-c', BEST_ONLY]
+    environment = {**os.environ, 'COLUMNS': '80'}
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=environment
+    ) as study:
+        assert study.stdout is not None
+        assert next((line for line in study.stdout if line.startswith('    0  ')), '')
+        study.send_signal(signal.SIGINT)
+        rest = study.stdout.read()
+    assert study.returncode == 130
+    assert rest.splitlines()[-1] == 'interrupted in evaluate-best; --resume goes on'
+    before = _results(out)
+    assert 1 <= len(before) < 4
+
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=200, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert '--runs 4 --workers 1 --resume' in done.stdout
+    kept = [line for line in _results(out)[:len(before)] if '"INTERRUPTED"' not in line]
+    assert kept == [line for line in before if '"INTERRUPTED"' not in line]
+    table = read_table(out / 'evaluate-best')
+    assert table['index'].tolist() == list(range(4))
+    assert table['duration_s'].unique().tolist() == [2.0]
+
+
+def _results(out: Path) -> list[str]:
+    lines = (out / 'evaluate-best' / 'ledger.jsonl').read_text().splitlines()
+    return [line for line in lines if json.loads(line)['event'] == 'result']

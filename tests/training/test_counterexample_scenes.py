@@ -1,0 +1,99 @@
+"""Scenes along failed runs: a golden run, put down as a campaign's failure."""
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.bag.trace import read_trace
+from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.training.counterexample_scenes import (
+    SPREAD_M,
+    SPREAD_RAD,
+    WIDEST_M,
+    counterexample_scenes,
+    ledger_digest,
+)
+from taxinet_ros.training.portions import parse_portion
+
+GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden' / 'original-early-light'
+
+
+def campaign(folder: Path, *, bags: int = 1, runs: int = 2, failed: bool = True) -> Path:
+    folder.mkdir()
+    scene = read_run(GOLDEN).request.scenario
+    with Ledger(folder / 'ledger.jsonl') as ledger:
+        ledger.campaign({'program': 's_falsif.scenic', 'runs': runs})
+        for index in range(runs):
+            ledger.intent(index, f'r{index}')
+            ledger.result(RunRow(
+                run_id=f'r{index}', index=index, program='s', seed=0, perception='original',
+                outcome=Outcome.FAIL if failed else Outcome.PASS,
+                rho={'phi': -1.0 if failed else 1.0}, **scene.to_human(),
+            ))
+    for index in range(bags):
+        shutil.copytree(GOLDEN, folder / f'r{index}')
+    return folder
+
+
+def test_given_a_failed_run_then_scenes_lie_along_its_path_under_its_sky(tmp_path):
+    folder = campaign(tmp_path / 'c')
+    scenes = counterexample_scenes(folder, 400, 5)
+    trace, recorded = read_trace(GOLDEN), read_run(GOLDEN).request.scenario
+    assert len(scenes) == 400
+    assert {(one.clouds, one.rain, one.time_of_day_s, one.aircraft) for one in scenes} == {
+        (recorded.clouds, recorded.rain, recorded.time_of_day_s, recorded.aircraft)
+    }
+    places = {float(x): i for i, x in enumerate(trace['x_m'])}
+    rows = [places[one.distance_m] for one in scenes]
+    on_the_way = np.abs(trace['cte_m']) <= WIDEST_M
+    assert not on_the_way.all()  # this run ends up on the grass, where there is nothing to learn
+    assert len(set(rows)) > 0.9 * on_the_way.sum()
+    assert on_the_way[rows].all()
+    aside = np.array([one.cross_track_m for one in scenes]) - trace['cte_m'][rows]
+    turned = np.array([one.heading_rad for one in scenes]) - trace['he_rad'][rows]
+    # 400 draws put the standard deviation within a sixth of its value, five sigma.
+    assert aside.std() == pytest.approx(SPREAD_M, rel=0.18)
+    assert turned.std() == pytest.approx(SPREAD_RAD, rel=0.18)
+    assert abs(aside.mean()) < 5 * SPREAD_M / 20
+    assert math.degrees(abs(turned.mean())) < 5 * math.degrees(SPREAD_RAD) / 20
+
+
+def test_given_the_same_seed_then_the_scenes_are_the_same_and_others_for_another(tmp_path):
+    folder = campaign(tmp_path / 'c')
+    one, again, other = (counterexample_scenes(folder, 5, seed) for seed in (1, 1, 2))
+    assert one == again != other
+
+
+def test_given_a_run_without_its_bag_then_the_others_serve(tmp_path):
+    told = []
+    scenes = counterexample_scenes(
+        campaign(tmp_path / 'c', bags=1, runs=3), 4, 1, lambda *step: told.append(step)
+    )
+    assert len(scenes) == 4
+    assert told[-1] == ('runs', 1, 3)
+
+
+def test_given_nothing_to_learn_from_then_one_line_says_why(tmp_path):
+    for folder, reason in (
+        (campaign(tmp_path / 'no_bags', bags=0), 'no bag of its 2 failed runs can be read'),
+        (campaign(tmp_path / 'all_well', failed=False), 'none of its 2 judged runs failed'),
+        (tmp_path, 'no campaign'),
+    ):
+        with pytest.raises(UsageError, match=reason) as caught:
+            counterexample_scenes(folder, 3, 1)
+        assert '\n' not in str(caught.value)
+
+
+def test_given_a_portion_of_runs_then_the_card_names_campaign_and_ledger(tmp_path):
+    folder = campaign(tmp_path / 'c')
+    portion = parse_portion(f'{folder}=3', 'runs')
+    source = portion.source()
+    assert (source.kind, source.name, source.sha256) == ('runs', 'c', ledger_digest(folder))
+    assert portion.scenes(3, 4, lambda *told: None) == counterexample_scenes(folder, 3, 4)

@@ -1,0 +1,127 @@
+"""A graph has its ROS domain for itself, and what else runs on the machine changes nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from standing import ended, taxinet
+
+from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.cli.campaign import run_campaign
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.domain import BY_HAND, own_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
+
+SEEDS = {'first': 5, 'second': 6}
+
+
+@pytest.fixture(scope='module')
+def taken():
+    """A ROS domain on which somebody else publishes the clock."""
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        node = Node('other_world', namespace='/elsewhere', context=context)
+        node.create_publisher(interface.CLOCK.type, interface.CLOCK.name, interface.CLOCK.qos)
+        try:
+            yield domain
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ('up', '--perception', 'truth', '--out', 'out', '--domain', '{domain}'),
+        ('run', 'nominal', '--perception', 'truth', '--out', 'out'),
+        ('node', 'simulator'),
+    ],
+    ids=lambda words: words[0],
+)
+def test_given_another_graph_on_the_domain_then_one_line_names_it_and_nothing_is_begun(
+    words, taken, tmp_path
+):
+    more = {BY_HAND: str(taken)} if words[0] == 'run' else {}
+    words = [word.format(domain=taken) for word in words]
+    code, output, errors = ended(taxinet(*words, cwd=tmp_path, domain=taken, **more))
+    assert code == 2, output + errors
+    (line,) = errors.splitlines()
+    assert line.removeprefix('taxinet: ') == (
+        f'error: another graph is on ROS domain {taken}: /elsewhere/other_world publishes /clock; '
+        'end it (one that was killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
+    )
+    assert output == ''
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('text', ['233', '-1', 'abc', '1.5', '²'])
+def test_given_a_domain_by_hand_that_is_none_then_one_line_says_what_is(text, monkeypatch):
+    monkeypatch.setenv(BY_HAND, text)
+    with pytest.raises(UsageError, match=r'TAXINET_DOMAIN_ID .*: a ROS domain is .* 0 to 232'):
+        own_domain().__enter__()
+
+
+def test_given_graphs_that_reserve_then_no_two_have_the_same_domain():
+    with own_domain() as first, own_domain() as second, own_domain() as third:
+        assert len({first, second, third}) == 3
+
+
+def test_given_a_domain_by_hand_that_another_graph_has_reserved_then_one_line_says_so(monkeypatch):
+    with own_domain() as domain:
+        monkeypatch.setenv(BY_HAND, str(domain))
+        with pytest.raises(UsageError, match=rf'^ROS domain {domain} is taken: another graph'):
+            own_domain().__enter__()
+
+
+def begin(folder: Path, name: str) -> subprocess.Popen[str]:
+    """A campaign with the network, whose pictures depend on everything, in its own process."""
+    return taxinet(
+        'run', 'training_full', '--runs', '2', '--seed', str(SEEDS[name]), '--set', 'duration=1',
+        '--spec', 'phi_always', '--images', 'none', '--out', name, cwd=folder,
+    )
+
+
+def run_here(folder: Path, name: str) -> int:
+    """The same, in this process."""
+    return run_campaign(make_options(
+        program='training_full', runs=2, seed=SEEDS[name], perception='taxinet',
+        settings=['duration=1'], specs=['phi_always'], images='none', out=folder / name,
+        processes=False,
+    ))
+
+
+def made(folder: Path, name: str) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Table of a campaign, and the bytes of its bags."""
+    table = read_table(folder / name).drop(columns=['bag', *WALL_CLOCK_COLUMNS])
+    bags = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted((folder / name).glob('*/*.mcap'))
+    }
+    return table, bags
+
+
+def test_given_two_campaigns_at_once_then_each_is_what_it_is_alone(tmp_path):
+    together, alone = tmp_path / 'together', tmp_path / 'alone'
+    together.mkdir()
+    at_once = [begin(together, name) for name in SEEDS]
+    ends = [ended(campaign) for campaign in at_once]
+    codes = [code for code, _, _ in ends] + [run_here(alone, name) for name in SEEDS]
+    assert set(codes) <= {0, 1}, ends
+    for name in SEEDS:
+        (table, bags), (expected, expected_bags) = made(together, name), made(alone, name)
+        assert set(table['outcome']) <= {'PASS', 'FAIL'}
+        assert len(bags) == len(table) == 2
+        pd.testing.assert_frame_equal(table, expected)
+        assert bags == expected_bags
+    assert not set(made(alone, 'first')[1].values()) & set(made(alone, 'second')[1].values())

@@ -1,0 +1,157 @@
+"""A standing graph runs what a sampler elsewhere asks for; it is mended, named and ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from standing import TAXINET, Standing, alive, ended, environment, standing, wait_for
+
+from taxinet_ros.bag.reader import read_info, read_messages
+from taxinet_ros.campaign.table import read_table
+from taxinet_ros.nodes.interface import PARTICIPANTS
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
+
+NODES = ('simulator', *PARTICIPANTS)
+SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
+
+
+@pytest.fixture(scope='module')
+def graph(tmp_path_factory):
+    with standing(tmp_path_factory.mktemp('up')) as graph:
+        yield graph
+        assert graph.ask_to_end() == 130
+    assert graph.errors == ''
+    assert 'publishes /clock' not in graph.printed
+
+
+def outcomes(graph: Standing, seed: int) -> list[tuple[str, str, str]]:
+    table = read_table(graph.folder / f'table-{seed}')[['outcome', 'kind', 'who']].astype(object)
+    return list(table.where(table.notna(), '').itertuples(index=False, name=None))
+
+
+def test_given_a_standing_graph_then_it_says_where_and_how_to_have_it_run_scenes(graph):
+    lines = graph.printed.splitlines()
+    assert lines[0] == (
+        f'ROS domain {graph.domain}, this machine only; perception truth; bags and logs in up'
+    )
+    assert f'ROS_DOMAIN_ID={graph.domain} ' in lines[2]
+    assert ' scenario_sampler --ros-args' in lines[2]
+    assert f'ready: {", ".join(NODES)}' in lines
+    assert {path.stem for path in (graph.out / 'logs').iterdir()} == set(NODES)
+
+
+def test_given_a_sampler_in_another_terminal_then_its_runs_are_made_and_recorded(graph):
+    code, output, errors = ended(graph.sampler('runs:=2', SHORT, seed=1))
+    assert code == 0, output + errors
+    assert outcomes(graph, 1) == [('PASS', '', '')] * 2
+    for run_id in read_table(graph.folder / 'table-1')['run_id']:
+        assert read_info(graph.out / run_id).complete
+    graph.wait_to_say('run nominal-s1-00001: PASS')
+
+
+@pytest.mark.parametrize(
+    ('who', 'module'),
+    [('perception', 'ground_truth_perception'), ('simulator', 'simulator')],
+)
+def test_given_a_node_killed_amid_a_run_then_the_run_says_so_and_the_next_one_is_whole(
+    graph, who, module
+):
+    seed = 10 + NODES.index(who)
+    sampler = graph.sampler('runs:=1', LONG, 'silence_timeout:=3000.0', seed=seed)
+    graph.wait_for_run(seed, sampler)
+    before = graph.pids()
+    os.kill(before[module], signal.SIGKILL)
+    code, output, errors = ended(sampler)
+    assert code == 4, output + errors
+    assert outcomes(graph, seed) == [('INFRA_ERROR', 'died', who)]
+    graph.wait_to_say(f'{who} died: killed by SIGKILL; started again (1 of 3 in 60 s)')
+    graph.wait_to_say(f'{who} is ready again')
+    after = graph.pids()
+    assert after.keys() == before.keys()
+    assert {name for name in before if after[name] != before[name]} == {module}
+    code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=seed + 10))
+    assert code == 0, output + errors
+    assert outcomes(graph, seed + 10) == [('PASS', '', '')]
+
+
+def test_given_ctrl_c_amid_a_run_then_the_run_the_bag_and_the_graph_end_in_order(tmp_path):
+    with standing(tmp_path) as graph:
+        pids = graph.pids()
+        assert len(pids) == len(NODES)
+        sampler = graph.sampler('runs:=2', LONG, seed=3)
+        graph.wait_for_run(3, sampler)
+        assert graph.ask_to_end() == 130
+        code, output, errors = ended(sampler)
+    assert code == 130, output + errors
+    assert outcomes(graph, 3) == [('INTERRUPTED', '', '')]
+    bag = graph.out / 'nominal-s3-00000'
+    assert (bag / 'metadata.yaml').exists()
+    assert {m.topic for m in read_messages(bag)} >= {'/clock', '/run_status'}
+    assert graph.printed.splitlines()[-2:] == ['run nominal-s3-00000: INTERRUPTED', 'ended']
+    assert graph.errors == ''
+    assert not [name for name, pid in pids.items() if alive(pid)]
+
+
+def test_given_never_and_a_node_that_dies_then_the_graph_ends_with_one_line(tmp_path):
+    with standing(tmp_path, '--restart', 'never', '--no-record') as graph:
+        pids = graph.pids()
+        assert 'recorder' not in pids
+        assert "'participants:=[perception,steering_controller,mtl_monitor]'" in graph.printed
+        os.kill(pids['steering_controller'], signal.SIGSEGV)
+        assert graph.process.wait(90) == 4
+    assert graph.errors == (
+        'taxinet: error: steering_controller died: killed by SIGSEGV; '
+        'see up/logs/steering_controller.log\n'
+    )
+    assert not [name for name, pid in pids.items() if alive(pid)]
+
+
+def test_given_a_stopped_node_then_it_is_named_and_dies_with_its_killed_parent(tmp_path):
+    with standing(tmp_path, '--restart', 'never', '--silent-after', '1') as graph:
+        pids = graph.pids()
+        os.kill(pids['mtl_monitor'], signal.SIGSTOP)
+        graph.wait_to_say(
+            'mtl_monitor is silent: its process is stopped; '
+            f'kill -CONT {pids["mtl_monitor"]} wakes it'
+        )
+        os.kill(pids['mtl_monitor'], signal.SIGCONT)
+        graph.wait_to_say('mtl_monitor answers again')
+        os.kill(pids['mtl_monitor'], signal.SIGSTOP)
+        graph.process.kill()
+        wait_for(lambda: not any(alive(pid) for pid in pids.values()), lambda: str(pids))
+
+
+def in_bash(script: str, cwd: Path) -> list[str]:
+    """What a script prints, with ``$taxinet`` and ``$code`` as a shell has it."""
+    taxinet = f'{sys.executable} -c "{TAXINET[2]}"'
+    script = f'taxinet() {{ exec {taxinet} "$@"; }}\n{script}'
+    done = subprocess.run(
+        ['bash', '-c', script], cwd=cwd, env=environment(), text=True, timeout=110,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )
+    return done.stdout.splitlines()
+
+
+def test_given_sigterm_then_a_shell_sees_143_and_no_bag_folder_is_left_by_a_mistake(tmp_path):
+    lines = in_bash(
+        'taxinet up --perception truth --out up --no-record > said & pid=$!\n'
+        'until grep -q ^ready: said || ! kill -0 $pid 2> /dev/null; do sleep 0.1; done\n'
+        'kill -TERM $pid; wait $pid; echo "code $?"\n'
+        'tail -n 1 said\n'
+        '(taxinet up --out up); echo "code $?"\n'
+        '(taxinet up --perception gone.safetensors --out other); echo "code $?"\n'
+        'ls',
+        tmp_path,
+    )
+    assert lines[:2] == ['code 143', 'ended']
+    assert lines[2].startswith('taxinet: error: --out up: exists already')
+    assert lines[3] == 'code 2'
+    assert lines[4].startswith('taxinet: error: ')
+    assert 'gone.safetensors' in lines[4]
+    assert lines[5:] == ['code 2', 'said', 'up']

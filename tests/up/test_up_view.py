@@ -1,0 +1,71 @@
+"""What a terminal shows of a standing graph."""
+
+from __future__ import annotations
+
+import collections
+import os
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from taxinet_ros.cli.up_view import UpView
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.up import UpOptions
+from taxinet_ros.nodes.watched_node import State
+
+
+def a_node(name: str, state: State, restarts: int = 0, pid: int = 0) -> SimpleNamespace:
+    process = SimpleNamespace(process=SimpleNamespace(pid=pid or os.getpid()))
+    return SimpleNamespace(
+        name=name, state=state, restarts=restarts, since_s=100.0, process=process,
+    )
+
+
+@pytest.fixture
+def supervisor():
+    runs = SimpleNamespace(
+        running=True, run_id='s_falsif-s0-00012', seq=173,
+        outcomes=collections.Counter({'PASS': 9, 'FAIL': 3}),
+    )
+    nodes = [
+        a_node('simulator', State.READY), a_node('perception', State.STARTING, restarts=2),
+        a_node('steering_controller', State.SILENT), a_node('mtl_monitor', State.DEAD, pid=2**22),
+    ]
+    return SimpleNamespace(nodes=nodes, runs=runs, ready=True)
+
+
+def shown(supervisor, tmp_path) -> list[str]:
+    options = UpOptions(graph=GraphOptions(perception='truth', out=tmp_path))
+    console = Console(width=100, record=True, file=open(os.devnull, 'w'))  # noqa: SIM115
+    with console.file:
+        console.print(UpView(console, options).picture(supervisor, 3725.9 + 100.0))
+        return [line.rstrip() for line in console.export_text().splitlines()]
+
+
+def test_given_a_graph_amid_a_run_then_the_table_names_each_nodes_state_and_the_step(
+    supervisor, tmp_path
+):
+    lines = [line.split() for line in shown(supervisor, tmp_path)]
+    assert lines[1] == ['node', 'state', 'since', 'process', 'memory', 'restarts']
+    pid = str(os.getpid())
+    name, state, since, process, memory, unit = lines[2]
+    assert (name, state, since, process, unit) == ('simulator', 'ready', '1:02:05', pid, 'MB')
+    assert int(memory) > 1
+    assert (*lines[3][:2], lines[3][-1]) == ('perception', 'starting', '2')
+    assert lines[4][:2] == ['steering_controller', 'silent']
+    assert lines[5] == ['mtl_monitor', 'dead', '1:02:05', str(2**22)]
+    assert lines[7] == ['run', 's_falsif-s0-00012:', 'step', '173', '3', 'FAIL', '9', 'PASS']
+    assert all(len(line) < 80 for line in shown(supervisor, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words'),
+    [
+        ({'running': False}, 'run s_falsif-s0-00012: getting ready'),
+        ({'running': False, 'run_id': ''}, 'no run at hand'),
+    ],
+)
+def test_given_no_step_yet_then_the_line_on_runs_says_why(supervisor, changes, words, tmp_path):
+    vars(supervisor.runs).update(changes)
+    assert any(line.startswith(words) for line in shown(supervisor, tmp_path))
