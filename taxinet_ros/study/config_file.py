@@ -20,6 +20,7 @@ from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.yaml_file import read_yaml
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.study.config import StudyConfig
 
 SHIPPED = 'case_study.yaml'
@@ -93,7 +94,7 @@ def read_study(out: Path, option: str) -> StudyConfig:
     """
     path = out / STUDY_NAME
     try:
-        return StudyConfig(**json.loads(path.read_bytes()))
+        return StudyConfig(**load_json(path.read_bytes()))
     except FileNotFoundError:
         raise UsageError(
             f'{option}: {path}: no such file, so no case study was begun there; '

@@ -11,7 +11,6 @@ decided and why, and ``best.safetensors`` with its card.
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import card_path, load_model
 from taxinet_ros.study.acceptance import Decision, decide
 from taxinet_ros.study.improve_options import ImproveOptions
@@ -156,7 +156,7 @@ class Improvement:
 
     def _analysis(self, number: int) -> Mapping[str, Any]:
         path = self._out / analyze_name(number) / 'analysis.json'
-        values: Mapping[str, Any] = json.loads(path.read_text(encoding='utf-8'))
+        values: Mapping[str, Any] = load_json(path.read_bytes())
         return values
 
 

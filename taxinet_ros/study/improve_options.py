@@ -12,6 +12,7 @@ from typing import Any, Self
 from taxinet_ros.campaign.programs import find_program, known_programs
 from taxinet_ros.campaign.samplers.make import SAMPLERS
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import load_model, weights_path
 from taxinet_ros.training.portions import parse_portion
 
@@ -158,7 +159,7 @@ def read_options(out: Path) -> ImproveOptions:
     """
     path = out / FACTS_NAME
     try:
-        values = json.loads(path.read_text(encoding='utf-8'))
+        values = load_json(path.read_bytes())
         if not isinstance(values, dict):
             raise UsageError('is no JSON object')
         return ImproveOptions.from_json(values)

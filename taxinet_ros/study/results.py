@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.study.config import StudyConfig
 from taxinet_ros.study.plan import ANALYZE, LEARN, LOCALIZE, NETWORKS, campaign_of, weights_of
 
@@ -201,7 +201,7 @@ def _pair(first: Network, second: Network) -> Pair:
 
 def _values(path: Path) -> dict[str, Any] | None:
     try:
-        values = json.loads(path.read_bytes())
+        values = load_json(path.read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:

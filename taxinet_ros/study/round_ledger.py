@@ -12,6 +12,7 @@ from typing import Any, Self
 from taxinet_ros.bag.layout import disk_error
 from taxinet_ros.campaign.journal import Journal
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 ROUNDS_NAME = 'rounds.jsonl'
 _WHEN = 'date'
@@ -34,7 +35,7 @@ class RoundLedger:
         except OSError as error:
             raise disk_error(self._path, error) from error
         try:
-            self._known = [_undated(json.loads(line)) for line in self._journal.lines]
+            self._known = [_undated(load_json(line)) for line in self._journal.lines]
         except (ValueError, AttributeError) as error:
             self._journal.close()
             raise UsageError(f'{self._path}: damaged line ({error})') from error

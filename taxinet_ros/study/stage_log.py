@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from taxinet_ros import __version__
 from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.journal import Journal, whole_lines
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 LOG_NAME = 'stages.jsonl'
 
@@ -118,7 +118,7 @@ def read_records(out: Path) -> dict[str, StageRecord]:
     records: dict[str, StageRecord] = {}
     for number, line in enumerate(whole_lines(path.read_bytes()).splitlines(), start=1):
         try:
-            event = json.loads(line)
+            event = load_json(line)
             records.setdefault(event['stage'], StageRecord()).take(event)
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError(f'{path}:{number}: damaged line ({error})') from error
