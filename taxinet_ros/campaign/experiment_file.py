@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from taxinet_ros.campaign.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.make import check_sampler
 from taxinet_ros.campaign.spec_files import read_specs
-from taxinet_ros.campaign.yaml_file import read_yaml
+from taxinet_ros.campaign.yaml_file import YamlFile, read_yaml
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
@@ -135,11 +135,8 @@ def read_experiment(path: Path) -> Experiment:
     return _Reader(path).experiment()
 
 
-class _Reader:
-    """Reads one file; every complaint is headed by it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
+class _Reader(YamlFile):
+    """Reads one file."""
 
     def experiment(self) -> Experiment:
         content = self._mapping('', read_yaml(self._path), _KEYS)
@@ -258,27 +255,3 @@ class _Reader:
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise self._wrong(where, f'expected a whole number, {least} or more, got {value!r:.60}')
         return value
-
-    def _mapping(
-        self, where: str, value: object, known: tuple[str, ...] | None = None
-    ) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise self._wrong(where, f'expected KEY: VALUE pairs, got {value!r:.60}')
-        for key in value:
-            if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
-                what = f"expected words as keys, got {key!r}; put it in '…' quotes"
-                raise self._wrong(where, what)
-        for key in value:
-            if known is not None and key not in known:
-                inner = f'{where}.{key}' if where else key
-                raise self._wrong(inner, f'unknown key; known: {", ".join(known)}')
-        return value
-
-    def _checked(self, where: str, check: Callable[[], object]) -> None:
-        try:
-            check()
-        except UsageError as error:
-            raise self._wrong(where, str(error)) from None
-
-    def _wrong(self, where: str, what: str) -> UsageError:
-        return UsageError(f'{self._path}: {where}: {what}' if where else f'{self._path}: {what}')

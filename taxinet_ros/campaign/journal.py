@@ -11,7 +11,11 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
+
+from taxinet_ros.bag.layout import disk_error
+from taxinet_ros.core.errors import UsageError
 
 
 class Journal:
@@ -62,3 +66,32 @@ class Journal:
 def whole_lines(data: bytes) -> bytes:
     """``data`` without a last line that has no end."""
     return data[: data.rfind(b'\n') + 1]
+
+
+def open_journal(path: Path, command: str) -> Journal:
+    """Open a journal for a command that works on its folder.
+
+    Raises:
+        UsageError: another such command has it open, or it cannot be written.
+    """
+    try:
+        return Journal(path)
+    except BlockingIOError as error:
+        raise UsageError(f'{path}: another {command} is at work on it') from error
+    except OSError as error:
+        raise disk_error(path, error) from error
+
+
+class JournalOwner:
+    """Something that keeps a journal open; a context manager that closes it."""
+
+    _journal: Journal
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._journal.close()

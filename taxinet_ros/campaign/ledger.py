@@ -10,11 +10,10 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from taxinet_ros.bag.layout import disk_error, sync_folder
-from taxinet_ros.campaign.journal import Journal, whole_lines
+from taxinet_ros.campaign.journal import Journal, JournalOwner, whole_lines
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
@@ -43,7 +42,7 @@ class LedgerContent:
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
 
-class Ledger:
+class Ledger(JournalOwner):
     """An open ledger: one writer at a time; a context manager."""
 
     def __init__(self, path: Path) -> None:
@@ -61,15 +60,6 @@ class Ledger:
             raise UsageError(f'ledger {path}: {error.strerror}') from error
         self._journal.sync()
         sync_folder(path.parent)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._journal.close()
 
     def campaign(self, values: Mapping[str, Any]) -> None:
         """Record what the campaign is: program, digest, seed, overrides, perception."""

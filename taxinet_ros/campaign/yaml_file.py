@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -41,3 +43,36 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
     except YAML_TROUBLES as error:
         raise UsageError(f'{path}: is not YAML: {" ".join(str(error).split())[:120]}') from None
 
+
+class YamlFile:
+    """A file whose values are checked one by one; every complaint is headed by it."""
+
+    def __init__(self, path: Path) -> None:
+        """Read nothing yet."""
+        self._path = path
+
+    def _mapping(
+        self, where: str, value: object, known: tuple[str, ...] | None = None
+    ) -> dict[str, Any]:
+        """KEY: VALUE pairs, of known keys only if these are given."""
+        if not isinstance(value, dict):
+            raise self._wrong(where, f'expected KEY: VALUE pairs, got {value!r:.60}')
+        for key in value:
+            if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
+                what = f"expected words as keys, got {key!r}; put it in '…' quotes"
+                raise self._wrong(where, what)
+        for key in value:
+            if known is not None and key not in known:
+                inner = f'{where}.{key}' if where else key
+                raise self._wrong(inner, f'unknown key; known: {", ".join(known)}')
+        return value
+
+    def _checked(self, where: str, check: Callable[[], object]) -> None:
+        """Have a value checked, and say in which place it is if it is wrong."""
+        try:
+            check()
+        except UsageError as error:
+            raise self._wrong(where, str(error)) from None
+
+    def _wrong(self, where: str, what: str) -> UsageError:
+        return UsageError(f'{self._path}: {where}: {what}' if where else f'{self._path}: {what}')

@@ -17,7 +17,7 @@ from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.experiment_file import find_experiment
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.yaml_file import read_yaml
+from taxinet_ros.campaign.yaml_file import YamlFile, read_yaml
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.plain_values import load_json
@@ -104,11 +104,11 @@ def read_study(out: Path, option: str) -> StudyConfig:
         raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
 
 
-class _Values:
+class _Values(YamlFile):
     """The values in one file, checked one by one."""
 
     def __init__(self, path: Path, content: object) -> None:
-        self._path = path
+        super().__init__(path)
         self._leaves: dict[str, Any] = {}
         known = set(_PLACES.values())
         groups = {place.partition('.')[0] for place in known if '.' in place}
@@ -155,14 +155,6 @@ class _Values:
             here = sorted(one for one in known if one.startswith(f'{group}.'))
             raise self._wrong(key, f'unknown key; known: {", ".join(here or sorted(groups))}')
         self._leaves[key] = value
-
-    def _mapping(self, where: str, value: object) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise self._wrong(where, f'expected KEY: VALUE pairs, got {value!r:.60}')
-        for key in value:
-            if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
-                raise self._wrong(where, f"expected words as keys, got {key!r}; put it in '…'")
-        return value
 
     def _whole(self, where: str, value: object, low: int, high: int) -> int:
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
@@ -220,12 +212,3 @@ class _Values:
                 if path.is_file():
                     return str(path.resolve())
         return word
-
-    def _checked(self, where: str, check: Callable[[], object]) -> None:
-        try:
-            check()
-        except UsageError as error:
-            raise self._wrong(where, str(error)) from None
-
-    def _wrong(self, where: str, what: str) -> UsageError:
-        return UsageError(f'{self._path}: {where}: {what}' if where else f'{self._path}: {what}')

@@ -6,11 +6,10 @@ import datetime
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from taxinet_ros.bag.layout import disk_error
-from taxinet_ros.campaign.journal import Journal
+from taxinet_ros.campaign.journal import JournalOwner, open_journal
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 
@@ -18,7 +17,7 @@ ROUNDS_NAME = 'rounds.jsonl'
 _WHEN = 'date'
 
 
-class RoundLedger:
+class RoundLedger(JournalOwner):
     """The open ledger; one process at a time. A context manager."""
 
     def __init__(self, out: Path) -> None:
@@ -28,26 +27,12 @@ class RoundLedger:
             UsageError: another process has it open, or it is damaged.
         """
         self._path = out / ROUNDS_NAME
-        try:
-            self._journal = Journal(self._path)
-        except BlockingIOError as error:
-            raise UsageError(f'{self._path}: another taxinet improve is at work on it') from error
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal = open_journal(self._path, 'taxinet improve')
         try:
             self._known = [_undated(load_json(line)) for line in self._journal.lines]
         except (ValueError, AttributeError) as error:
             self._journal.close()
             raise UsageError(f'{self._path}: damaged line ({error})') from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._journal.close()
 
     def write(self, values: Mapping[str, Any]) -> None:
         """Put a round down, unless it says what it said before."""

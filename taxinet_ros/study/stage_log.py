@@ -7,12 +7,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.layout import disk_error, sync_folder
-from taxinet_ros.campaign.journal import Journal, whole_lines
+from taxinet_ros.campaign.journal import JournalOwner, open_journal, whole_lines
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 
@@ -62,7 +61,7 @@ class StageRecord:
             self.skipped = event.get('skipped', '')
 
 
-class StageLog:
+class StageLog(JournalOwner):
     """The open log of one study; one process at a time. A context manager."""
 
     def __init__(self, out: Path) -> None:
@@ -72,24 +71,9 @@ class StageLog:
             UsageError: another process has it open, or it is damaged.
         """
         self._path = out / LOG_NAME
-        try:
-            self._journal = Journal(self._path)
-        except BlockingIOError as error:
-            what = f'{self._path}: another taxinet case-study is at work on it'
-            raise UsageError(what) from error
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal = open_journal(self._path, 'taxinet case-study or improve')
         sync_folder(out)
         self.records = read_records(out)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._journal.close()
 
     def write(self, event: str, stage: str, **values: Any) -> None:
         """Put down one event: ``begin``, ``end`` or ``stopped``."""

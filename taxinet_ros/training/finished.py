@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-from taxinet_ros.campaign.journal import Journal
+from taxinet_ros.campaign.journal import Journal, JournalOwner
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 
@@ -28,7 +26,7 @@ class FinishedImage:
     sha256: str
 
 
-class FinishedImages:
+class FinishedImages(JournalOwner):
     """The open record: one writer at a time; a context manager."""
 
     def __init__(self, path: Path) -> None:
@@ -49,15 +47,6 @@ class FinishedImages:
         except BaseException:
             self._journal.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._journal.close()
 
     def add(self, row: FinishedImage) -> None:
         """Record that an image is in its place.

@@ -1,4 +1,4 @@
-"""A headless Chromium for tests of pages: one for all of them, without a network.
+"""A headless Chromium for tests of pages: one for each file of tests, without a network.
 
 ``TAXINET_CHROMIUM`` names the program; otherwise it is looked for on the path.
 """
@@ -21,7 +21,7 @@ CHROMIUM = os.environ.get('TAXINET_CHROMIUM') or next(
 WIDE, NARROW = {'width': 1280, 'height': 900}, {'width': 400, 'height': 800}
 
 
-@pytest.fixture(scope='session')
+@pytest.fixture(scope='module')  # a process has one loop of playwright at a time
 def browser() -> Iterator[Any]:
     """The browser; skips where there is none."""
     if CHROMIUM is None:

@@ -21,6 +21,7 @@ from taxinet_ros.study.improve_options import (
     write_options,
 )
 from taxinet_ros.study.round_ledger import ROUNDS_NAME, RoundLedger
+from taxinet_ros.study.stage_log import StageLog
 
 RUNS = 40
 
@@ -209,3 +210,15 @@ def test_given_a_program_by_its_path_then_it_is_found_from_any_folder(tmp_path, 
     assert found.program == str(tmp_path / 'mine.scenic')
     assert found.base == 'training_full'
     assert found.add == (f'{tmp_path}/mine.scenic=3', 'crossing=2')
+
+
+@pytest.mark.parametrize(('kind', 'command'), [
+    (RoundLedger, 'taxinet improve'), (StageLog, 'taxinet case-study or improve'),
+])
+def test_given_a_folder_that_is_worked_on_then_another_command_is_refused(
+    kind, command, tmp_path
+):
+    with kind(tmp_path), pytest.raises(UsageError, match=f'another {command} is at work on it'):
+        kind(tmp_path)
+    with kind(tmp_path):
+        pass

@@ -113,7 +113,7 @@ def test_given_never_and_a_node_that_dies_then_the_graph_ends_with_one_line(tmp_
 
 
 def test_given_a_stopped_node_then_it_is_named_and_dies_with_its_killed_parent(tmp_path):
-    with standing(tmp_path, '--restart', 'never', '--silent-after', '1') as graph:
+    with standing(tmp_path, '--restart', 'never', '--silent-after', '5') as graph:
         pids = graph.pids()
         os.kill(pids['mtl_monitor'], signal.SIGSTOP)
         graph.wait_to_say(
