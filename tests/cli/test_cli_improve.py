@@ -1,12 +1,8 @@
 """``taxinet improve`` on the real graph, with a real training, as small as they get."""
 
 import json
-import signal
-import subprocess
-import time
 
 import pytest
-from taxinet_process import begun
 from taxinet_process import taxinet as run_taxinet
 
 from taxinet_ros.campaign.table import read_table
@@ -21,8 +17,9 @@ param duration = 11
 ego = new Plane at (-5, Range(600, 650)), facing Range(18, 20) deg
 """
 WORDS = (
-    'improve', 'wet.scenic', '--start', 'original', '--rounds', '1', '--budget', '9', '--images',
+    'improve', 'wet.scenic', '--start', 'original', '--rounds', '1', '--budget', '6', '--images',
     '8', '--validation', '4', '--counterexamples', '8', '--epochs', '1', '--sampler', 'random',
+    '--workers', '1',
 )
 
 pytestmark = pytest.mark.ros
@@ -30,28 +27,18 @@ pytestmark = pytest.mark.ros
 
 def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(tmp_path):
     (tmp_path / 'wet.scenic').write_text(WET)
-    # Interrupted once on its way, it goes on where it was.
-    with begun(*WORDS, '--out', 'loop', cwd=tmp_path, stderr=subprocess.PIPE) as process:
-        deadline = time.monotonic() + 100
-        while not (tmp_path / 'loop' / 'round-1-falsify' / 'ledger.jsonl').exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=100)
-        assert process.returncode == 130
-    ended = run_taxinet('improve', '--resume', '--out', 'loop', cwd=tmp_path)
+    ended = run_taxinet(*WORDS, '--out', 'loop', cwd=tmp_path)
     assert (ended.returncode, ended.stderr) == (0, '')
     out = tmp_path / 'loop'
     (line,) = [json.loads(text) for text in (out / 'rounds.jsonl').read_text().splitlines()]
     tables = [
         read_table(out / f'round-1-{name}') for name in ('falsify', 'incumbent', 'candidate')
     ]
-    assert [len(table) for table in tables] == [3, 3, 3]
-    assert (line['searched'], line['failed']) == (3, int((tables[0].outcome == 'FAIL').sum()))
-    assert line['failed'] == 3
+    assert [len(table) for table in tables] == [2, 2, 2]
+    assert (line['searched'], line['failed']) == (2, int((tables[0].outcome == 'FAIL').sum()))
+    assert line['failed'] == 2
     made = line['decision']
-    assert made['pairs'] == 3
+    assert made['pairs'] == 2
     assert made['failed_now'] == int((tables[2].outcome == 'FAIL').sum())
     card = load_model(out / 'round-1-train' / 'candidate.safetensors').card
     original = load_model(SHIPPED['original']).card.weights_sha256
