@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.model_card import ModelCard, flaw, load_card
 from taxinet_ros.core.network import ARCHITECTURES
 
 SUFFIX = '.safetensors'
@@ -37,77 +36,7 @@ began as ``broad``, further where that one failed."""
 MAX_BYTES = 64 << 20
 """Largest file that is read; the shipped one is below 1 MiB."""
 
-ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
-ERROR_QUANTITIES = ('cte_m', 'he_deg')
-
 Weights = Mapping[str, NDArray[np.float32]]
-
-
-SOURCE_KINDS = ('program', 'folder', 'runs')
-"""Where pictures come from: rendered scenes of a Scenic program, a folder with a label table, or
-the failed runs of a campaign."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Source:
-    """Where pictures come from.
-
-    Attributes:
-        kind: one of :data:`SOURCE_KINDS`.
-        name: of the program, folder or campaign.
-        sha256: digest of the program's text, of the folder's labels and images, or of the
-            campaign's ledger.
-    """
-
-    kind: str
-    name: str
-    sha256: str
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ModelCard:
-    """Where a network comes from, and how well it sees in the world it was trained in.
-
-    Attributes:
-        architecture: word of :data:`~taxinet_ros.core.network.ARCHITECTURES`.
-        training_data: where the training pictures came from.
-        validation_data: where the validation pictures came from; empty if they were held back
-            from the training data.
-        seed: of the scenes, the first weights and the order of training.
-        images: pictures that were trained on.
-        validation: others, that chose the epoch and that the errors were measured on.
-        varied: whether the look of the rendered world varied.
-        augment: whether pictures were changed a little each time they were seen.
-        epochs, batch, learning_rate, patience: how it was trained.
-        best_epoch: the one with the lowest validation loss, whose weights these are.
-        errors: absolute errors on the validation pictures: for each of
-            :data:`ERROR_QUANTITIES` the :data:`ERROR_STATISTICS`, [m] and [degrees].
-        weights_sha256: digest of the weights file.
-        package_version: of this package at the time.
-        date: ISO date of the training (UTC).
-        command_line: what makes these weights again.
-        start_sha256: digest of the weights that the training began from; None for fresh ones.
-    """
-
-    architecture: str
-    training_data: tuple[Source, ...]
-    validation_data: tuple[Source, ...]
-    seed: int
-    images: int
-    validation: int
-    varied: bool
-    augment: bool
-    epochs: int
-    batch: int
-    learning_rate: float
-    patience: int
-    best_epoch: int
-    errors: Mapping[str, Mapping[str, float]]
-    weights_sha256: str
-    package_version: str
-    date: str
-    command_line: str
-    start_sha256: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -151,7 +80,7 @@ def save_model(path: Path, data: bytes, card: ModelCard) -> None:
         _replace(card_path(path), text.encode())
         _replace(path, data)
     except OSError as error:
-        raise _bad(path, f'cannot be written ({error.strerror}); choose another folder') from error
+        raise flaw(path, f'cannot be written ({error.strerror}); choose another folder') from error
 
 
 def load_model(path: Path) -> Model:
@@ -162,43 +91,39 @@ def load_model(path: Path) -> Model:
     """
     data = _read(path)
     weights = _parse(path, data)
-    card = _load_card(card_path(path))
+    card = load_card(card_path(path))
     if digest(data) != card.weights_sha256:
-        raise _bad(path, f'is not the file that {card_path(path).name} describes (its SHA-256 '
+        raise flaw(path, f'is not the file that {card_path(path).name} describes (its SHA-256 '
                          'differs); copy the two files together')
     if card.architecture not in ARCHITECTURES:
         known = ', '.join(ARCHITECTURES)
-        raise _bad(path, f'architecture {card.architecture!r} is unknown; known: {known}')
+        raise flaw(path, f'architecture {card.architecture!r} is unknown; known: {known}')
     _check_arrays(path, weights, ARCHITECTURES[card.architecture].shapes())
     return Model(card=card, weights=weights)
-
-
-def _bad(path: Path, what: str) -> UsageError:
-    return UsageError(f'weights: {path}: {what}')
 
 
 def _read(path: Path) -> bytes:
     try:
         if not path.is_file():
-            raise _bad(path, 'no such file')
+            raise flaw(path, 'no such file')
         if path.stat().st_size > MAX_BYTES:
-            raise _bad(path, f'has more than {MAX_BYTES >> 20} MiB, too many for a TaxiNet')
+            raise flaw(path, f'has more than {MAX_BYTES >> 20} MiB, too many for a TaxiNet')
         return path.read_bytes()
     except OSError as error:
-        raise _bad(path, f'cannot be read ({error.strerror})') from error
+        raise flaw(path, f'cannot be read ({error.strerror})') from error
 
 
 def _parse(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     if data.startswith(b'version https://git-lfs'):
-        raise _bad(path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull')
+        raise flaw(path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull')
     if data.startswith((b'PK', b'\x80')):
-        raise _bad(path, 'is a pickle, which may run anything; only safetensors files are read')
+        raise flaw(path, 'is a pickle, which may run anything; only safetensors files are read')
     try:
         return safetensors.numpy.load(data)
     except (safetensors.SafetensorError, KeyError, ValueError) as error:
         # A type of number that numpy lacks is a KeyError there.
         reason = ' '.join(str(error).split())
-        raise _bad(path, f'is no whole safetensors file ({reason}); copy it again') from None
+        raise flaw(path, f'is no whole safetensors file ({reason}); copy it again') from None
 
 
 def _check_arrays(
@@ -207,92 +132,13 @@ def _check_arrays(
     if weights.keys() != shapes.keys():
         name = min(weights.keys() ^ shapes.keys())
         what = 'is missing' if name in shapes else 'does not belong to the architecture'
-        raise _bad(path, f'array {name} {what}; train it again')
+        raise flaw(path, f'array {name} {what}; train it again')
     for name, shape in shapes.items():
         array = weights[name]
         if array.dtype != np.float32 or array.shape != shape:
-            raise _bad(path, f'array {name} is {array.dtype} {array.shape}, not float32 {shape}')
+            raise flaw(path, f'array {name} is {array.dtype} {array.shape}, not float32 {shape}')
         if not np.isfinite(array).all():
-            raise _bad(path, f'array {name} has values that are not finite; train it again')
-
-
-def _load_card(path: Path) -> ModelCard:
-    try:
-        values = json.loads(path.read_text(encoding='utf-8'))
-    except FileNotFoundError:
-        raise _bad(path, 'no such file; a weights file needs its model card beside it') from None
-    except OSError as error:
-        raise _bad(path, f'cannot be read ({error.strerror})') from error
-    except (ValueError, RecursionError):
-        raise _bad(path, 'is not JSON; copy it again') from None
-    if not isinstance(values, dict):
-        raise _bad(path, 'is no model card: not a JSON object')
-    names = [field.name for field in fields(ModelCard)]
-    values = {'start_sha256': None, **values}  # cards from before it have none
-    if values.keys() != set(names):
-        name = min(values.keys() ^ set(names))
-        raise _bad(path, f'{name!r} {"is missing" if name in names else "is unknown"} in the card')
-    for name in names:
-        if not _CHECKS.get(name, _is_text)(values[name]):
-            raise _bad(path, f'{name} in the card is {str(values[name])[:40]!r}, which cannot be')
-    for name in ('training_data', 'validation_data'):
-        values[name] = tuple(Source(**source) for source in values[name])
-    return ModelCard(**values)
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and value != ''
-
-
-def _is_switch(value: object) -> bool:
-    return isinstance(value, bool)
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _is_magnitude(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return 0 <= value < math.inf
-
-
-def _are_sources(value: object) -> bool:
-    names = {field.name for field in fields(Source)}
-    return isinstance(value, list) and all(
-        isinstance(source, dict)
-        and set(source) == names
-        and all(map(_is_text, source.values()))
-        and source['kind'] in SOURCE_KINDS
-        for source in value
-    )
-
-
-def _are_errors(value: object) -> bool:
-    if not isinstance(value, dict) or set(value) != set(ERROR_QUANTITIES):
-        return False
-    return all(
-        isinstance(row, dict)
-        and set(row) == set(ERROR_STATISTICS)
-        and all(map(_is_magnitude, row.values()))
-        for row in value.values()
-    )
-
-
-_CHECKS: dict[str, Callable[[object], bool]] = {
-    'training_data': lambda value: value != [] and _are_sources(value),
-    'validation_data': _are_sources,
-    'start_sha256': lambda value: value is None or _is_text(value),
-    'varied': _is_switch,
-    'augment': _is_switch,
-    'errors': _are_errors,
-    'learning_rate': _is_magnitude,
-    **dict.fromkeys(
-        ('seed', 'images', 'validation', 'epochs', 'batch', 'patience', 'best_epoch'), _is_count
-    ),
-}
-"""What the entries of a card have to be, where they are no texts."""
+            raise flaw(path, f'array {name} has values that are not finite; train it again')
 
 
 def _replace(path: Path, data: bytes) -> None:

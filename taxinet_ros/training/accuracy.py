@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.model_card import ERROR_QUANTITIES
 from taxinet_ros.core.network import TaxiNet
-from taxinet_ros.core.weights import ERROR_QUANTITIES
 from taxinet_ros.training.dataset import Dataset
 
 _BATCH = 256

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.model_card import ERROR_QUANTITIES
 from taxinet_ros.core.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.core.weights import ERROR_QUANTITIES
 from taxinet_ros.training.accuracy import half_width_95, in_units, statistics
 from taxinet_ros.training.dataset import Progress, draw_scenes, silent
 from taxinet_ros.training.images import ImageFolder, open_folder

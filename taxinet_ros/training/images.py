@@ -23,9 +23,9 @@ from PIL import Image
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.labelled_frames import LabelledFrame, labelled_frames
+from taxinet_ros.core.model_card import Source
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.plain_values import load_json
-from taxinet_ros.core.weights import Source
 from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.layout import FACTS, LABELS, REQUEST
 

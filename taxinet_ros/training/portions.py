@@ -14,8 +14,8 @@ import numpy as np
 
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.model_card import Source
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.weights import Source
 from taxinet_ros.training.counterexample_scenes import counterexample_scenes, ledger_digest
 from taxinet_ros.training.dataset import Progress, draw_scenes
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from taxinet_ros import __version__
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.model_card import ModelCard
 from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from taxinet_ros.core.weights import (
     Model,
-    ModelCard,
     Weights,
     digest,
     load_model,

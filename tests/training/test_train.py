@@ -11,9 +11,10 @@ from training_samples import foreign_folder
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.model_card import Source
 from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception import make_perception
-from taxinet_ros.core.weights import Source, digest, load_model
+from taxinet_ros.core.weights import digest, load_model
 from taxinet_ros.training.dataset import draw_scenes, make_dataset, silent
 from taxinet_ros.training.folder import DatasetOptions, write_dataset
 from taxinet_ros.training.images import load_folders
