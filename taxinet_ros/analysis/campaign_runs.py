@@ -179,11 +179,20 @@ def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
     facts = pd.DataFrame({
         'run_id': judged['run_id'].astype(str), 'index': judged['index'],
         'bag': judged['bag'].fillna('').astype(str) if 'bag' in judged.columns else '',
-        'weight': judged['weight'].where(judged['weight'] > 0),
+        'weight': _weights(judged),
         'rho': rho, 'rho_exact': exact, 'failed': failed,
         'left_runway': empty if left is None else left.to_numpy(dtype=np.float64, na_value=np.nan),
     })
     return pd.concat([facts, feature_columns(judged)], axis=1)
+
+
+def _weights(judged: pd.DataFrame) -> pd.Series[float]:
+    """NaN where it is not known; a run that no sampler has chosen was drawn, and counts as one."""
+    weight = judged['weight'].where(judged['weight'] > 0)
+    if 'sampler' not in judged.columns:
+        return weight
+    drawn = judged['weight'].isna() & (judged['sampler'].fillna('') == '')
+    return weight.mask(drawn, 1.0)
 
 
 def _check(

@@ -66,7 +66,7 @@ def test_given_weights_when_rated_then_they_count_and_say_what_the_runs_are_wort
     assert found.rate == pytest.approx(weight[failed].sum() / weight.sum())
     assert found.low < found.rate < found.high
     assert found.effective == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
-    unknown = planted_runs(frame.assign(weight=math.nan), tmp_path)
+    unknown = planted_runs(frame.assign(weight=math.nan, sampler='cmaes'), tmp_path)
     assert unknown.weighting is Weighting.UNKNOWN
     assert unknown.rate().rate == failed.mean()
     assert math.isnan(unknown.rate().low)
@@ -147,3 +147,11 @@ def test_given_limits_when_rounded_then_they_still_hold_the_interval(name, low, 
 
 def test_given_no_run_then_its_rate_is_said_to_be_of_none():
     assert GroupRate(0, 0, math.nan, 0.0, 1.0, 0.0).words() == 'no run'
+
+
+def test_given_runs_that_no_sampler_chose_then_they_are_as_drawn(tmp_path):
+    frame = table().assign(weight=math.nan, sampler='')
+    runs = planted_runs(frame, tmp_path)
+    assert runs.weighting is Weighting.DRAWN
+    failures = int((frame['outcome'] == 'FAIL').sum())
+    assert runs.rate()[:5] == (60, failures, *rate(failures, 60))
