@@ -114,7 +114,11 @@ def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
     Raises:
         UsageError: there is no such table or formula, or no run was judged.
     """
-    table = read_table(path)
+    return runs_of(read_table(path), path, spec)
+
+
+def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:
+    """The judged runs of a table that was read from ``path``; as :func:`read_runs`."""
     missing = [name for name in _NEEDED if name not in table.columns]
     if missing:
         raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')

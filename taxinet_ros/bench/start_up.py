@@ -27,7 +27,7 @@ from taxinet_ros.bench.measure import Subject
 from taxinet_ros.bench.processes import peak_memory
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.nodes import interface, steering_controller
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 
 _NAME = 'start-up'
 _RUN = (

@@ -153,6 +153,18 @@ def check_new(out: Path) -> None:
         )
 
 
+def make_out(out: Path) -> None:
+    """Make the folder that ``--out`` names, where it is not there.
+
+    Raises:
+        UsageError: it cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+
+
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 

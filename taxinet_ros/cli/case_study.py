@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.config import StudyConfig, resized, scaled
 from taxinet_ros.study.config_file import read_config, read_study, shipped_config, write_study
@@ -76,10 +76,7 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+    make_out(out)
     with StageLog(out) as log:
         write_study(out, config)
         show(study_heading(config, wanted, out))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.cli.case_study import stage_command
 from taxinet_ros.core.errors import UsageError
@@ -81,10 +81,7 @@ def _begun(
     if out is None:
         out = new_folder(DEFAULT_ROOT / 'improve')
     check_new(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+    make_out(out)
     write_options(out, options)
     return options, out
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.plain_values import load_json
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
@@ -92,12 +92,12 @@ def load_card(path: Path) -> ModelCard:
         UsageError: one line on the first thing that is wrong.
     """
     try:
-        values = json.loads(path.read_text(encoding='utf-8'))
+        values = load_json(path.read_text(encoding='utf-8'))
     except FileNotFoundError:
         raise flaw(path, 'no such file; a weights file needs its model card beside it') from None
     except OSError as error:
         raise flaw(path, f'cannot be read ({error.strerror})') from error
-    except (ValueError, RecursionError):
+    except ValueError:
         raise flaw(path, 'is not JSON; copy it again') from None
     if not isinstance(values, dict):
         raise flaw(path, 'is no model card: not a JSON object')

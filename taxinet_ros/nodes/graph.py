@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.domain import own_domain as own_domain
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.recorder import Recorder
@@ -32,8 +32,6 @@ from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
-SAMPLERS_TIMEOUTS = ('server_timeout', 'silence_timeout')
-
 
 @dataclass(frozen=True, kw_only=True)
 class GraphOptions:
@@ -44,8 +42,8 @@ class GraphOptions:
         out: folder that takes one bag folder per run.
         images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
-        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout``, and the sampler's
-            ``server_timeout`` and ``silence_timeout`` [s], where not default.
+        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
+        patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
     """
 
     perception: str
@@ -53,11 +51,7 @@ class GraphOptions:
     images: str = 'all'
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def patience(self) -> dict[str, float]:
-        """Those of the timeouts that are the sampler's."""
-        return {n: limit_s for n, limit_s in self.timeouts.items() if n in SAMPLERS_TIMEOUTS}
+    patience: Mapping[str, float] = field(default_factory=dict)
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node but the sampler, by node name."""
@@ -66,10 +60,7 @@ class GraphOptions:
         else:
             perception = (TaxinetPerception, {'weights': self.perception})
         return {
-            interface.SIMULATOR: (Simulator, {
-                name: limit_s for name, limit_s in self.timeouts.items()
-                if name not in SAMPLERS_TIMEOUTS
-            }),
+            interface.SIMULATOR: (Simulator, dict(self.timeouts)),
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
             interface.MTL_MONITOR: (MtlMonitor, {}),

@@ -26,7 +26,7 @@ def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
     return _found(
         publisher.get_subscription_count(), names,
         lambda: node.get_subscriptions_info_by_topic(publisher.topic_name),
-        lambda other: qos_check_compatible(publisher.qos_profile, other)[0],
+        lambda other: fits(publisher.qos_profile, other),
     )
 
 
@@ -41,13 +41,18 @@ def hears_from(node: Node, subscription: Subscription, names: Collection[str]) -
     return _found(
         subscription.get_publisher_count(), names,
         lambda: node.get_publishers_info_by_topic(subscription.topic_name),
-        lambda other: qos_check_compatible(other, subscription.qos_profile)[0],
+        lambda other: fits(other, subscription.qos_profile),
     )
+
+
+def fits(offered: Any, asked: Any) -> bool:
+    """Whether quality of service lets a publisher and a subscription of these profiles connect."""
+    return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
 
 
 def _found(
     matched: int, names: Collection[str], known: Callable[[], Sequence[Any]],
-    fit: Callable[[Any], Any],
+    fit: Callable[[Any], bool],
 ) -> bool:
     """Whether as many ends are matched as are known and fit, all named ones among them.
 
@@ -60,5 +65,5 @@ def _found(
     if matched < len(names):  # Far cheaper than what follows, and asked many times.
         return False
     ends = known()
-    fitting = sum(fit(end.qos_profile) != QoSCompatibility.ERROR for end in ends)
+    fitting = sum(fit(end.qos_profile) for end in ends)
     return set(names) <= {end.node_name for end in ends} and matched >= fitting

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import os
 import signal
@@ -16,8 +15,8 @@ from typing import Any
 import yaml
 
 from taxinet_ros.campaign.child_environment import child_environment
+from taxinet_ros.core.parent_death import die_with_parent
 
-_PR_SET_PDEATHSIG = 1
 _LAST_GRACE_S = 10.0
 _LAST_BYTES = 4096
 
@@ -105,11 +104,11 @@ def dying_with_parent() -> functools.partial[None]:
     It is killed and not asked, for one that hangs or is stopped would not hear; a bag is on disk
     after each step.
     """
-    return functools.partial(_die_with, os.getpid(), ctypes.CDLL(None).prctl)
+    return functools.partial(_die_with, os.getpid())
 
 
-def _die_with(parent: int, prctl: Any) -> None:
-    prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+def _die_with(parent: int) -> None:
+    die_with_parent(signal.SIGKILL)
     if os.getppid() != parent:  # It went before we asked.
         os.kill(os.getpid(), signal.SIGKILL)
 

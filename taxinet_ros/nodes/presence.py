@@ -6,10 +6,10 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.matching import fits
 
 End = tuple[int, ...]
 """The identifier of one publisher or subscription, which is never used again."""
@@ -67,7 +67,6 @@ def _misfits(speakers: list[Any], listeners: list[Any], names: set[str]) -> Iter
     """Nodes of the graph that subscribe where another one of it cannot reach them."""
     for speaker in speakers:
         for listener in listeners:
-            if {speaker.node_name, listener.node_name} <= names:
-                fit, _ = qos_check_compatible(speaker.qos_profile, listener.qos_profile)
-                if fit == QoSCompatibility.ERROR:
-                    yield str(listener.node_name)
+            ours = {speaker.node_name, listener.node_name} <= names
+            if ours and not fits(speaker.qos_profile, listener.qos_profile):
+                yield str(listener.node_name)

@@ -33,7 +33,6 @@ def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
         finally:
             graph.close()
             rclpy.try_shutdown(context=context)
-            end_all(children)
 
 
 @contextlib.contextmanager

@@ -24,7 +24,8 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message
-from taxinet_ros.nodes.graph import GraphOptions, own_domain
+from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.player import Player, Step
 from taxinet_ros.nodes.recorder import bag_name

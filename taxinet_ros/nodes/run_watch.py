@@ -9,8 +9,8 @@ from typing import Any
 from rclpy.node import Node
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.death_notices import node_died, simulator_lost
 from taxinet_ros.nodes.onlooker import AT_LEISURE
 
 _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
@@ -52,15 +52,9 @@ class RunWatch:
         if not self.run_id:
             return
         if name == interface.SIMULATOR:
-            # Nobody else can tell sampler and recorder that the run is over.
-            self._endings.publish(RunStatus(
-                run_id=self.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
-                kind='died', who=name, detail=detail, seq=self.seq,
-            ))
+            self._endings.publish(simulator_lost(self.run_id, 'died', detail, self.seq))
         else:
-            self._obituaries.publish(NodeStatus(
-                run_id=self.run_id, node=name, state=NodeStatus.DIED, detail=detail,
-            ))
+            self._obituaries.publish(node_died(self.run_id, name, detail))
 
     def interrupt(self) -> bool:
         """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.

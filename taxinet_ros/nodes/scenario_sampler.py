@@ -11,11 +11,12 @@ from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
+from taxinet_msgs.msg import RunStatus, Verdict
 
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
+from taxinet_ros.nodes.death_notices import node_died, simulator_lost
 from taxinet_ros.nodes.parameters import declare
 
 _WATCH_PERIOD_S = 0.1
@@ -86,22 +87,16 @@ class ScenarioSampler(Node):
         """A node's process is known to be dead: end its run at once, with the reason."""
         if self._request is None or self._answer is None or self._answer.done():
             return
-        run_id = self._request.run_id
         if node == interface.SIMULATOR:
             self._lose_simulator('died', detail)
         else:
-            self._obituary.publish(
-                NodeStatus(run_id=run_id, node=node, state=NodeStatus.DIED, detail=detail)
-            )
+            self._obituary.publish(node_died(self._request.run_id, node, detail))
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
-        """End the run in its stead, for nobody else can tell the recorder that it is over."""
+        """End the run in its stead."""
         assert self._request is not None
         assert self._answer is not None
-        self._run_status.publish(RunStatus(
-            run_id=self._request.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
-            kind=kind, who=interface.SIMULATOR, detail=detail, seq=self.seq,
-        ))
+        self._run_status.publish(simulator_lost(self._request.run_id, kind, detail, self.seq))
         self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:

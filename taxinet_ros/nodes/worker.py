@@ -7,7 +7,6 @@ the pipes. It ends with its parent, however that ends.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import io
 import json
 import os
@@ -19,12 +18,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taxinet_ros.core.parent_death import die_with_parent
+
 if TYPE_CHECKING:
     from taxinet_ros.core.outcome import RunRequest, RunResult
     from taxinet_ros.nodes.graph import GraphOptions, SampledGraph
 
 _BEAT_S = 1.0
-_PR_SET_PDEATHSIG = 1
 
 
 def worker_command(options: GraphOptions) -> list[str]:
@@ -157,7 +157,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
 
 def _end_with(parent: int) -> None:
     """Have Linux kill this process when its parent goes away, however it goes."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent(signal.SIGKILL)
     if os.getppid() != parent:
         sys.exit('the parent is gone')
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from scipy.stats import binom
 
 from taxinet_ros.analysis.paired_arms import Comparison, compare
+from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
@@ -59,10 +59,7 @@ class Decision:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, None where there is no number."""
-        return {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in asdict(self).items()
-        }
+        return plain_values(asdict(self))
 
 
 def decide(before: Sequence[RunRow], now: Sequence[RunRow], alpha: float) -> Decision:

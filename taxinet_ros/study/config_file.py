@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -191,12 +190,13 @@ class _Values(YamlFile):
         return word
 
     def _share(self, value: object) -> float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        share = float(value) if number else math.nan  # type: ignore[arg-type]
-        if not 0 < share <= _MOST_SHARE:
-            what = f'expected a number above 0, at most {_MOST_SHARE}, got {value!r:.60}'
-            raise self._wrong(_OTHERS['share'], what)
-        return share
+        if (
+            isinstance(value, int | float) and not isinstance(value, bool)
+            and 0 < value <= _MOST_SHARE
+        ):
+            return float(value)
+        what = f'expected a number above 0, at most {_MOST_SHARE}, got {value!r:.60}'
+        raise self._wrong(_OTHERS['share'], what)
 
     def _best(self, value: object) -> str:
         if value in ('', None):

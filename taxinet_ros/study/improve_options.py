@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
+from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.programs import find_program, known_programs
 from taxinet_ros.campaign.samplers.make import SAMPLERS
 from taxinet_ros.core.errors import UsageError
@@ -143,12 +144,9 @@ def write_options(out: Path, options: ImproveOptions) -> None:
     """Put the options into the folder.
 
     Raises:
-        UsageError: it cannot be written to.
+        BagWriteError: it cannot be written to.
     """
-    try:
-        (out / FACTS_NAME).write_text(json.dumps(options.to_json(), indent=2) + '\n')
-    except OSError as error:
-        raise UsageError(f'{out / FACTS_NAME}: {error.strerror}') from error
+    write_atomically(out / FACTS_NAME, json.dumps(options.to_json(), indent=2) + '\n')
 
 
 def read_options(out: Path) -> ImproveOptions:

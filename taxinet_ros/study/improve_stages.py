@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from taxinet_ros.campaign.facts import LEDGER_NAME
-from taxinet_ros.campaign.table import PARQUET_NAME
 from taxinet_ros.study.improve_options import FALSIFY, JUDGE, TRAIN, ImproveOptions
-from taxinet_ros.study.stage import Kind, Resume, Stage
+from taxinet_ros.study.stage import Stage
+from taxinet_ros.study.stage_kinds import analysis_stage, campaign_stage, training_stage
 
 START = 'start.safetensors'
 """The network to begin with: a copy, so that the folder holds all that the loop depends on."""
-
-_BATCH = 64
-_RENDERING = 2
-"""A rendered picture costs about as much time as so many looks at one in training."""
-_RUN_DONE = (0, 1, 4)
 
 
 def falsify_name(number: int) -> str:
@@ -65,7 +59,7 @@ def round_stages(
     """
     seed = options.seed_of(number, JUDGE)
     return (
-        _analysis(number),
+        analysis_stage(analyze_name(number), falsify_name(number), 1),
         _training(options, number, incumbent, campaigns),
         _campaign(options, incumbent_name(number), incumbent, 'random', seed),
         _campaign(options, candidate_name(number), candidate_weights(number), 'random', seed),
@@ -76,48 +70,24 @@ def _campaign(
     options: ImproveOptions, name: str, weights: str, sampler: str, seed: int,
     also: tuple[str, ...] = (),
 ) -> Stage:
-    return Stage(
-        name=name, runs=options.runs, hints=_workers(options), inputs=(weights,),
-        words=('falsify', options.program, '--sampler', sampler, '--seed', str(seed),
-               '--perception', weights, '--images', 'none', '--out', name),
-        programs=(options.program,), outputs=(f'{name}/{PARQUET_NAME}', *also), kind=Kind.RUNS,
-        amount=options.runs, resume=Resume.OPTION, accepts=_RUN_DONE,
-    )
-
-
-def _analysis(number: int) -> Stage:
-    campaign, name = falsify_name(number), analyze_name(number)
-    return Stage(
-        name=name, words=('analyze', campaign, '--out', name),
-        inputs=(f'{campaign}/{PARQUET_NAME}',),
-        outputs=(f'{name}/analysis.json', f'{name}/report.html'), kind=Kind.REPORT, amount=1,
-        resume=Resume.REPLACE,
+    return campaign_stage(
+        name, options.program, sampler=sampler, seed=seed, runs=options.runs,
+        workers=options.workers, weights=weights, outputs=also,
     )
 
 
 def _training(
     options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
 ) -> Stage:
-    weights = candidate_weights(number)
     added = [word for portion in options.add for word in ('--add', portion)]
     for campaign in campaigns:
         added += ['--add-runs', f'{campaign}={options.counterexamples}']
-    images = options.images + options.counterexamples * len(campaigns)
-    return Stage(
-        name=Path(weights).parts[0],
-        words=('train', options.base, '--images', str(options.images),
-               '--validation', str(options.validation), '--epochs', str(options.epochs),
-               '--batch', str(min(_BATCH, options.images)),
-               '--learning-rate', f'{options.learning_rate:g}',
-               '--seed', str(options.seed_of(number, TRAIN)),
-               '--start', incumbent, *['--varied'] * options.varied, *added, '--out', weights),
-        hints=_workers(options),
+    return training_stage(
+        candidate_weights(number), options.base, '--learning-rate', f'{options.learning_rate:g}',
+        '--start', incumbent, *['--varied'] * options.varied, *added,
+        images=options.images, validation=options.validation,
+        added=options.counterexamples * len(campaigns), epochs=options.epochs,
+        seed=options.seed_of(number, TRAIN), workers=options.workers,
         inputs=(incumbent, *(f'{campaign}/{LEDGER_NAME}' for campaign in campaigns)),
-        programs=(options.base, *(text.rpartition('=')[0] for text in options.add)),
-        outputs=(weights, str(Path(weights).with_suffix('.json'))), kind=Kind.LOOKS,
-        amount=images * (_RENDERING + options.epochs),
+        programs=[text.rpartition('=')[0] for text in options.add],
     )
-
-
-def _workers(options: ImproveOptions) -> tuple[str, ...]:
-    return ('--workers', str(options.workers))

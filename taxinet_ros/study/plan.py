@@ -9,6 +9,12 @@ from taxinet_ros.campaign.table import PARQUET_NAME
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.config import StudyConfig
 from taxinet_ros.study.stage import Kind, Resume, Stage
+from taxinet_ros.study.stage_kinds import (
+    analysis_stage,
+    campaign_stage,
+    training_stage,
+    workers_option,
+)
 
 ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
 ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')
@@ -20,9 +26,6 @@ FALSIFY, ANALYZE, LOCALIZE, LEARN, REPORT = (
     'falsify-original', 'analyze-original', 'localize-original', 'learn-failures', 'report'
 )
 LEARNED_PROGRAM = f'{LEARN}/learned.scenic'
-
-_RENDERING = 2
-"""A rendered picture costs about as much time as so many looks at one in training."""
 
 _TRIALS = 4
 """Runs that `taxinet localize` makes of one failed run: as it was, and three substitutions."""
@@ -73,14 +76,10 @@ def _falsification(config: StudyConfig) -> Iterator[Stage]:
 
 def _debugging(config: StudyConfig) -> Iterator[Stage]:
     table = f'{FALSIFY}/{PARQUET_NAME}'
-    yield Stage(
-        name=ANALYZE, words=('analyze', FALSIFY, '--out', ANALYZE), inputs=(table,),
-        outputs=(f'{ANALYZE}/analysis.json', f'{ANALYZE}/report.html'), kind=Kind.REPORT, amount=2,
-        resume=Resume.REPLACE,
-    )
+    yield analysis_stage(ANALYZE, FALSIFY, 2)
     yield Stage(
         name=LOCALIZE, words=('localize', FALSIFY, '--out', LOCALIZE), runs=config.localized,
-        hints=_workers(config), inputs=(table,),
+        hints=workers_option(config.workers), inputs=(table,),
         outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
         amount=_TRIALS * config.localized, resume=Resume.SAME, needs_failures=FALSIFY,
     )
@@ -92,7 +91,7 @@ def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
     name, weights = f'experiment-{Path(word).stem}', weights_of(ORIGINAL)
     return Stage(
         name=name, words=('experiment', word, '--perception', weights, '--out', name), runs=runs,
-        hints=_workers(config), inputs=(weights,), experiment=word,
+        hints=workers_option(config.workers), inputs=(weights,), experiment=word,
         outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), kind=Kind.RUNS,
         amount=2 * runs, resume=Resume.OPTION, accepts=(0, 4),
     )
@@ -108,15 +107,10 @@ def _retraining(config: StudyConfig) -> Iterator[Stage]:
 
 
 def _learning(config: StudyConfig) -> Stage:
-    weights = weights_of(GENERIC)
-    return Stage(
-        name=LEARN, runs=config.learning_runs, hints=_workers(config), inputs=(weights,),
-        words=('falsify', config.learning_program, '--sampler', config.sampler,
-               '--seed', str(config.learning_seed), '--perception', weights,
-               '--images', 'none', '--out', LEARN),
-        programs=(config.learning_program,),
-        outputs=(f'{LEARN}/{PARQUET_NAME}', f'{LEARN}/learned.json', LEARNED_PROGRAM),
-        kind=Kind.RUNS, amount=config.learning_runs, resume=Resume.OPTION, accepts=(0, 1, 4),
+    return campaign_stage(
+        LEARN, config.learning_program, sampler=config.sampler, seed=config.learning_seed,
+        runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
+        outputs=(f'{LEARN}/learned.json', LEARNED_PROGRAM),
     )
 
 
@@ -136,34 +130,17 @@ def _training(
     config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
 ) -> Stage:
     """The training of a network; further training of the generic one where images are added."""
-    weights, epochs = weights_of(network), epochs or config.epochs
     inputs = [weights_of(GENERIC)] * bool(added) + [added] * (added == LEARNED_PROGRAM)
-    images = config.images + (config.added if added else 0)
     others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
-    programs = tuple(dict.fromkeys([program, *others]))
-    return Stage(
-        name=f'train-{network}', inputs=tuple(inputs), programs=programs,
-        words=('train', program, '--images', str(config.images),
-               '--validation', str(config.validation), '--epochs', str(epochs),
-               '--batch', str(min(64, config.images)), '--seed', str(config.training_seed), *more,
-               '--out', weights),
-        hints=_workers(config),
-        outputs=(weights, str(Path(weights).with_suffix('.json'))), kind=Kind.LOOKS,
-        amount=(images + config.validation) * _RENDERING + images * epochs,
+    return training_stage(
+        weights_of(network), program, *more, images=config.images, validation=config.validation,
+        added=config.added if added else 0, epochs=epochs or config.epochs,
+        seed=config.training_seed, workers=config.workers, inputs=inputs, programs=others,
     )
 
 
 def _evaluation(config: StudyConfig, network: str, perception: str = '') -> Stage:
-    name, weights = campaign_of(network), weights_of(network)
-    return Stage(
-        name=name, runs=config.runs, hints=_workers(config),
-        words=('falsify', config.program, '--sampler', 'random', '--seed', str(config.seed),
-               '--perception', perception or weights, '--images', 'none', '--out', name),
-        inputs=() if perception else (weights,), programs=(config.program,), perception=perception,
-        outputs=(f'{name}/{PARQUET_NAME}',), kind=Kind.RUNS, amount=config.runs,
-        resume=Resume.OPTION, accepts=(0, 1, 4),
+    return campaign_stage(
+        campaign_of(network), config.program, sampler='random', seed=config.seed, runs=config.runs,
+        workers=config.workers, weights=weights_of(network), perception=perception,
     )
-
-
-def _workers(config: StudyConfig) -> tuple[str, ...]:
-    return ('--workers', str(config.workers))

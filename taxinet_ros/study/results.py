@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.campaign_runs import CampaignRuns, read_runs
+from taxinet_ros.analysis.campaign_runs import CampaignRuns, runs_of
 from taxinet_ros.analysis.paired_rates import PairedRates, paired_rates
 from taxinet_ros.analysis.settled import settled_cross_track_m
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
@@ -50,12 +50,12 @@ class Network:
     @property
     def satisfied(self) -> Rate:
         """Share of the judged runs that satisfy their formula."""
-        return self._rate(~self.runs.failed)
+        return share_of(~self.runs.failed)
 
     @property
     def off_runway(self) -> Rate:
         """Share of the judged runs that leave the runway."""
-        return self._rate(self.off)
+        return share_of(self.off)
 
     @property
     def off(self) -> np.ndarray:
@@ -71,9 +71,6 @@ class Network:
         """Which runs have a value of a feature in [low, high)."""
         values = self.runs.frame[column].to_numpy()
         return np.asarray((values >= low) & (values < high))
-
-    def _rate(self, hits: np.ndarray) -> Rate:
-        return rate(int(hits.sum()), len(hits))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +166,8 @@ def read_results(config: StudyConfig, out: Path) -> Results:
 
 def _network(name: str, out: Path) -> Network:
     folder = out / campaign_of(name)
-    runs, table = read_runs(folder), read_table(folder)
+    table = read_table(folder)
+    runs = runs_of(table, folder)
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
     card = _values((out / weights_of(name)).with_suffix('.json'))
     ids = judged['run_id'].tolist()

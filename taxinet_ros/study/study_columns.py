@@ -76,7 +76,7 @@ def table_of(
 def _cell(value: object, *, share: bool) -> str | int | float | None:
     if isinstance(value, str):
         return value
-    if value is None or pd.isna(value):  # type: ignore[call-overload]
+    if value is None or pd.isna(value):  # type: ignore[call-overload]  # a cell is no array
         return None
     assert isinstance(value, int | float)
     return _PERCENT * value if share else value

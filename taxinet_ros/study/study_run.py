@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from taxinet_ros.campaign.interrupts import INTERRUPTED
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.child import run_child
@@ -14,8 +16,8 @@ from taxinet_ros.study.stage import Resume, Stage
 from taxinet_ros.study.stage_log import StageLog
 from taxinet_ros.study.study_lines import clock, stage_line, time_line
 
-INTERRUPTED, BROKEN = 130, 4
-_TERMINATED = 143
+BROKEN = 4
+_TERMINATED = 128 + signal.SIGTERM
 
 
 class StudyRun:

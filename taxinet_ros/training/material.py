@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.model_card import Source
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.training.dataset import Dataset, Progress, draw_scenes, make_dataset
 from taxinet_ros.training.images import load_folders
 from taxinet_ros.training.options import TrainOptions
-from taxinet_ros.training.portions import portion_seed
+from taxinet_ros.training.portions import portion_seed, program_source
 
 _SPLIT = 2
 """Tells the random numbers that hold rows back from those of the training."""
@@ -58,8 +57,8 @@ class _Lot:
 
 def _rendered(options: TrainOptions, program: str, progress: Progress) -> Material:
     other = options.validation_program
-    sources = (_source(program), *(portion.source() for portion in options.add))
-    validation_data = () if other is None else (_source(other),)
+    sources = (program_source(program), *(portion.source() for portion in options.add))
+    validation_data = () if other is None else (program_source(other),)
     # The program's own lots come first, so that nothing added changes their pictures.
     lots = [*_own(options, program, progress), *_added(options, progress)]
     dataset = make_dataset(
@@ -71,11 +70,6 @@ def _rendered(options: TrainOptions, program: str, progress: Progress) -> Materi
         training=dataset.take(~held_back), validation=dataset.take(held_back),
         training_data=sources, validation_data=validation_data,
     )
-
-
-def _source(program: str) -> Source:
-    path = find_program(program)
-    return Source(kind='program', name=path.stem, sha256=program_digest(path))
 
 
 def _own(options: TrainOptions, program: str, progress: Progress) -> list[_Lot]:

@@ -57,10 +57,15 @@ class Portion:
     def source(self) -> Source:
         """What a model card says of it."""
         if self.kind == 'program':
-            path = find_program(self.name)
-            return Source(kind='program', name=path.stem, sha256=program_digest(path))
+            return program_source(self.name)
         folder = Path(self.name)
         return Source(kind='runs', name=folder.resolve().name, sha256=ledger_digest(folder))
+
+
+def program_source(program: str) -> Source:
+    """What a model card says of a Scenic program, given by word or path."""
+    path = find_program(program)
+    return Source(kind='program', name=path.stem, sha256=program_digest(path))
 
 
 def parse_portion(text: str, kind: Literal['program', 'runs']) -> Portion:

@@ -16,7 +16,7 @@ from fault_runs import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
 

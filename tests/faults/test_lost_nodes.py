@@ -35,7 +35,7 @@ def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag
     options = GraphOptions(
         perception='truth', out=tmp_path, images='none',
         # The simulator is silent while it makes its first pictures.
-        timeouts={'answer_timeout': 2.0, 'silence_timeout': 12.0},
+        timeouts={'answer_timeout': 2.0}, patience={'silence_timeout': 12.0},
     )
     with process_graph(options, tmp_path / 'logs') as graph:
         pid = next(child.process.pid for child in graph.children if child.name == who)

@@ -26,7 +26,7 @@ from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.playback import open_bag, portions, window
 from taxinet_ros.nodes.recorded_topics import message_class, recorded_qos
 

@@ -22,8 +22,9 @@ from taxinet_ros.bag.definitions import message_definition
 from taxinet_ros.bag.reader import read_messages
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.foxglove_view import check_port, foxglove_view
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph, own_domain
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 
 connect = pytest.importorskip('websockets.sync.client').connect
 pytest.importorskip('foxglove')

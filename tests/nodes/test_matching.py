@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.interface import LOCKSTEP
 from taxinet_ros.nodes.matching import heard_by, hears_from
 

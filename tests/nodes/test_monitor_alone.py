@@ -31,7 +31,7 @@ from taxinet_msgs.msg import Robustness, Verdict
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes.convert import header
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.monitor_alone import MonitorAlone
 from taxinet_ros.nodes.spinning import spin_until
 from taxinet_ros.nodes.topic_types import message_class

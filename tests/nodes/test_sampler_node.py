@@ -27,7 +27,8 @@ from taxinet_ros.cli.falsify import run_falsify
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph, own_domain
+from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
 from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
 

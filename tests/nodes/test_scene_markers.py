@@ -22,7 +22,7 @@ from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.convert import odometry_message
-from taxinet_ros.nodes.graph import own_domain
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
 from taxinet_ros.nodes.scene_markers import SceneMarkers
 

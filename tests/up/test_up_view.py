@@ -37,7 +37,7 @@ def supervisor():
 
 def shown(supervisor, tmp_path) -> list[str]:
     options = UpOptions(graph=GraphOptions(perception='truth', out=tmp_path))
-    console = Console(width=100, record=True, file=open(os.devnull, 'w'))  # noqa: SIM115
+    console = Console(width=100, record=True, file=open(os.devnull, 'w'))  # noqa: SIM115 (closed below)
     with console.file:
         console.print(UpView(console, options).picture(supervisor, 3725.9 + 100.0))
         return [line.rstrip() for line in console.export_text().splitlines()]
