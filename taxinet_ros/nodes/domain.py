@@ -17,6 +17,7 @@ from rclpy.node import Node
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.dds_ports import nobody_here
 
 HIGHEST = 232
 """The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
@@ -27,11 +28,15 @@ BY_HAND = 'TAXINET_DOMAIN_ID'
 DISCOVERY_RANGE, LOCALHOST = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
 """Environment variable of ROS 2 that says how far nodes look for others, and its narrowest word."""
 
+_PEERS = 'ROS_STATIC_PEERS'
+"""Environment variable of ROS 2 that names other machines to look at."""
+
 _RESERVED = 'TAXINET_RESERVED_DOMAIN'
 """Environment variable that tells a child which domain its parent has made sure of."""
 
-# Longest that discovery was seen to take on one machine is 2.6 s.
-_LOOK_S = 3.0
+# Participants announce themselves every 3 s, and their endpoints too: what was missed at first on a
+# busy machine is found after one period (3.4 s was seen) or two.
+_LOOK_S, _LOOK_FAR_S = 7.0, 3.5
 _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 
@@ -46,7 +51,7 @@ def own_domain(wanted: int | None = None) -> Iterator[int]:
 
     Discovery stays on this machine unless the user has set another range.
     ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools; a domain
-    that was set by hand is looked at for some seconds first.
+    that was set by hand is looked at for some seconds first, unless nobody is there.
 
     Args:
         wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
@@ -99,7 +104,7 @@ def domain_number(text: str, where: str) -> int:
 
 
 def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> None:
-    """See that no other graph is on a domain; takes some seconds, once in a process.
+    """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
 
     Args:
         domain: where to look.
@@ -110,6 +115,11 @@ def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> 
     """
     if domain in _made_sure_of:
         return  # What lingers there is left over from a graph of our own.
+    look_s = _LOOK_S
+    if nobody_here(domain):
+        if os.environ.get(DISCOVERY_RANGE) == LOCALHOST and not os.environ.get(_PEERS):
+            return
+        look_s = _LOOK_FAR_S
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     try:
@@ -117,7 +127,7 @@ def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> 
             f'taxinet_probe_{os.getpid()}', context=context, enable_rosout=False,
             start_parameter_services=False,
         )
-        deadline = time.monotonic() + _LOOK_S
+        deadline = time.monotonic() + look_s
         while not (found := clock_keepers(probe)) and go_on() and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
         probe.destroy_node()

@@ -176,7 +176,8 @@ def test_given_an_interrupt_and_a_resumption_then_every_run_on_record_has_its_wh
         assert info.counts['/ground_truth/odom'] == 11
     begun_anew = {name for name in table['run_id'] if name.endswith('.2')}
     assert len(begun_anew) <= 1
-    assert names - set(table['run_id']) == {name.removesuffix('.2') for name in begun_anew}
+    # The interrupted run has a bag of its own, unless it was stopped before it was prepared.
+    assert names - set(table['run_id']) <= {name.removesuffix('.2') for name in begun_anew}
 
 
 def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_nothing(
