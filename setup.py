@@ -33,6 +33,7 @@ REQUIREMENTS = [
     'optuna',
     'pandas',
     'pillow',
+    'psutil',
     'pyarrow',
     'pymap3d',
     'PyYAML',
@@ -86,7 +87,7 @@ EXTRAS = {
         'pytest-xdist',
         'websockets',
     ],
-    'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML'],
+    'dev': ['import-linter', 'mypy', 'pandas-stubs', 'ruff', 'types-PyYAML', 'types-psutil'],
 }
 
 

@@ -25,13 +25,18 @@ _NUMBER = re.compile(r'_(\d+)$')
 _RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}')
 
 
+def is_run_name(run_id: str) -> bool:
+    """Whether a run's name can become that of its folder, which leads nowhere else."""
+    return _RUN_ID.fullmatch(run_id) is not None
+
+
 def run_folder(out: Path, run_id: str) -> Path:
     """The folder of a run within that of its campaign.
 
     Raises:
         UsageError: the name could lead elsewhere.
     """
-    if not _RUN_ID.fullmatch(run_id):
+    if not is_run_name(run_id):
         text = 'use letters, digits, _, - and . only, and neither - nor . first'
         raise UsageError(f'run {run_id!r:.80}: {text}')
     return out / run_id

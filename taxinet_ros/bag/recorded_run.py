@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import parse_stop_on
 
-_RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]*')
 _HEAD = ('/scenario', '/node_status', '/clock')
 
 
@@ -91,8 +90,7 @@ def gains_of_words(words: str) -> dict[str, float]:
 
 
 def _request(message: Any) -> RunRequest:
-    # A run's name becomes a folder's.
-    if not _RUN_ID.fullmatch(message.run_id):
+    if not is_run_name(message.run_id):
         raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,

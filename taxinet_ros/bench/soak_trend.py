@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 WARM_UP = 0.2
 """Share of the runs, or of the time, at the beginning that do not count: caches fill there."""
@@ -72,7 +73,8 @@ def trend(at: Sequence[float], values: Sequence[float], *, per_unit: float, once
     x, y = np.asarray(at, float), np.asarray(values, float)
     warm = x >= x[0] + WARM_UP * (x[-1] - x[0])
     x, y = x[warm], y[warm]
-    slope = theil_sen(x, y)
+    # Theil's and Sen's: the median slope between pairs of points, which a few outliers do not move.
+    slope = float(stats.theilslopes(y, x).slope) if x[-1] > x[0] else 0.0
     growth = slope * float(x[-1] - x[0])
     if len(x) < LEAST_SAMPLES:
         verdict = UNSETTLED
@@ -82,18 +84,3 @@ def trend(at: Sequence[float], values: Sequence[float], *, per_unit: float, once
         first=float(values[0]), warm=float(y[0]), last=float(y[-1]), most=float(max(values)),
         slope=slope, growth=growth, verdict=verdict,
     )
-
-
-def theil_sen(x: np.ndarray, y: np.ndarray) -> float:
-    """The median of the slopes between all pairs of points: a few outliers do not move it.
-
-    Sen, *Estimates of the regression coefficient based on Kendall's tau*, JASA 63 (1968).
-
-    Returns:
-        0 where there are no two points.
-    """
-    early, late = np.triu_indices(len(x), k=1)
-    there = x[late] > x[early]
-    if not there.any():
-        return 0.0
-    return float(np.median((y[late] - y[early])[there] / (x[late] - x[early])[there]))

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.outcome_words import count_outcomes
-from taxinet_ros.campaign.rates import summarise
+from taxinet_ros.campaign.rates import satisfied
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 
@@ -86,11 +86,11 @@ def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
 
 def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     """What came of it all: counts, rate with its interval, speed, and where the table is."""
-    figures = summarise(rows)
     lines = [count_outcomes(rows)]
-    if figures.judged:
-        value, low, high = figures.satisfied
-        speed = statistics.median(row.real_time_factor for row in rows if row.outcome.judged)
+    speeds = [row.real_time_factor for row in rows if row.outcome.judged]
+    if speeds:
+        value, low, high = satisfied(rows)
+        speed = statistics.median(speeds)
         lines.append(
             f'satisfied {value:.0%} (95 % interval {low:.0%}-{high:.0%}), '
             f'{off_runway_words(rows)}, median {speed:.1f}x real time'

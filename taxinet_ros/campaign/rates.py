@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from scipy.special import betaincinv
@@ -57,30 +56,7 @@ def rate(k: int, n: int) -> Rate:
     return Rate(rate=k / n if n else math.nan, low=low, high=high)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Summary:
-    """A campaign in a few figures.
-
-    Attributes:
-        counts: number of runs by outcome, all five of them.
-        judged: runs with a verdict; both rates are of these, so a broken bench hides in neither.
-        satisfied: share that passed.
-        left_runway: share in which the aircraft left the runway.
-    """
-
-    counts: Mapping[Outcome, int]
-    judged: int
-    satisfied: Rate
-    left_runway: Rate
-
-
-def summarise(rows: Sequence[RunRow]) -> Summary:
-    """Count the outcomes of a campaign and rate its judged runs."""
-    counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
+def satisfied(rows: Sequence[RunRow]) -> Rate:
+    """Share of a campaign's judged runs that passed, so that no broken run hides in it."""
     judged = [row for row in rows if row.outcome.judged]
-    return Summary(
-        counts=counts,
-        judged=len(judged),
-        satisfied=rate(counts[Outcome.PASS], len(judged)),
-        left_runway=rate(sum(bool(row.left_runway) for row in judged), len(judged)),
-    )
+    return rate(sum(row.outcome is Outcome.PASS for row in judged), len(judged))

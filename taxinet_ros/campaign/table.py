@@ -110,13 +110,13 @@ def read_table(folder: Path) -> pd.DataFrame:
     Raises:
         UsageError: there is none, or it is damaged.
     """
-    import pandas as pd
     import pyarrow.parquet
 
     path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     try:
-        pyarrow.parquet.read_table(path).validate(full=True)  # texts that are none, for one
-        frame = pd.read_parquet(path)
+        columns = pyarrow.parquet.read_table(path)
+        columns.validate(full=True)  # texts that are none, for one
+        frame = columns.to_pandas()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise UsageError(f'{path}: no such table; is {folder} a campaign?') from error
     except Exception as error:  # a foreign reader on untrusted bytes: every failure is the file's

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus, Verdict
 
+from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
@@ -184,19 +185,14 @@ def _result_of(answer: Any) -> RunResult:
     judged = outcome.judged
     return RunResult(
         outcome=outcome,
-        kind=_plain(status.kind),
-        who=_plain(status.who),
-        detail=_plain(status.detail),
+        kind=plain_line(status.kind),
+        who=plain_line(status.who),
+        detail=plain_line(status.detail),
         last_seq=status.seq,
         perception=status.perception,
         fingerprint=status.fingerprint,
         **(_judged(verdict) if judged else {}),
     )
-
-
-def _plain(words: str) -> str:
-    """What somebody in the graph said, with no sign in it that could steer a terminal."""
-    return ''.join(sign if sign.isprintable() else '\ufffd' for sign in words)
 
 
 def _judged(verdict: Verdict) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import another_graph, clock_keepers
 from taxinet_ros.nodes.node_process import NodeProcess
-from taxinet_ros.nodes.presence import ends_of, missing
+from taxinet_ros.nodes.presence import End, ends_of, missing
 from taxinet_ros.nodes.run_watch import RunWatch
 from taxinet_ros.nodes.watched_node import Pulse, RestartLimit, State, WatchedNode, is_stopped
 
@@ -136,8 +136,7 @@ class Supervisor(Node):
 
     def _wait(self, now_s: float) -> None:
         """See which of the nodes that have been started are all there."""
-        gone = {end for watched in self.nodes for end in watched.gone}
-        why = missing(self, self._names, gone)
+        why = missing(self, self._names, self._gone())
         for watched in self.nodes:
             if watched.state is not State.STARTING:
                 continue
@@ -157,10 +156,14 @@ class Supervisor(Node):
             self.ready = True
             self._say(f'ready: {", ".join(self._names)}')
 
+    def _gone(self) -> set[End]:
+        """Ends of all processes that died."""
+        return {end for watched in self.nodes for end in watched.gone}
+
     def _look_for_strangers(self) -> None:
         """Somebody else's clock would drive every node that goes by simulated time."""
         keepers = clock_keepers(self)
-        gone = {end for watched in self.nodes for end in watched.gone}
+        gone = self._gone()
         own = f'{self.get_namespace().rstrip("/")}/{interface.SIMULATOR}'
         strangers = [name for name in keepers if name != own]
         live = [

@@ -6,9 +6,8 @@ import collections
 import enum
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
+import psutil
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.task import Future
@@ -137,18 +136,15 @@ class WatchedNode:
 
 def is_stopped(pid: int) -> bool:
     """Whether a process stands still by a signal, or in a debugger."""
-    return _status(pid).get('State', '')[:1] in ('T', 't')
+    try:
+        return psutil.Process(pid).status() in (psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP)
+    except psutil.Error:
+        return False
 
 
 def memory_mb(pid: int) -> float | None:
     """Memory that a process has for itself and shares, RSS [MB]; None where it cannot be known."""
-    text = _status(pid).get('VmRSS', '')
-    return int(text.split()[0]) * 1024 / 1e6 if text else None
-
-
-def _status(pid: int) -> dict[str, Any]:
     try:
-        lines = Path(f'/proc/{pid}/status').read_text().splitlines()
-    except OSError:
-        return {}
-    return {name: value.strip() for name, _, value in (line.partition(':') for line in lines)}
+        return float(psutil.Process(pid).memory_info().rss / 1e6)
+    except psutil.Error:
+        return None

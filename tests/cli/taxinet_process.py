@@ -12,11 +12,14 @@ from pathlib import Path
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 
-def taxinet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def taxinet(
+    *words: str, cwd: Path, longest_s: float = 110.0
+) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     environment = {**os.environ, 'COLUMNS': '80'}
     return subprocess.run(
-        [*TAXINET, *words], capture_output=True, text=True, timeout=110, cwd=cwd, env=environment,
+        [*TAXINET, *words], capture_output=True, text=True, timeout=longest_s, cwd=cwd,
+        env=environment,
     )
 
 

@@ -81,7 +81,7 @@ def test_given_a_node_that_sends_codes_for_terminals_then_they_are_not_passed_on
     with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
         (result,) = run(graph, request(duration=1.0))
     assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, PERCEPTION)
-    assert result.detail == 'ValueError: \ufffd[2J\ufffd]0;owned\ufffd <b>'
+    assert result.detail == r'ValueError: \x1b[2J\x1b]0;owned\x07 <b>'
 
 
 @pytest.fixture(scope='module')
