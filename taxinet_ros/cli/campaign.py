@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Iterator
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -56,14 +57,15 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
 
         at_hand = _AtHand()
         with (
-            Campaign(options, PARTICIPANTS, show, _meanwhile(options)) as campaign,
+            _Graphs(options) as graphs,
+            Campaign(options, PARTICIPANTS, show, graphs.make_ahead) as campaign,
             interrupts(at_hand.interrupt, at_hand.give_up),
         ):
             progress.console.print(heading(options), soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:
-                with _graph(options) as graph, _view(foxglove, graph):
+                with graphs.next() as graph, _view(foxglove, graph):
                     at_hand.take(graph)
                     graph.run(campaign.requests(), campaign.take)
                     at_hand.graph = None
@@ -71,21 +73,6 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
     if at_hand.interrupted and len(campaign.rows) < options.runs:
         raise KeyboardInterrupt
     return campaign.rows
-
-
-def _meanwhile(options: CampaignOptions) -> Callable[[], None]:
-    """What this process can do while another one starts: the simulator's first picture needs it."""
-    pictures = options.perception != GroundTruth.word or options.images == 'all'
-    return camera.prepare if pictures and not options.processes else lambda: None
-
-
-def _graph(options: CampaignOptions) -> contextlib.AbstractContextManager[Graph]:
-    graph = GraphOptions(
-        perception=options.perception, out=options.out, images=options.images, gains=options.gains
-    )
-    if options.processes:
-        return process_graph(graph, options.out / 'logs')
-    return composed_graph(graph)
 
 
 def _view(port: int | None, graph: Graph) -> contextlib.AbstractContextManager[None]:
@@ -106,6 +93,51 @@ def _progress(console: Console) -> Progress:
         transient=True,
         disable=not console.is_terminal,
     )
+
+
+class _Graphs:
+    """The graphs of a campaign, one after the other: a new one where the last one broke."""
+
+    def __init__(self, options: CampaignOptions) -> None:
+        self._options = options
+        self._ahead = contextlib.ExitStack()
+        self._made: Graph | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ahead.close()
+
+    def make_ahead(self) -> None:
+        """Do what this process can while Scenic's starts: the first graph, and what it draws on."""
+        options = self._options
+        if options.processes:
+            return  # It would leave its logs in a folder that is not there yet.
+        if options.perception != GroundTruth.word or options.images == 'all':
+            camera.prepare()
+        self._made = self._ahead.enter_context(self._new())
+
+    @contextlib.contextmanager
+    def next(self) -> Iterator[Graph]:
+        """A graph for the ``with``."""
+        if self._made is None:
+            with self._new() as graph:
+                yield graph
+        else:
+            graph, self._made = self._made, None
+            with self._ahead.pop_all():
+                yield graph
+
+    def _new(self) -> contextlib.AbstractContextManager[Graph]:
+        options = self._options
+        graph = GraphOptions(
+            perception=options.perception, out=options.out, images=options.images,
+            gains=options.gains,
+        )
+        if options.processes:
+            return process_graph(graph, options.out / 'logs')
+        return composed_graph(graph)
 
 
 class _AtHand:
