@@ -211,7 +211,8 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
 
 def _make_folder(folder: Path, min_free_bytes: int) -> None:
     if folder.exists() or folder.is_symlink():
-        raise UsageError(f'{folder}: exists already; choose another run id or remove the folder')
+        text = 'exists already; nothing recorded is overwritten, name another folder'
+        raise UsageError(f'{folder}: {text}')
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(folder.parent).free

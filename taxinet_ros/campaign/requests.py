@@ -13,16 +13,20 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 
+_UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
+
 
 def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
     """Name of a run, and of its bag, whatever the program's file is called.
 
-    Where the graph outlives a broken run, each attempt has a name of its own: what a node still
-    says of one attempt is never taken for the next, nor is a bag written where another one is.
+    On a graph that outlives the campaign it begins with the name of the campaign's folder, which no
+    other one has, for all their bags are written to one place; and each attempt at a broken run
+    has a name of its own, so that what a node still says of one is not taken for the next.
     """
-    stem = re.sub(r'^[.-]|[^A-Za-z0-9_.-]', '_', _stem(options))[:150]
-    name = f'{stem}-s{options.seed}-{index:05d}'
-    return f'{name}.{attempt}' if attempt > 1 and options.standing_graph else name
+    standing = options.standing_graph
+    stem = options.out.name if standing else f'{_stem(options)}-s{options.seed}'
+    name = f'{re.sub(_UNFIT, "_", stem)[:150]}-{index:05d}'
+    return f'{name}.{attempt}' if attempt > 1 and standing else name
 
 
 def run_request(

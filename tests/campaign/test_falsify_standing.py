@@ -49,7 +49,7 @@ def test_given_a_standing_graph_then_the_runs_are_those_of_any_other_and_their_p
     out = tmp_path / 'c'
     toy.finish(toy.options(tmp_path / 'own', perception='truth'))
     toy.finish(standing(out), judge=answered('truth'))
-    named = ['perception', 'wall_s', 'real_time_factor']
+    named = ['run_id', 'bag', 'perception', 'wall_s', 'real_time_factor']
     own, table = (read_table(folder).drop(columns=named) for folder in (tmp_path / 'own', out))
     assert len(table) == 20
     assert table.equals(own)
@@ -126,5 +126,5 @@ def test_given_broken_and_interrupted_runs_then_every_attempt_has_a_name_of_its_
         request = begin(search)
         names.append(request.run_id)
         search.take(request, answered('truth')(request))
-    assert names == ['nominal-s3-00000', 'nominal-s3-00000.2', 'nominal-s3-00000.3']
+    assert names == ['c-00000', 'c-00000.2', 'c-00000.3']
     assert list(read_table(out)['run_id']) == names[2:]

@@ -168,7 +168,7 @@ def test_given_an_interrupt_and_a_resumption_then_every_run_on_record_has_its_wh
     graph, searched
 ):
     table = read_table(searched)
-    names = {path.name for path in graph.bags.iterdir() if path.name.startswith('nominal-s4-')}
+    names = {path.name for path in graph.bags.iterdir() if path.name.startswith('c-')}
     assert set(table['run_id']) <= names
     for run_id in table['run_id']:
         info = read_info(graph.bags / run_id)
@@ -206,7 +206,7 @@ def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupt
     words = ('program:=nominal', 'seed:=9', 'set:=["duration=600"]')
     first = graph.sampler(*words, 'sampler:=ce', f'out:={out}')
     with killing(first):
-        wait_for(lambda: (graph.bags / 'nominal-s9-00000').exists() or first.poll() is not None)
+        wait_for(lambda: (graph.bags / 'first-00000').exists() or first.poll() is not None)
         second = graph.sampler(*words, 'sampler:=ce', f'out:={tmp_path / "second"}')
         third = graph.sampler(*words, f'out:={tmp_path / "third"}', name='by_another_name')
         (code, lines), (code_of_third, lines_of_third) = ended(second), ended(third)

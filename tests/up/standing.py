@@ -100,9 +100,9 @@ class Standing:
                         found[modules[0].rsplit('.', 1)[1]] = int(folder.name)
         return found
 
-    def sampler(self, *parameters: str, seed: int = 0) -> subprocess.Popen[str]:
+    def sampler(self, *parameters: str, seed: int = 0, table: str = '') -> subprocess.Popen[str]:
         """A sampler in another terminal, with scenes of the program ``nominal``."""
-        out = f'out:={self.folder}/table-{seed}'
+        out = f'out:={self.folder}/{table or f"table-{seed}"}'
         words = ['program:=nominal', f'seed:={seed}', out, 'specs:=["phi_always"]', *parameters]
         options = [part for word in words for part in ('-p', word)]
         return taxinet(
@@ -111,7 +111,7 @@ class Standing:
 
     def wait_for_run(self, seed: int, sampler: subprocess.Popen[str]) -> None:
         """Until the first run of a sampler is well under way."""
-        bag = self.out / f'nominal-s{seed}-00000' / f'nominal-s{seed}-00000_0.mcap'
+        bag = self.out / f'table-{seed}-00000' / f'table-{seed}-00000_0.mcap'
         wait_for(lambda: sampler.poll() is not None or (bag.exists() and bag.stat().st_size > 2e5))
         assert sampler.poll() is None
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from standing import TAXINET, Standing, alive, ended, environment, standing, wait_for
 
+from taxinet_ros.bag.compare import compare_bags
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -52,7 +53,17 @@ def test_given_a_sampler_in_another_terminal_then_its_runs_are_made_and_recorded
     assert outcomes(graph, 1) == [('PASS', '', '')] * 2
     for run_id in read_table(graph.folder / 'table-1')['run_id']:
         assert read_info(graph.out / run_id).complete
-    graph.wait_to_say('run nominal-s1-00001: PASS')
+    graph.wait_to_say('run table-1-00001: PASS')
+
+
+def test_given_the_same_scenes_once_more_then_their_bags_lie_beside_the_first(graph):
+    for table in ('once', 'again'):
+        code, output, errors = ended(graph.sampler('runs:=1', SHORT, seed=1, table=table))
+        assert code == 0, output + errors
+    one, other = (graph.out / f'{name}-00000' for name in ('once', 'again'))
+    compared = compare_bags(one, other)
+    assert compared
+    assert all(topic.equal for topic in compared)
 
 
 @pytest.mark.parametrize(
@@ -90,10 +101,10 @@ def test_given_ctrl_c_amid_a_run_then_the_run_the_bag_and_the_graph_end_in_order
         code, output, errors = ended(sampler)
     assert code == 130, output + errors
     assert outcomes(graph, 3) == [('INTERRUPTED', '', '')]
-    bag = graph.out / 'nominal-s3-00000'
+    bag = graph.out / 'table-3-00000'
     assert (bag / 'metadata.yaml').exists()
     assert {m.topic for m in read_messages(bag)} >= {'/clock', '/run_status'}
-    assert graph.printed.splitlines()[-2:] == ['run nominal-s3-00000: INTERRUPTED', 'ended']
+    assert graph.printed.splitlines()[-2:] == ['run table-3-00000: INTERRUPTED', 'ended']
     assert graph.errors == ''
     assert not [name for name, pid in pids.items() if alive(pid)]
 
