@@ -31,7 +31,7 @@ def _falsification(results: Results) -> Iterator[Claim]:
     early, late = (original.within('time_of_day_h', *hours) for hours in (EARLY_H, LATE_MORNING_H))
     yield by_groups(
         original, early, late, 'from 6 to 8 h', 'from 9:30 to 12 h', 'morning', 'section 3.3',
-        'the original network fails in the early morning and works well in the late morning',
+        'the original network fails more in the early morning than in the late morning',
     )
     at = original.within('distance_m', *CROSSING_M)
     yield by_groups(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.figure_parts import hour_ticks, network_colours, plain
@@ -126,7 +126,8 @@ def _rates(axes: Axes, networks: pd.DataFrame, name: str, theme: Theme) -> None:
     axes.set_ylim(len(networks) - 0.5, -0.5)
     shown = np.nanmax([*networks[f'{name}_high'], *paper[~np.isnan(paper)]])
     axes.set_xlim(-0.02 * shown, min(1.05 * shown, 1.02))
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0, symbol=' %'))
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0, symbol=' %'))
     plain(axes)
 
 
