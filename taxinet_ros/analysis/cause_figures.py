@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from taxinet_ros.analysis.run_features import DISTANCE, TIME_OF_DAY
 
 _MARKS = ('o', 's', '^', 'v', 'D', 'P', 'X', '*')
 _LONGEST = 44
+_MOST_COLUMNS = 4
 
 
 def causes_picture(findings: Findings) -> Picture:
@@ -85,8 +87,10 @@ def ranking_picture(ranking: tuple[Ranked, ...]) -> Picture:
 
 
 def clusters_picture(findings: Findings) -> Picture:
-    """The failures over time of day and distance, by cluster."""
+    """The failures over time of day and distance, by cluster; there is one or more."""
     clusters = findings.clusters
+    columns = min(len(clusters.found), _MOST_COLUMNS)
+    rows = math.ceil(len(clusters.found) / columns)
 
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
@@ -95,11 +99,12 @@ def clusters_picture(findings: Findings) -> Picture:
         feature_axis(axes, TIME_OF_DAY, frame[TIME_OF_DAY.name].to_numpy(dtype=np.float64))
         axes.set_ylabel(DISTANCE.axis)
         plain(axes)
-        axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=len(clusters.found),
+        axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=columns,
                     frameon=False, fontsize=9, markerscale=2.2)
 
     return Picture(
-        name='clusters', title='Groups of failures', draw=draw, size_in=(7.0, 4.0),
+        name='clusters', title='Groups of failures', draw=draw,
+        size_in=(7.0, 3.8 + 0.22 * rows),
         caption='Each failure that was compared, by its group; the large mark with a rim is its '
         'most typical run.',
     )

@@ -17,6 +17,7 @@ from taxinet_ros.analysis import report_page
 from taxinet_ros.analysis.analysis_folder import check_folder, write_analysis
 from taxinet_ros.analysis.campaign_report import campaign_report
 from taxinet_ros.analysis.campaign_runs import told_apart
+from taxinet_ros.analysis.cause_figures import clusters_picture
 from taxinet_ros.analysis.cause_tree import grow_tree
 from taxinet_ros.analysis.failure_clusters import find_clusters
 from taxinet_ros.analysis.feature_ranking import holm, rank_features
@@ -59,7 +60,7 @@ def tables_of(report):
 def draw_all(report, theme):
     pictures = [picture for section in report.sections for picture in section.pictures]
     for picture in pictures:
-        figure = Figure(figsize=picture.size_in, dpi=20)
+        figure = Figure(figsize=picture.size_in, dpi=20, layout='constrained')
         picture.draw(figure, theme)
         FigureCanvasAgg(figure).draw()
         assert figure.axes, picture.name
@@ -224,6 +225,21 @@ def test_given_two_kinds_of_failures_then_they_are_grouped_and_described(tmp_pat
     assert first.loadings['time_of_day_h'] * first.loadings['distance_m'] < 0
     shares = [axis.explained for axis in principal_axes(runs.frame)]
     assert sum(shares) == pytest.approx(1)
+
+
+def test_given_many_groups_then_their_legend_fits_in_the_picture(findings):
+    (first, *_) = findings.clusters.found or find_clusters(findings.runs.frame).found
+    groups = tuple(dataclasses.replace(first, number=number) for number in range(1, 9))
+    clusters = dataclasses.replace(findings.clusters, found=groups)
+    picture = clusters_picture(dataclasses.replace(findings, clusters=clusters))
+    figure = Figure(figsize=picture.size_in, layout='constrained')
+    picture.draw(figure, LIGHT)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    legend, page = axes.get_legend().get_window_extent(), figure.bbox
+    assert legend.x0 >= 0
+    assert legend.x1 <= page.x1
+    assert axes.get_window_extent().width > 0.8 * page.width
 
 
 def test_given_a_simple_rule_then_the_tree_says_it(tmp_path):
