@@ -27,6 +27,8 @@ from taxinet_ros.bag.summary import check_summary
 
 OnDamage = Callable[[BagError], None]
 
+_SMALL_BYTES = 1 << 18
+
 _NOT_IN_DATA = frozenset({
     0, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.STATISTICS,
     Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
@@ -138,12 +140,14 @@ class _Scanner:
         record = parse_record(opcode, body)
         if isinstance(record, Chunk):
             raw = open_chunk(record)
-            # Twice through it, since of a chunk that is wrong anywhere nothing is believed, and
-            # all its messages at once may be many times its size.
-            for inner in chunk_records(raw):
-                self._check(inner)
+            # Of a chunk that is wrong anywhere nothing is believed. All messages of a large one at
+            # once may be many times its size, so it is gone through twice.
+            small = len(raw) <= _SMALL_BYTES
+            inner = tuple(chunk_records(raw)) if small else chunk_records(raw)
+            for one in inner:
+                self._check(one)
             self._chunks += 1
-            return chunk_records(raw)
+            return inner if small else chunk_records(raw)
         if isinstance(record, Message) and self._chunks:
             raise BagCorrupt('message outside the chunks')
         if record is None:
