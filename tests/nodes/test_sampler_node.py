@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -126,6 +127,13 @@ def results(out: Path) -> int:
     return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
 
 
+def interrupted(out: Path) -> list[dict[str, Any]]:
+    """Results of the runs that were interrupted, as the ledger keeps them."""
+    events = map(json.loads, (out / 'ledger.jsonl').read_text().splitlines())
+    rows = [event['row'] for event in events if event['event'] == 'result']
+    return [row for row in rows if row['outcome'] == 'INTERRUPTED']
+
+
 def complaint(lines: list[str]) -> str:
     """The one line on what is wrong."""
     (line,) = [line for line in lines if not line.startswith('[INFO]')]
@@ -177,7 +185,9 @@ def test_given_an_interrupt_and_a_resumption_then_every_run_on_record_has_its_wh
     begun_anew = {name for name in table['run_id'] if name.endswith('.2')}
     assert len(begun_anew) <= 1
     # The interrupted run has a bag of its own, unless it was stopped before it was prepared.
-    assert names - set(table['run_id']) <= {name.removesuffix('.2') for name in begun_anew}
+    others = names - set(table['run_id'])
+    assert others <= {name.removesuffix('.2') for name in begun_anew}
+    assert {row['run_id'] for row in interrupted(searched) if row['steps']} <= others
 
 
 def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_nothing(
