@@ -52,7 +52,8 @@ def fitted(x: np.ndarray, y: np.ndarray) -> float:
     return trend(x, y, per_unit=0.0, once=0.0).slope
 
 
-@given(st.integers(2, 40), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+# Of three samples the warm-up leaves two, and a line takes two.
+@given(st.integers(3, 40), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
 def test_given_points_on_a_line_with_an_outlier_when_fitted_then_the_slope_is_the_lines(
     count: int, slope: float, start: float
 ) -> None:
