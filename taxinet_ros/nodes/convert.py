@@ -1,4 +1,8 @@
-"""Messages to core values and back. Floats pass unchanged, so the graph matches the core's bits."""
+"""Messages to core values and back. Floats pass unchanged, so the graph matches the core's bits.
+
+What is said in every control step is written ``into`` a message that its node keeps: generated
+messages take as long to make as to send, for each makes its parts, and defaults for them, anew.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,13 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
     return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
 
 
+def set_header(message: Any, stamp_ns: int, frame_id: str = MAP_FRAME) -> None:
+    """Stamp a message with simulated time ``stamp_ns``."""
+    kept = message.header
+    kept.stamp.sec, kept.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+    kept.frame_id = frame_id
+
+
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """The message that asks for a run."""
     values = {name: getattr(request.scenario, key) for key, name in SCENARIO_FIELDS.items()}
@@ -69,9 +80,13 @@ def camera_info_message() -> CameraInfo:
     )
 
 
-def odometry_message(state: AircraftState, stamp_ns: int) -> Odometry:
+def odometry_message(
+    state: AircraftState, stamp_ns: int, into: Odometry | None = None
+) -> Odometry:
     """The true state: pose in map, velocity in base_link."""
-    message = Odometry(header=header(stamp_ns), child_frame_id=BASE_FRAME)
+    message = into or Odometry()
+    set_header(message, stamp_ns)
+    message.child_frame_id = BASE_FRAME
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
     position.x, position.y, position.z = state.x_m, state.y_m, state.z_m
     orientation.x, orientation.y, orientation.z, orientation.w = quaternion(
@@ -83,45 +98,44 @@ def odometry_message(state: AircraftState, stamp_ns: int) -> Odometry:
 
 
 def error_message(
-    error: TrackingError, run_id: str, seq: int, stamp_ns: int
+    error: TrackingError, run_id: str, seq: int, stamp_ns: int,
+    into: taxinet.TrackingError | None = None,
 ) -> taxinet.TrackingError:
     """Truth or estimate as a message."""
-    return taxinet.TrackingError(
-        header=header(stamp_ns),
-        run_id=run_id,
-        seq=seq,
-        cross_track_error=error.cte_m,
-        heading_error=error.he_rad,
-        valid=error.valid,
-    )
+    message = into or taxinet.TrackingError()
+    set_header(message, stamp_ns)
+    message.run_id, message.seq = run_id, seq
+    message.cross_track_error, message.heading_error = error.cte_m, error.he_rad
+    message.valid = error.valid
+    return message
 
 
-def command_message(command: TaxiCommand, answered: taxinet.TrackingError) -> taxinet.TaxiCommand:
-    """The command that answers an estimate."""
-    return taxinet.TaxiCommand(
-        header=Header(stamp=answered.header.stamp, frame_id=BASE_FRAME),
-        run_id=answered.run_id,
-        seq=answered.seq,
-        steering_angle=command.steering_rad,
-        speed=command.speed_mps,
-    )
+def command_message(
+    command: TaxiCommand, run_id: str, seq: int, stamp_ns: int,
+    into: taxinet.TaxiCommand | None = None,
+) -> taxinet.TaxiCommand:
+    """A command as a message."""
+    message = into or taxinet.TaxiCommand()
+    set_header(message, stamp_ns, BASE_FRAME)
+    message.run_id, message.seq = run_id, seq
+    message.steering_angle, message.speed = command.steering_rad, command.speed_mps
+    return message
 
 
-def robustness_message(spec: Spec, reading: Reading, **stamp: Any) -> taxinet.Robustness:
-    """One formula's reading; ``stamp`` gives header, run_id and seq."""
-    return taxinet.Robustness(
-        spec=spec.name,
-        formula=str(spec.formula),
-        rho_lower=reading.lower,
-        rho_upper=reading.upper,
-        verdict=int(reading.verdict),
-        final=reading.final,
-        valid=reading.valid,
-        trusted=reading.trusted,
-        samples=reading.samples,
-        rejected=reading.rejected,
-        **stamp,
-    )
+def robustness_message(
+    spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME,
+    into: taxinet.Robustness | None = None,
+) -> taxinet.Robustness:
+    """One formula's reading."""
+    message = into or taxinet.Robustness()
+    set_header(message, stamp_ns, frame_id)
+    message.run_id, message.seq = run_id, seq
+    message.spec, message.formula = spec.name, spec.text
+    message.rho_lower, message.rho_upper = reading.lower, reading.upper
+    message.verdict = int(reading.verdict)
+    message.final, message.valid, message.trusted = reading.final, reading.valid, reading.trusted
+    message.samples, message.rejected = reading.samples, reading.rejected
+    return message
 
 
 def statistics_fields(statistics: RunStatistics) -> dict[str, Any]:

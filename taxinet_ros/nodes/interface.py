@@ -97,6 +97,11 @@ class Topic:
         package = self.type.__module__.split('.')[0]
         return f'{package}/msg/{self.type.__name__}'
 
+    @property
+    def each_step(self) -> bool:
+        """Whether there are messages in every control step, by the recorder's account."""
+        return self.recorded in (PER_STEP, PER_SPEC)
+
     def listeners(self, participants: Sequence[str]) -> set[str]:
         """Those of the nodes of a run that subscribe, the recorder included."""
         names = set(self.subscribers) | ({RECORDER} if self.recorded else set())

@@ -16,7 +16,7 @@ from taxinet_ros.core.mtl import Spec
 from taxinet_ros.core.standing_words import Level, standing_level, standing_line
 from taxinet_ros.core.stretch import Standing
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import header, robustness_message
+from taxinet_ros.nodes.convert import robustness_message
 
 # Only the newest counts, for whoever joins late too.
 _NEWEST = QoSProfile(
@@ -52,9 +52,10 @@ def robustness_messages(
     specs: Sequence[Spec], standings: Sequence[Standing], stamp_ns: int, run_id: str, seq: int
 ) -> list[Robustness]:
     """One message for each formula after sample ``seq`` of a stretch."""
-    now = {'header': header(stamp_ns, ''), 'run_id': run_id, 'seq': seq}
-    pairs = zip(specs, standings, strict=True)
-    return [robustness_message(spec, standing.reading, **now) for spec, standing in pairs]
+    return [
+        robustness_message(spec, standing.reading, run_id, seq, stamp_ns, frame_id='')
+        for spec, standing in zip(specs, standings, strict=True)
+    ]
 
 
 def verdict_message(results: Sequence[Robustness]) -> Verdict:

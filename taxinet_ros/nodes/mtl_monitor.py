@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from taxinet_msgs.msg import NodeStatus, Scenario, Verdict
+from taxinet_msgs.msg import NodeStatus, Robustness, Scenario, Verdict
 
 from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -54,6 +54,7 @@ class MtlMonitor(Participant):
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""
         self._specs = tuple(parse_spec(text) for text in scenario.specs)
+        self._messages = [Robustness() for _ in self._specs]
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._judge = Judge(
@@ -74,12 +75,13 @@ class MtlMonitor(Participant):
         odometry, truth, estimate, command = (messages[topic.name][0] for topic in _INPUTS)
         sample = sample_of(truth, odometry, estimate, command)
         stamp_ns = stamp_of(truth.header.stamp)
-        now = {'header': header(stamp_ns), 'run_id': self.run_id, 'seq': seq}
         readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
             self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
-        pairs = zip(self._specs, readings, strict=True)
-        results = [robustness_message(spec, reading, **now) for spec, reading in pairs]
+        results = [
+            robustness_message(spec, reading, self.run_id, seq, stamp_ns, into=message)
+            for spec, reading, message in zip(self._specs, readings, self._messages, strict=True)
+        ]
         for result in results:
             self._robustness.publish(result)
         stopped = self._judge.stopped_early

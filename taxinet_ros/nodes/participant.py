@@ -16,6 +16,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.matching import heard_by, hears_from
+from taxinet_ros.nodes.reading import reader_of
 
 _READY_POLL_S = 0.005
 
@@ -63,7 +64,15 @@ class Participant(Node):
         return publisher
 
     def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
-        """Subscribe to a topic of the table, with every exception reported."""
+        """Subscribe to a topic of the table, with every exception reported.
+
+        Args:
+            topic: what is heard.
+            callback: takes the messages; of a topic of every step, objects with their fields.
+            raw: it takes their bytes.
+        """
+        if topic.each_step and not raw:
+            callback, raw = self._reading(topic, callback), True
         guarded = self._guarded(callback)
         heard = self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
         self._listeners.append((topic, heard))
@@ -115,6 +124,11 @@ class Participant(Node):
                 return
         self._poll.cancel()
         self.report(NodeStatus.READY)
+
+    @staticmethod
+    def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+        read = reader_of(topic)
+        return lambda cdr: callback(read(cdr))
 
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)

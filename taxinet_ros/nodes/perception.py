@@ -12,6 +12,7 @@ from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception import Perception
+from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import error_message, stamp_of
 from taxinet_ros.nodes.parameters import refuse_unknown
@@ -29,6 +30,7 @@ class PerceptionNode(Participant, abc.ABC):
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
         self._estimates = self.speak(interface.ESTIMATE)
+        self._message = TrackingError()
         if self._perception.needs_image:
             self.listen(interface.IMAGE, self._see, raw=True)
         else:
@@ -42,11 +44,12 @@ class PerceptionNode(Participant, abc.ABC):
         stamp_ns, pixels = frame_of_cdr(cdr)
         if not is_frame(pixels):
             raise ValueError(f'image is {pixels.shape}, expected {IMAGE_SHAPE}')
-        estimate = self._perception.estimate(pixels, None)
-        seq = stamp_ns // CONTROL_PERIOD_NS
-        self._estimates.publish(error_message(estimate, self.run_id, seq, stamp_ns))
+        self._say(self._perception.estimate(pixels, None), self.run_id, stamp_ns)
 
     def _know(self, message: TrackingError) -> None:
         estimate = self._perception.estimate(None, error_of(message))
-        stamp_ns = stamp_of(message.header.stamp)
-        self._estimates.publish(error_message(estimate, message.run_id, message.seq, stamp_ns))
+        self._say(estimate, message.run_id, stamp_of(message.header.stamp))
+
+    def _say(self, estimate: Estimate, run_id: str, stamp_ns: int) -> None:
+        seq = stamp_ns // CONTROL_PERIOD_NS
+        self._estimates.publish(error_message(estimate, run_id, seq, stamp_ns, self._message))

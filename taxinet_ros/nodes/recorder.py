@@ -38,9 +38,7 @@ from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import StepCollector
 
-_STEPPED = tuple(
-    t for t in interface.TOPICS if t.recorded in (interface.PER_STEP, interface.PER_SPEC)
-)
+_STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
 
 def bag_name(topic: Topic) -> str:

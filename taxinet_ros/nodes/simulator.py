@@ -26,14 +26,14 @@ from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
-from taxinet_ros.nodes.convert import camera_info_message
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by, hears_from
-from taxinet_ros.nodes.observation_messages import observation_messages
+from taxinet_ros.nodes.observation_messages import ObservationMessages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
+from taxinet_ros.nodes.reading import reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 
 _WATCH_PERIOD_S = 0.1
@@ -60,7 +60,7 @@ class Simulator(Node):
                 self._speakers[topic.name] = self.create_publisher(
                     topic.type, topic.name, topic.qos
                 )
-        self._camera_info = camera_info_message()
+        self._messages = ObservationMessages()
         for topic, callback in (
             (interface.NODE_STATUS, self._on_status),
             (interface.PROGRESS, self._on_progress),
@@ -68,8 +68,10 @@ class Simulator(Node):
             (interface.COMMAND, self._on_command),
             (interface.VERDICT, self._on_verdict),
         ):
-            hear = functools.partial(self._hear, callback)
-            heard = self.create_subscription(topic.type, topic.name, hear, topic.qos)
+            hear = functools.partial(self._hear, reader_of(topic), callback)
+            heard = self.create_subscription(
+                topic.type, topic.name, hear, topic.qos, raw=topic.each_step
+            )
             self._listeners.append((topic, heard))
         self._server = ActionServer(
             self,
@@ -119,11 +121,18 @@ class Simulator(Node):
 
     # What the graph says -----------------------------------------------------------------------
 
-    def _hear(self, callback: Callable[[ActiveRun, Any], None], message: Any) -> None:
+    def _hear(
+        self, read: Callable[[Any], Any], callback: Callable[[ActiveRun, Any], None], given: Any
+    ) -> None:
         """Take a message of the active run; whatever goes wrong with it ends that run."""
         run = self._run
-        if run is not None and message.run_id == run.run_id:
-            self._attempt(run, lambda: callback(run, message))
+        if run is not None:
+            self._attempt(run, lambda: self._take(run, callback, read(given)))
+
+    @staticmethod
+    def _take(run: ActiveRun, callback: Callable[[ActiveRun, Any], None], message: Any) -> None:
+        if message.run_id == run.run_id:
+            callback(run, message)
 
     def _attempt(self, run: ActiveRun, action: Callable[[], None]) -> None:
         try:
@@ -219,7 +228,7 @@ class Simulator(Node):
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq)
-        for topic, message in observation_messages(now, run.run_id, self._camera_info):
+        for topic, message in self._messages.of(now, run.run_id):
             self._say(topic, message)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
