@@ -101,7 +101,7 @@ def study_sections(found: StudyFindings) -> tuple[Section, ...]:
 
 def _networks(found: StudyFindings) -> Section:
     return Section(
-        name='networks', heading='The networks', sentences=(OTHER_WORLD,),
+        name='networks', heading='The networks', sentences=(*_under_way(found), OTHER_WORLD),
         pictures=(rates_picture(found.networks),),
         tables=(
             table_of(
@@ -112,6 +112,17 @@ def _networks(found: StudyFindings) -> Section:
                      'each in its own world. Settled: within 1.5 m to the end.', MORE_COLUMNS),
         ),
     )
+
+
+def _under_way(found: StudyFindings) -> list[str]:
+    """Campaigns of which there are not all runs yet, that nobody takes their figures for final."""
+    asked = found.config.runs
+    parts = [
+        f'{network.name} {done:,} of {asked:,}'
+        for network in found.results.networks.values()
+        if (done := len(network.table) + network.unjudged) < asked
+    ]
+    return [f'Not all runs are done yet: {", ".join(parts)}.'] if parts else []
 
 
 def _claims(found: StudyFindings) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,17 @@ def test_given_a_report_then_it_tells_what_is_done_and_what_it_cost(study):
     assert stages['evaluate-halton']['done'] is False
     assert stages['evaluate-halton']['command'].startswith('taxinet falsify s_falsif --sampler ')
     assert found['localized']['substitutions'][0]['passed'] == 19
+
+
+def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(study):
+    config = read_study(study, '--report-only')
+    (sentences, *_) = (section.sentences for section in study_sections(find(config, study)))
+    assert not any('Not all runs' in sentence for sentence in sentences)
+    more = dataclasses.replace(config, runs=RUNS + 1)
+    (sentences, *_) = (section.sentences for section in study_sections(find(more, study)))
+    assert sentences[0] == 'Not all runs are done yet: ' + ', '.join(
+        f'{name} {RUNS:,} of {RUNS + 1:,}' for name in FAILING
+    ) + '.'
 
 
 def test_given_a_study_when_read_again_then_every_figure_and_picture_is_the_same(study):
