@@ -1,11 +1,16 @@
-"""Ctrl-C and SIGTERM: once ends what is at hand in order, twice ends everything now."""
+"""Ctrl-C, SIGTERM and a closed terminal: once for an end in order, twice for an end now."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
-from collections.abc import Callable, Iterator
+import stat
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
+
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What asks a program to end."""
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
@@ -37,7 +42,18 @@ def interrupts(
         elif asked > 2 or not second():
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    with handled(handle):
+        yield
+
+
+@contextlib.contextmanager
+def handled(
+    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = STOPS
+) -> Iterator[None]:
+    """Within the ``with``, have signals handled; under ``nohup`` no closed terminal is one."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        numbers = [number for number in numbers if number != signal.SIGHUP]
+    before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield
     finally:
@@ -66,3 +82,15 @@ def told_apart(code: int) -> int:
 def _note(number: int) -> None:
     global _newest
     _newest = number
+    if number == signal.SIGHUP:
+        _speak_to_nobody()
+
+
+def _speak_to_nobody() -> None:
+    """Silence what goes to a terminal: writing to one that is gone would fail, and end the end."""
+    nobody = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(nobody, stream)
+    os.close(nobody)

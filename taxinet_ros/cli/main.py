@@ -19,7 +19,7 @@ from typer.exceptions import TyperException
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
-from taxinet_ros.campaign.interrupts import INTERRUPTED, end_now, told_apart
+from taxinet_ros.campaign.interrupts import INTERRUPTED, end_now, handled, told_apart
 from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
@@ -131,11 +131,8 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    before = signal.signal(signal.SIGTERM, end_now)
-    try:
+    with handled(end_now, (signal.SIGTERM, signal.SIGHUP)):
         code = _exit_code(lambda: app(standalone_mode=False))
-    finally:
-        signal.signal(signal.SIGTERM, before)
     sys.exit(told_apart(code))
 
 

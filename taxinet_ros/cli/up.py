@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rich.console import Console
 
+from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts
 from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
     IMAGES,
@@ -16,7 +17,6 @@ from taxinet_ros.campaign.options import (
     new_folder,
     split_settings,
 )
-from taxinet_ros.cli.stop_signals import stop_signals
 from taxinet_ros.cli.up_view import UpView
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
@@ -72,17 +72,23 @@ def run_up(options: UpOptions) -> int:
     """Keep the graph up until somebody stops it.
 
     Returns:
-        Exit code: 130 after Ctrl-C, 143 after SIGTERM, 129 after the terminal went away; 4 if the
-        graph could not be kept up.
+        Exit code: that of an interrupt once it was stopped; 4 if it could not be kept up.
     """
     view = UpView(Console(highlight=False), options)
-    with stop_signals() as stop:
+    stops: list[Callable[[], None]] = []
+
+    def stop() -> None:
+        if not stops:
+            raise KeyboardInterrupt
+        stops[-1]()
+
+    with interrupts(stop):
         try:
-            stand(options, view, stop.hear)
+            stand(options, view, stops.append)
             view.say('ended')
         except KeyboardInterrupt:
             view.say('killed')
         except GraphLostError as error:
             print(f'taxinet: error: {error}', file=sys.stderr)
             return _INFRA
-    return stop.exit_code
+    return INTERRUPTED

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, once and twice, wherever a campaign stands: exit code, bag, no leftovers."""
+"""Ctrl-C, SIGTERM and a closed terminal, wherever a campaign stands: code, bag, no leftovers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import signal
 
 import pytest
-from command_process import children, ended, gone, taxinet
+from command_process import children, ended, gone, taxinet, taxinet_on_terminal
 from fault_runs import steps_in, wait_for
 
 from taxinet_ros.bag.reader import read_info
@@ -89,6 +89,31 @@ def test_given_signal_after_signal_then_nothing_is_waited_for_and_nothing_is_lef
     assert len(steps) > 3
     assert steps == list(range(len(steps)))
     assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').unfinished == (0,)
+
+
+def test_given_a_terminal_that_is_closed_amid_a_run_then_its_bag_is_closed(tmp_path):
+    with taxinet_on_terminal(*RUN, cwd=tmp_path) as (campaign, close):
+        wait_for(lambda: grown(tmp_path / BAG))
+        pids = [*children(campaign.pid, '')]
+        close()
+        assert campaign.wait(250) == 129
+    wait_for(lambda: all(map(gone, pids)))
+    table = read_table(tmp_path / 'c')
+    assert set(table['outcome']) == {'INTERRUPTED'}
+    for name in table['run_id']:
+        assert read_info(tmp_path / 'c' / name).complete
+
+
+def test_given_nohup_then_a_closed_terminal_ends_nothing():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    heard: list[str] = []
+    try:
+        with interrupts(lambda: heard.append('first')):
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert heard == []
 
 
 @SIGNALS
