@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from process_table import children, gone
 from taxinet_process import TAXINET
 
 from taxinet_ros.bag.reader import read_info
@@ -59,17 +60,6 @@ def results(out: Path) -> int:
 
 def frames(bag: Path) -> int:
     return sum(file.stat().st_size for file in bag.glob('*.mcap'))
-
-
-def children(pid: int, word: str) -> list[int]:
-    """Processes started by ``pid`` whose command line holds a word."""
-    found = []
-    for entry in Path('/proc').iterdir():
-        with contextlib.suppress(OSError, ValueError):
-            parent = int((entry / 'stat').read_text().rpartition(')')[2].split()[1])
-            if parent == pid and word in (entry / 'cmdline').read_text():
-                found.append(int(entry.name))
-    return found
 
 
 def same_runs(one: Path, other: Path, *but: str) -> None:
@@ -137,7 +127,7 @@ def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(who
         wait_for(lambda: results(out) >= 2)
         pids = children(search.pid, 'taxinet_ros.nodes.worker')
         assert len(pids) == 2
-        os.kill(pids[0], signal.SIGKILL)
+        os.kill(min(pids), signal.SIGKILL)
         stdout, _ = search.communicate(timeout=60)
     assert search.returncode in (0, 1), stdout
     same_runs(whole, out, 'retries')
@@ -154,7 +144,7 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
         assert len(pids) == 3, 'two workers and Scenic'
         search.send_signal(signal.SIGKILL)
         search.wait()
-        wait_for(lambda: not any(Path(f'/proc/{pid}').exists() for pid in pids))
+        wait_for(lambda: all(map(gone, pids)))
     kept = results(out)
     done = falsify('--workers', '2', '--resume', '--out', str(out))
     assert done.returncode in (0, 1), done.stderr

@@ -70,25 +70,3 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Exit code, output and complaints of a command that comes to its end."""
     out, err = process.communicate(timeout=250)
     return process.returncode, out, err
-
-
-def children(pid: int, word: str) -> dict[int, str]:
-    """Processes started by ``pid`` that have a word on their command line, and what is there."""
-    found = {}
-    for folder in Path('/proc').iterdir():
-        if not folder.name.isdecimal():
-            continue
-        with contextlib.suppress(OSError):
-            parent = int((folder / 'stat').read_text().rpartition(')')[2].split()[1])
-            line = (folder / 'cmdline').read_bytes().replace(b'\0', b' ').decode()
-            if parent == pid and word in line:
-                found[int(folder.name)] = line
-    return found
-
-
-def gone(pid: int) -> bool:
-    """Whether a process is there no more, or only as a zombie."""
-    try:
-        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] == 'Z'
-    except OSError:
-        return True

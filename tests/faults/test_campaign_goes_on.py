@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_process import children, ended, gone, taxinet
+from command_process import ended, taxinet
 from fault_runs import wait_for
+from process_table import children, gone
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table

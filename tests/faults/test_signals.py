@@ -6,8 +6,9 @@ import os
 import signal
 
 import pytest
-from command_process import children, ended, gone, taxinet, taxinet_on_terminal
+from command_process import ended, taxinet, taxinet_on_terminal
 from fault_runs import steps_in, wait_for
+from process_table import children, gone
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts, told_apart

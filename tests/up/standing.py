@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from process_table import children
+
 from taxinet_ros.nodes.domain import DISCOVERY_RANGE, LOCALHOST
 
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
@@ -90,14 +92,9 @@ class Standing:
     def pids(self) -> dict[str, int]:
         """The processes of the nodes, by module."""
         found = {}
-        for folder in Path('/proc').iterdir():
-            if folder.name.isdigit():
-                with contextlib.suppress(OSError, IndexError):
-                    parent = folder.joinpath('stat').read_text().rsplit(')', 1)[1].split()[1]
-                    words = folder.joinpath('cmdline').read_text().split('\0')
-                    modules = [w for w in words if w.startswith('taxinet_ros.nodes.')]
-                    if int(parent) == self.process.pid and modules:
-                        found[modules[0].rsplit('.', 1)[1]] = int(folder.name)
+        for pid, line in children(self.process.pid, 'taxinet_ros.nodes.').items():
+            module = next(w for w in line.split() if w.startswith('taxinet_ros.nodes.'))
+            found[module.rsplit('.', 1)[1]] = pid
         return found
 
     def sampler(self, *parameters: str, seed: int = 0, table: str = '') -> subprocess.Popen[str]:
@@ -130,12 +127,3 @@ def standing(folder: Path, *words: str, perception: str = 'truth') -> Iterator[S
     finally:
         graph.process.kill()
         graph.process.wait()
-
-
-def alive(pid: int) -> bool:
-    """Whether a process runs or stands still; one that nobody has buried yet does not."""
-    try:
-        state = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0]
-    except OSError:
-        return False
-    return state not in ('Z', 'X')

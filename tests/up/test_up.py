@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from standing import TAXINET, Standing, alive, ended, environment, standing, wait_for
+from process_table import gone
+from standing import TAXINET, Standing, ended, environment, standing, wait_for
 
 from taxinet_ros.bag.compare import compare_bags
 from taxinet_ros.bag.reader import read_info, read_messages
@@ -106,7 +107,7 @@ def test_given_ctrl_c_amid_a_run_then_the_run_the_bag_and_the_graph_end_in_order
     assert {m.topic for m in read_messages(bag)} >= {'/clock', '/run_status'}
     assert graph.printed.splitlines()[-2:] == ['run table-3-00000: INTERRUPTED', 'ended']
     assert graph.errors == ''
-    assert not [name for name, pid in pids.items() if alive(pid)]
+    assert all(map(gone, pids.values()))
 
 
 def test_given_never_and_a_node_that_dies_then_the_graph_ends_with_one_line(tmp_path):
@@ -120,7 +121,7 @@ def test_given_never_and_a_node_that_dies_then_the_graph_ends_with_one_line(tmp_
         'taxinet: error: steering_controller died: killed by SIGSEGV; '
         'see up/logs/steering_controller.log\n'
     )
-    assert not [name for name, pid in pids.items() if alive(pid)]
+    assert all(map(gone, pids.values()))
 
 
 def test_given_a_stopped_node_then_it_is_named_and_dies_with_its_killed_parent(tmp_path):
@@ -135,7 +136,7 @@ def test_given_a_stopped_node_then_it_is_named_and_dies_with_its_killed_parent(t
         graph.wait_to_say('mtl_monitor answers again')
         os.kill(pids['mtl_monitor'], signal.SIGSTOP)
         graph.process.kill()
-        wait_for(lambda: not any(alive(pid) for pid in pids.values()), lambda: str(pids))
+        wait_for(lambda: all(map(gone, pids.values())), lambda: str(pids))
 
 
 def in_bash(script: str, cwd: Path) -> list[str]:
