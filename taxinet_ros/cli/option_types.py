@@ -28,7 +28,8 @@ OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table;
 PerceptionOption = Annotated[
     str,
     typer.Option(
-        help='truth, taxinet, original, a .safetensors weights file, or an .onnx network'
+        help='truth; taxinet, original or another shipped network; a .safetensors weights file; or '
+        'an .onnx network'
     ),
 ]
 SetOption = Annotated[

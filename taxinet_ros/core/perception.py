@@ -1,8 +1,8 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
-One word chooses: ``truth``, one of the shipped networks ``taxinet``, ``broad`` and ``original``, or
-a file: weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not
-known is an error, for a test of the network that silently ran on the truth would prove nothing.
+One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, or a file:
+weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not known
+is an error, for a test of the network that silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
