@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
-import stat
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
@@ -82,15 +80,3 @@ def told_apart(code: int) -> int:
 def _note(number: int) -> None:
     global _newest
     _newest = number
-    if number == signal.SIGHUP:
-        _speak_to_nobody()
-
-
-def _speak_to_nobody() -> None:
-    """Silence what goes to a terminal: writing to one that is gone would fail, and end the end."""
-    nobody = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        with contextlib.suppress(OSError):
-            if stat.S_ISCHR(os.fstat(stream).st_mode):
-                os.dup2(nobody, stream)
-    os.close(nobody)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -16,10 +16,10 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core import camera
 from taxinet_ros.core.perception import GroundTruth
-from taxinet_ros.nodes.domain import domain_by_hand
-from taxinet_ros.nodes.graph import Graph, GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import PARTICIPANTS
-from taxinet_ros.nodes.processes import process_graph
+from taxinet_ros.nodes.names import PARTICIPANTS
+
+if TYPE_CHECKING:
+    from taxinet_ros.nodes.graph import Graph
 
 
 def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
@@ -46,7 +46,6 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
     Raises:
         KeyboardInterrupt: after an interrupt, where runs are left.
     """
-    domain_by_hand()  # Before a folder is made for what cannot be run.
     console = Console(highlight=False)
     with _progress(console) as progress:
         bar = progress.add_task('', total=options.runs)
@@ -110,7 +109,16 @@ class _Graphs:
         self._ahead.close()
 
     def make_ahead(self) -> None:
-        """Do what this process can while Scenic's starts: the first graph, and what it draws on."""
+        """Do what this process can while Scenic's starts: the first graph, and what it draws on.
+
+        ROS is imported here too, and not before: that takes as long as a third of Scenic's start.
+
+        Raises:
+            UsageError: the ROS domain set by hand is none; so no folder is made in vain.
+        """
+        from taxinet_ros.nodes.domain import domain_by_hand
+
+        domain_by_hand()
         options = self._options
         if options.processes:
             return  # It would leave its logs in a folder that is not there yet.
@@ -130,6 +138,9 @@ class _Graphs:
                 yield graph
 
     def _new(self) -> contextlib.AbstractContextManager[Graph]:
+        from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+        from taxinet_ros.nodes.processes import process_graph
+
         options = self._options
         graph = GraphOptions(
             perception=options.perception, out=options.out, images=options.images,

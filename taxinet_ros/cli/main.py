@@ -27,6 +27,7 @@ from taxinet_ros.cli.given import given_options
 from taxinet_ros.cli.monitor_command import monitor
 from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
+from taxinet_ros.cli.terminal import outlived_terminal
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
 from taxinet_ros.core.errors import InfraError, UsageError
 
@@ -131,7 +132,7 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    with handled(end_now, (signal.SIGTERM, signal.SIGHUP)):
+    with outlived_terminal(), handled(end_now, (signal.SIGTERM, signal.SIGHUP)):
         code = _exit_code(lambda: app(standalone_mode=False))
     sys.exit(told_apart(code))
 

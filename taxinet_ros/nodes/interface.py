@@ -26,22 +26,16 @@ from taxinet_msgs.msg import (
 )
 from visualization_msgs.msg import MarkerArray
 
-SIMULATOR = 'simulator'
-PERCEPTION = 'perception'
-STEERING_CONTROLLER = 'steering_controller'
-MTL_MONITOR = 'mtl_monitor'
-RECORDER = 'recorder'
-SCENARIO_SAMPLER = 'scenario_sampler'
-SCENE_MARKERS = 'scene_markers'
-
-PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
-"""Nodes that take part in the lockstep beside the simulator, which keeps it."""
-
-CHAIN = (PERCEPTION, STEERING_CONTROLLER)
-"""Nodes that answer one another within a control step."""
-
-FOLLOWERS = (MTL_MONITOR, RECORDER)
-"""Nodes that only listen, and report progress."""
+from taxinet_ros.nodes.names import CHAIN as CHAIN
+from taxinet_ros.nodes.names import FOLLOWERS as FOLLOWERS
+from taxinet_ros.nodes.names import MTL_MONITOR as MTL_MONITOR
+from taxinet_ros.nodes.names import PARTICIPANTS as PARTICIPANTS
+from taxinet_ros.nodes.names import PERCEPTION as PERCEPTION
+from taxinet_ros.nodes.names import RECORDER as RECORDER
+from taxinet_ros.nodes.names import SCENARIO_SAMPLER as SCENARIO_SAMPLER
+from taxinet_ros.nodes.names import SCENE_MARKERS as SCENE_MARKERS
+from taxinet_ros.nodes.names import SIMULATOR as SIMULATOR
+from taxinet_ros.nodes.names import STEERING_CONTROLLER as STEERING_CONTROLLER
 
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'

@@ -165,12 +165,11 @@ def test_given_a_report_then_it_tells_what_is_done_and_what_it_cost(study):
 
 
 def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(study):
-    config = read_study(study, '--report-only')
-    (sentences, *_) = (section.sentences for section in study_sections(find(config, study)))
-    assert not any('Not all runs' in sentence for sentence in sentences)
-    more = dataclasses.replace(config, runs=RUNS + 1)
-    (sentences, *_) = (section.sentences for section in study_sections(find(more, study)))
-    assert sentences[0] == 'Not all runs are done yet: ' + ', '.join(
+    found = find(read_study(study, '--report-only'), study)
+    more = dataclasses.replace(found, config=dataclasses.replace(found.config, runs=RUNS + 1))
+    done, under_way = (study_sections(one)[0].sentences for one in (found, more))
+    assert not any('Not all runs' in sentence for sentence in done)
+    assert under_way[0] == 'Not all runs are done yet: ' + ', '.join(
         f'{name} {RUNS:,} of {RUNS + 1:,}' for name in FAILING
     ) + '.'
 
