@@ -27,13 +27,17 @@ from taxinet_ros.core.network import ARCHITECTURES
 SUFFIX = '.safetensors'
 SHIPPED = {
     word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}'
-    for word in ('taxinet', 'broad', 'original', 'generic', 'halton', 'specialised')
+    for word in (
+        'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
+        'iterative-crossing', 'iterative-learned',
+    )
 }
 """Weights by the word that chooses them. ``original`` has learned in the part of S_falsif's world
 that the paper's network may have been trained in, ``broad`` in all of it, and ``taxinet``, which
-began as ``broad``, further where that one failed. The others are retrained as in section 3.4: on
-scenes of S_falsif, on those of a Halton sequence through it, and where on the runway the original
-failed."""
+began as ``broad``, further where that one failed. The others are the paper's: retrained on scenes
+of S_falsif, on those of a Halton sequence through it, and more where on the runway the original
+failed (section 3.4); and ``generic`` trained further on a fifth more scenes: of S_falsif, of the
+crossing, and of where it failed (appendix A.1)."""
 
 MAX_BYTES = 64 << 20
 """Largest file that is read; the shipped one is below 1 MiB."""
