@@ -35,7 +35,11 @@ def taxinet_on_terminal(
 ) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], None]]]:
     """A command in the foreground of a terminal, and what closes that."""
     ours, theirs = pty.openpty()
-    claim = 'import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); '
+    # Whoever runs the tests under nohup has not had this command begun under it.
+    claim = (
+        'import fcntl, signal, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); '
+        'signal.signal(signal.SIGHUP, signal.SIG_DFL); '
+    )
     process = subprocess.Popen(
         [*COMMAND[:2], claim + COMMAND[2], *words], stdin=theirs, stdout=theirs, stderr=theirs,
         cwd=cwd, start_new_session=True,
