@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
 
 INTERRUPTED = 128 + signal.SIGINT
@@ -46,7 +46,7 @@ def interrupts(
 
 @contextlib.contextmanager
 def handled(
-    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = STOPS
+    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
 ) -> Iterator[None]:
     """Within the ``with``, have signals handled; under ``nohup`` no closed terminal is one."""
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:

@@ -25,9 +25,11 @@ from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, Trackin
 from taxinet_ros.nodes.interface import BASE_FRAME, MAP_FRAME
 
 
-def time_of(stamp_ns: int) -> Time:
+def time_of(stamp_ns: int, into: Time | None = None) -> Time:
     """Nanoseconds since the start of the run as a ROS time."""
-    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+    time = into or Time()
+    time.sec, time.nanosec = divmod(stamp_ns, NS_PER_S)
+    return time
 
 
 def stamp_of(stamp: Time) -> int:
@@ -42,9 +44,16 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def set_header(message: Any, stamp_ns: int, frame_id: str = MAP_FRAME) -> None:
     """Stamp a message with simulated time ``stamp_ns``."""
-    kept = message.header
-    kept.stamp.sec, kept.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
-    kept.frame_id = frame_id
+    time_of(stamp_ns, message.header.stamp)
+    message.header.frame_id = frame_id
+
+
+def set_step(
+    message: Any, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME
+) -> None:
+    """Say which control step of which run a message belongs to."""
+    set_header(message, stamp_ns, frame_id)
+    message.run_id, message.seq = run_id, seq
 
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
@@ -103,8 +112,7 @@ def error_message(
 ) -> taxinet.TrackingError:
     """Truth or estimate as a message."""
     message = into or taxinet.TrackingError()
-    set_header(message, stamp_ns)
-    message.run_id, message.seq = run_id, seq
+    set_step(message, run_id, seq, stamp_ns)
     message.cross_track_error, message.heading_error = error.cte_m, error.he_rad
     message.valid = error.valid
     return message
@@ -116,8 +124,7 @@ def command_message(
 ) -> taxinet.TaxiCommand:
     """A command as a message."""
     message = into or taxinet.TaxiCommand()
-    set_header(message, stamp_ns, BASE_FRAME)
-    message.run_id, message.seq = run_id, seq
+    set_step(message, run_id, seq, stamp_ns, BASE_FRAME)
     message.steering_angle, message.speed = command.steering_rad, command.speed_mps
     return message
 
@@ -128,8 +135,7 @@ def robustness_message(
 ) -> taxinet.Robustness:
     """One formula's reading."""
     message = into or taxinet.Robustness()
-    set_header(message, stamp_ns, frame_id)
-    message.run_id, message.seq = run_id, seq
+    set_step(message, run_id, seq, stamp_ns, frame_id)
     message.spec, message.formula = spec.name, spec.text
     message.rho_lower, message.rho_upper = reading.lower, reading.upper
     message.verdict = int(reading.verdict)

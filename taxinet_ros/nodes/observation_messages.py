@@ -10,7 +10,6 @@ from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import TrackingError
 
 from taxinet_ros.bag.image_cdr import image_cdr
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.world import Observation
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
@@ -18,6 +17,7 @@ from taxinet_ros.nodes.convert import (
     error_message,
     odometry_message,
     set_header,
+    time_of,
 )
 from taxinet_ros.nodes.interface import Topic
 
@@ -40,8 +40,7 @@ class ObservationMessages:
             run_id: the run that it belongs to.
         """
         stamp_ns = now.stamp_ns
-        time = self._clock.clock
-        time.sec, time.nanosec = divmod(stamp_ns, NS_PER_S)
+        time_of(stamp_ns, self._clock.clock)
         yield interface.CLOCK, self._clock
         yield interface.ODOMETRY, odometry_message(now.state, stamp_ns, self._odometry)
         truth = now.state.tracking_error

@@ -22,7 +22,7 @@ from taxinet_ros.study.config_file import read_study
 from taxinet_ros.study.plan import campaign_of
 from taxinet_ros.study.results import read_results
 from taxinet_ros.study.study_report import find, study_values, write_study_report
-from taxinet_ros.study.study_sections import study_sections
+from taxinet_ros.study.study_sections import StudyFindings, study_sections
 
 __all__ = ['browser']
 
@@ -33,6 +33,12 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('reported')
     write_study_report(made_up_study(out), out)
     return out
+
+
+@pytest.fixture(scope='module')
+def found(study: Path) -> StudyFindings:
+    """What is in that study's folder, read once more."""
+    return find(read_study(study, '--report-only'), study)
 
 
 def values(study: Path) -> dict[str, Any]:
@@ -164,8 +170,7 @@ def test_given_a_report_then_it_tells_what_is_done_and_what_it_cost(study):
     assert found['localized']['substitutions'][0]['passed'] == 19
 
 
-def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(study):
-    found = find(read_study(study, '--report-only'), study)
+def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(found):
     more = dataclasses.replace(found, config=dataclasses.replace(found.config, runs=RUNS + 1))
     done, under_way = (study_sections(one)[0].sentences for one in (found, more))
     assert not any('Not all runs' in sentence for sentence in done)
@@ -174,8 +179,7 @@ def test_given_a_campaign_under_way_then_the_report_says_which_and_how_far(study
     ) + '.'
 
 
-def test_given_a_study_when_read_again_then_every_figure_and_picture_is_the_same(study):
-    found = find(read_study(study, '--report-only'), study)
+def test_given_a_study_when_read_again_then_every_figure_and_picture_is_the_same(study, found):
     assert study_values(found) == values(study)
     (picture,) = study_sections(found)[0].pictures
     assert png_bytes(picture, LIGHT) == (study / 'report' / 'networks.png').read_bytes()
