@@ -7,16 +7,13 @@ import errno
 import io
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, TextIO
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
+from typing import Any, TextIO
 
 
 class _Leavable(io.FileIO):
     """A terminal; once that is closed, what is written goes nowhere."""
 
-    def write(self, data: ReadableBuffer, /) -> int:
+    def write(self, data: Any, /) -> int:
         """Write to it, if it is there."""
         try:
             return super().write(data)

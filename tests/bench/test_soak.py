@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import mmap
 import os
 import subprocess
 import sys
 import tempfile
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +36,19 @@ for line in sys.stdin:
     files.append(open('/dev/null'))
     sys.stdout.write('more\\n')
     sys.stdout.flush()
+"""
+
+TAKE = """
+import mmap, sys, tempfile, threading
+print('here', flush=True)
+sys.stdin.readline()
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+with tempfile.TemporaryFile(dir='/dev/shm') as file:
+    file.truncate(1 << 24)
+    mapped = mmap.mmap(file.fileno(), 0)
+    mapped[:] = bytes(1 << 24)
+    print('taken', flush=True)
+    sys.stdin.read()
 """
 
 
@@ -86,21 +97,22 @@ def test_given_very_many_samples_when_kept_then_few_and_evenly() -> None:
     assert [row[0] for row in series.rows] == series.at
 
 
-def test_given_this_process_when_it_takes_more_then_its_holdings_say_so() -> None:
-    before = holdings(os.getpid())
+def test_given_a_process_when_it_takes_more_then_its_holdings_say_so() -> None:
+    with subprocess.Popen(
+        [sys.executable, '-c', TAKE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stdout.readline() == 'here\n'
+        before = holdings(child.pid)
+        child.stdin.write('\n')
+        child.stdin.flush()
+        assert child.stdout.readline() == 'taken\n'
+        after = holdings(child.pid)
+        child.stdin.close()
     assert before is not None
-    stop = threading.Event()
-    thread = threading.Thread(target=stop.wait)
-    thread.start()
-    with tempfile.TemporaryFile(dir='/dev/shm') as file:
-        file.write(bytes(1 << 24))
-        file.flush()
-        with mmap.mmap(file.fileno(), 1 << 24) as mapped:
-            assert mapped[:1 << 24].count(0) == 1 << 24
-            after = holdings(os.getpid())
-    stop.set()
-    thread.join()
     assert after is not None
+    assert after.processes == before.processes == 1
     assert after.threads == before.threads + 1
     assert after.files >= before.files + 1
     assert after.segments == before.segments + 1
