@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -97,19 +99,31 @@ def test_given_very_many_samples_when_kept_then_few_and_evenly() -> None:
     assert [row[0] for row in series.rows] == series.at
 
 
-def test_given_a_process_when_it_takes_more_then_its_holdings_say_so() -> None:
+@contextlib.contextmanager
+def child_of(script: str) -> Iterator[tuple[int, Callable[[], str]]]:
+    """A process that says it is here; its id, and what has it go on and gives its answer."""
     with subprocess.Popen(
-        [sys.executable, '-c', TAKE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, '-c', script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        assert child.stdout.readline() == 'here\n'
-        before = holdings(child.pid)
-        child.stdin.write('\n')
-        child.stdin.flush()
-        assert child.stdout.readline() == 'taken\n'
-        after = holdings(child.pid)
-        child.stdin.close()
+        told, answers = child.stdin, child.stdout
+        assert told is not None
+        assert answers is not None
+        assert answers.readline() == 'here\n'
+
+        def go_on() -> str:
+            told.write('\n')
+            told.flush()
+            return answers.readline()
+
+        yield child.pid, go_on
+        told.close()
+
+
+def test_given_a_process_when_it_takes_more_then_its_holdings_say_so() -> None:
+    with child_of(TAKE) as (pid, go_on):
+        before = holdings(pid)
+        assert go_on() == 'taken\n'
+        after = holdings(pid)
     assert before is not None
     assert after is not None
     assert after.processes == before.processes == 1
@@ -122,12 +136,7 @@ def test_given_a_process_when_it_takes_more_then_its_holdings_say_so() -> None:
 def test_given_a_child_that_leaks_when_watched_then_it_is_counted_and_found_to_grow(
     monkeypatch
 ) -> None:
-    with subprocess.Popen(
-        [sys.executable, '-c', LEAK], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        assert child.stdout.readline() == 'here\n'
+    with child_of(LEAK) as (pid, go_on):
         both = holdings(os.getpid())
         assert both is not None
         assert both.processes >= 2
@@ -135,14 +144,11 @@ def test_given_a_child_that_leaks_when_watched_then_it_is_counted_and_found_to_g
 
         def leak(seconds: float) -> None:
             moment[0] += seconds
-            child.stdin.write('\n')
-            child.stdin.flush()
-            assert child.stdout.readline() == 'more\n'
+            assert go_on() == 'more\n'
 
         monkeypatch.setattr(soak.time, 'sleep', leak)
         monkeypatch.setattr(soak.time, 'monotonic', lambda: moment[0])
-        found = soak.watch(child.pid, 0.5, lambda done, total: None)
-        child.stdin.close()
+        found = soak.watch(pid, 0.5, lambda done, total: None)
     assert found.samples == 31
     assert found.trends['memory'].verdict == GROWS
     assert found.trends['memory'].slope == pytest.approx(4 << 20, rel=0.2)
