@@ -61,6 +61,25 @@ def call(capfd: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, captured.out, captured.err
 
 
+@contextlib.contextmanager
+def child_of(script: str) -> Iterator[tuple[int, Callable[[], str]]]:
+    """A process that says it is here; its id, and what has it go on and gives its answer."""
+    with subprocess.Popen(
+        [sys.executable, '-c', script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        told, answers = child.stdin, child.stdout
+        assert told is not None
+        assert answers is not None
+        assert answers.readline() == 'here\n'
+
+        def go_on() -> str:
+            told.write('\n')
+            told.flush()
+            return answers.readline()
+
+        yield child.pid, go_on  # What ends it is the end of its input.
+
+
 def fitted(x: np.ndarray, y: np.ndarray) -> float:
     return trend(x, y, per_unit=0.0, once=0.0).slope
 
@@ -97,26 +116,6 @@ def test_given_very_many_samples_when_kept_then_few_and_evenly() -> None:
     assert (steps == steps[0]).all()
     assert series.at[-1] > 4900
     assert [row[0] for row in series.rows] == series.at
-
-
-@contextlib.contextmanager
-def child_of(script: str) -> Iterator[tuple[int, Callable[[], str]]]:
-    """A process that says it is here; its id, and what has it go on and gives its answer."""
-    with subprocess.Popen(
-        [sys.executable, '-c', script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as child:
-        told, answers = child.stdin, child.stdout
-        assert told is not None
-        assert answers is not None
-        assert answers.readline() == 'here\n'
-
-        def go_on() -> str:
-            told.write('\n')
-            told.flush()
-            return answers.readline()
-
-        yield child.pid, go_on
-        told.close()
 
 
 def test_given_a_process_when_it_takes_more_then_its_holdings_say_so() -> None:
