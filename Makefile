@@ -27,6 +27,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install -q -c constraints.txt
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
+NATIVE := $(wildcard taxinet_ros/core/native/*)
 INTERFACES := $(wildcard msg_defs/* msg_defs/*/*)
 
 # One ROS at a time: what a sourced installation, or another environment's Python, has left in the
@@ -67,7 +68,7 @@ clean:
 	rm -rf build install log taxinet_ros.egg-info $(CACHES)
 
 distclean: clean
-	rm -rf $(VENV)
+	rm -rf $(VENV) taxinet_ros/core/pixels.*.so
 
 # An interpreter is fit when it can make an environment and has the headers to compile against.
 FIT := import ensurepip, os, sys, sysconfig, venv; \
@@ -105,8 +106,9 @@ $(DONE)/venv:
 HEADLESS := import cv2, re, sys; \
   sys.exit(not re.search(r"GUI: +NONE", cv2.getBuildInformation()))
 
-$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt $(SHARED)
+$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt $(SHARED) $(NATIVE)
 	@echo 'make: installing taxinet_ros and what it needs (minutes the first time)'
+	@$(INSTALL) pybind11
 	@$(INSTALL) --no-build-isolation -e '.[ros]'
 	@$(BIN)/python -c '$(HEADLESS)' 2>/dev/null || \
 	  $(INSTALL) --no-deps --force-reinstall opencv-python-headless

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core import sky
+from taxinet_ros.core import pixels, sky
 from taxinet_ros.core.light import Light
-from taxinet_ros.core.row_colours import RowColours
 
 _VISIBLE_SHARE = 1 / 400
 _WATER_SHARE = 0.55
@@ -23,16 +22,16 @@ less than a tenth of the panorama's columns. It divides the picture's width."""
 
 _GLARE_STRENGTH = 120.0
 _GLARE_HALF_WIDTH_RAD = math.radians(16.0)
+_GLARE_TINT = (1.0, 0.84, 0.58)
 
 
 class Atmosphere:
-    """Adds a scenario's air, water and sky to pictures of the lit ground, in place."""
+    """Makes pictures of the ground in a scenario's light, air, water and sky."""
 
     def __init__(self, light: Light, height: int, width: int) -> None:
         """Prepare for pictures of ``height`` by ``width`` pixels in one scenario's light."""
         self._light = light
         self._panorama = sky.panorama(light)
-        self._row_colours = RowColours(height, width)
         self._rows = np.arange(height, dtype=np.float64)
         self._columns = np.arange(width, dtype=np.float64)
         ones = np.ones_like
@@ -48,23 +47,38 @@ class Atmosphere:
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
         self._glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)
 
-    def apply(self, picture: NDArray[np.uint8], rays: NDArray[np.float64], height_m: float) -> None:
-        """Lay air, water, glare and skyline over ``picture`` (height, width, 3).
+    def develop(
+        self,
+        ground: NDArray[np.uint8],
+        curve: NDArray[np.uint8],
+        rays: NDArray[np.float64],
+        height_m: float,
+        picture: NDArray[np.uint8],
+    ) -> None:
+        """Make a picture of the lit ground and lay air, water, glare and skyline over it.
 
         Args:
-            picture: the lit ground, changed in place.
+            ground: its daylight colours, (height, width, 3).
+            curve: what becomes of them in the scenario's light, (256,).
             rays: homogenous pixel to a direction in ``map``, (3, 3).
             height_m: the camera's height above ground [m].
+            picture: where the picture is to be, (height, width, 3).
         """
         middle = rays @ self._middle
-        sine = np.clip(-middle[2] / np.sqrt((middle * middle).sum(axis=0)), 1e-4, 1)
-        self._veil(picture, sine, height_m)
+        sine = np.minimum(np.maximum(-middle[2] / np.sqrt((middle * middle).sum(axis=0)), 1e-4), 1)
+        pixels.develop(ground, curve, *self._veil(sine, height_m), picture)
         if self._glare > 1:
             self._add_glare(picture, rays, sine)
         self._skyline(picture, rays)
 
-    def _veil(self, picture: NDArray[np.uint8], sine: NDArray[np.float64], height_m: float) -> None:
-        """Fade the ground row by row into haze and, where wet, into the sky's mirror image."""
+    def _veil(
+        self, sine: NDArray[np.float64], height_m: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What haze and, where wet, the sky's mirror image make of the upper rows of the ground.
+
+        Returns:
+            The share of its colour that each row keeps, in 255ths (n,), and what is added (n, 3).
+        """
         haze = 1 - np.exp(-height_m / sine / self._light.visibility_m)
         share = haze
         wet = self._light.wetness > 0
@@ -74,19 +88,14 @@ class Atmosphere:
             mirror += _SPRAY_SHARE * self._light.rain
             share = 1 - (1 - haze) * (1 - mirror)
         seen = np.flatnonzero(share > _VISIBLE_SHARE)
-        if not len(seen):
-            return
-        rows = int(seen[-1]) + 1
+        rows = int(seen[-1]) + 1 if len(seen) else 0
         low, high = self._light.sky_low, self._light.sky_high
         added = haze[:rows, None] * low
         if wet:
             rise = np.clip(sine[:rows, None] / math.sin(math.radians(15)), 0, 1)
             mirrored = 0.92 * (low + (high - low) * np.sqrt(rise))
             added += ((1 - haze) * mirror)[:rows, None] * mirrored
-        part = picture[:rows]
-        kept = np.repeat(255 * (1 - share[:rows, None]), 3, axis=1)
-        cv2.multiply(part, self._row_colours.spread(kept), dst=part, scale=1 / 255)
-        cv2.add(part, self._row_colours.spread(added), dst=part)
+        return 255 * (1 - share[:rows]), added
 
     def _add_glare(
         self, picture: NDArray[np.uint8], rays: NDArray[np.float64], sine: NDArray[np.float64]
@@ -99,9 +108,10 @@ class Atmosphere:
         if away.min() > 3:
             return
         grazing = self._glare * (np.exp(-sine / 0.10) + 0.12)
-        shine = np.outer(grazing.astype(np.float32), np.exp(-0.5 * away * away).astype(np.float32))
-        warm = [cv2.convertScaleAbs(shine, alpha=share) for share in (1.0, 0.84, 0.58)]
-        cv2.add(picture, cv2.merge(warm), dst=picture)
+        beside = np.exp(-0.5 * away * away)
+        pixels.add_shine(
+            picture, grazing.astype(np.float32), beside.astype(np.float32), _GLARE_TINT
+        )
 
     def _skyline(self, picture: NDArray[np.uint8], rays: NDArray[np.float64]) -> None:
         """Replace everything above the end of the ground by the panorama."""

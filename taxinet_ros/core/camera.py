@@ -15,27 +15,30 @@ the aircraft's own parts. Equal state, stamp and scenario give equal bytes in ev
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core import pixels
 from taxinet_ros.core.airframe_view import AirframeView
 from taxinet_ros.core.atmosphere import Atmosphere
 from taxinet_ros.core.cloud_shade import CloudShade
 from taxinet_ros.core.ground import grain_atlas, ground_atlas, uncrossed_atlas
-from taxinet_ros.core.ground_view import GROUND_STAGES, GroundView, Mark
+from taxinet_ros.core.ground_view import GroundView
 from taxinet_ros.core.light import ground_table, scenario_light
 from taxinet_ros.core.rain import RainSheet
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.shadow import LOWEST_SUN_RAD, Mask, OwnShadow
 from taxinet_ros.core.types import AircraftState
 
+Mark = Callable[[str], None]
+"""Is told the name of every stage of a picture at its end, by whoever measures them."""
+
 IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 
-STAGES = (
-    *GROUND_STAGES, 'cloud shade', 'own shadow', 'light table', 'atmosphere', 'rain', 'airframe',
-)  # fmt: skip
+STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe')
 """Stages of a picture, in their order."""
 
 CAMERA_OFFSET_M = (0.085, -2.17, 0.50)
@@ -195,7 +198,8 @@ class Camera:
         """
         body, to_optical, camera = pose(state)
         rays = to_optical.T @ self._to_ray
-        colour = self._ground.render(rays, camera, mark)
+        colour = self._ground.render(rays, camera)
+        mark('ground')
         if self._clouds.casts:
             self._clouds.shade(colour, rays, camera)
             mark('cloud shade')
@@ -204,9 +208,7 @@ class Camera:
             self._shade(colour, self._shadow.mask(body, place, to_optical, camera), state)
             mark('own shadow')
         picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
-        cv2.LUT(colour, self._curve, dst=picture)
-        mark('light table')
-        self._atmosphere.apply(picture, rays, float(camera[2]))
+        self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
         mark('atmosphere')
         if self._rain is not None:
             cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
@@ -221,6 +223,4 @@ class Camera:
             return
         rows, columns, mask = shadow
         depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
-        factor = cv2.merge([cv2.convertScaleAbs(mask, alpha=-share, beta=255) for share in depth])
-        part = colour[rows, columns]
-        cv2.multiply(part, factor, dst=part, scale=1 / 255)
+        pixels.tint_masked(colour[rows, columns], mask, depth)

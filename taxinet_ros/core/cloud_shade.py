@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core import pixels
 from taxinet_ros.core.light import Light
 from taxinet_ros.core.noise import Floats, smooth_noise
-from taxinet_ros.core.row_colours import RowColours
 
 _CELL_M = 8.0
 _SHAPE = (416, 80)  # x and y cells: -100..3,228 m and -320..320 m
@@ -33,7 +33,6 @@ class CloudShade:
         self._beam = _beam(light.clouds) if casts else None
         rows = np.arange(height, dtype=np.float64)
         self._middle = np.stack([np.full_like(rows, (width - 1) / 2), rows, np.ones_like(rows)])
-        self._factor = RowColours(height, width)
 
     @property
     def casts(self) -> bool:
@@ -64,7 +63,7 @@ class CloudShade:
         full, dark = 1.0, self._light.shade_factor()
         # Linear between shade and sun in display codes: within 2 codes of the exact power law.
         factor = dark + (full - dark) * share[:, None]
-        cv2.multiply(colour, self._factor.spread(255 * factor), dst=colour, scale=1 / 255)
+        pixels.tint_rows(colour, 255 * factor)
 
     def _look_up(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         assert self._beam is not None

@@ -12,10 +12,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core import pixels
 from taxinet_ros.core.onnx_session import open_session
 
 IMAGE_SHAPE = (200, 360, 3)
@@ -26,6 +26,12 @@ INPUT_SHAPE = (64, 192)
 
 _FAR_ROWS = 40
 """Rows of a frame from the top, from the horizon to some 15 m ahead, that keep their height."""
+
+_REDUCTION = pixels.Reduction(
+    *IMAGE_SHAPE[:2],
+    [(_FAR_ROWS, _FAR_ROWS), (IMAGE_SHAPE[0] - _FAR_ROWS, INPUT_SHAPE[0] - _FAR_ROWS)],
+    INPUT_SHAPE[1],
+)
 
 CTE_SCALE_M = 10.0
 """Cross-track error [m] at an output of 1."""
@@ -89,11 +95,7 @@ def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     Far ahead a metre is a pixel or two, at the wheels hundreds; so the top of the frame keeps its
     rows, and the rest is pressed into the remaining ones.
     """
-    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
-    height, width = INPUT_SHAPE
-    bands = ((grey[:_FAR_ROWS], _FAR_ROWS), (grey[_FAR_ROWS:], height - _FAR_ROWS))
-    parts = [cv2.resize(b, (width, rows), interpolation=cv2.INTER_AREA) for b, rows in bands]
-    return np.asarray(np.vstack(parts), np.uint8)
+    return _REDUCTION.reduce(np.ascontiguousarray(image))
 
 
 def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -3,7 +3,7 @@
 The level (i, j) of a texture of H rows and W columns holds it shrunk by 2^i along the rows' axis
 and by 2^j along the columns' axis, at row H(2 - 2^(1-i)) and column W(2 - 2^(1-j)) of an atlas of
 2H x 2W. A runway picture is made of long things along two axes, so a filter with one width per
-axis serves it better than an isotropic pyramid, and one atlas means one ``cv2.remap`` per frame.
+axis serves it better than an isotropic pyramid, and one atlas means one look-up per pixel.
 Row t (in level-0 rows, from the upper edge) at level i lies at 2H + p(t - 2H) with p = 2^-i.
 """
 
@@ -14,9 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-
-_EXPONENT_MASK = np.int32(0x7F800000)
 
 
 def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
@@ -40,13 +37,3 @@ def build_ripmap(base: Image, row_levels: int, column_levels: int) -> Image:
     # Nothing is black behind the last level, where interpolation may reach over its border.
     atlas[:, column + columns :] = atlas[:, column + columns - 1 : column + columns]
     return atlas
-
-
-def whole_power_of_two(numbers: Floats) -> Floats:
-    """Largest power of two not above each number (normal, positive), in place.
-
-    It clears all but the exponent bits of float32: exact, and no logarithm.
-    """
-    bits = numbers.view(np.int32)
-    np.bitwise_and(bits, _EXPONENT_MASK, out=bits)
-    return numbers

@@ -39,7 +39,7 @@ def test_given_the_camera_when_measured_then_every_scenes_stages_add_up_to_its_f
         whole = f'camera/{name}'
         of_it = {key.removeprefix(f'{whole}/') for key in found if key.startswith(f'{whole}/')}
         assert of_it <= {*STAGES, SUM}
-        assert {'ray-ground', 'ground lookup', 'grain', SUM} <= of_it
+        assert {'ground', 'atmosphere', SUM} <= of_it
         stages |= of_it - {SUM}
         ratio = found[f'{whole}/{SUM}']['min_s'] / found[whole]['min_s']
         assert 0.3 < ratio < 3

@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.ripmap import build_ripmap, whole_power_of_two
+from taxinet_ros.core.ripmap import build_ripmap
 
 BASE = np.random.default_rng(3).integers(0, 256, (64, 32, 3), dtype=np.uint8)
 
@@ -23,14 +21,6 @@ def test_given_a_texture_when_built_then_each_level_holds_its_block_means() -> N
         level = atlas[row : row + rows, column : column + columns]
         # Every halving rounds once.
         assert np.abs(level - blocks).max() <= 0.5 * (i + j) + 0.5
-
-
-@given(st.floats(2**-10, 2**20, width=32))
-def test_given_a_number_when_reduced_to_a_power_of_two_then_it_is_the_largest_not_above(
-    number: float,
-) -> None:
-    power = whole_power_of_two(np.array([number], np.float32))
-    assert power[0] == 2.0 ** math.floor(math.log2(number))
 
 
 @given(st.integers(0, 4), st.integers(0, 3))

@@ -1,0 +1,67 @@
+// What the sources of taxinet_ros.core.pixels share.
+//
+// Equal input gives equal bytes on every processor: each operation is one IEEE 754 single precision
+// operation or one on whole numbers; where two are fused it says fma, and the compiler may fuse no
+// others (-ffp-contract=off in setup.py).
+
+#pragma once
+
+#include <pybind11/numpy.h>
+
+#include <bit>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+
+static_assert(std::endian::native == std::endian::little);
+
+// A loop over a row is compiled for newer processors too; which is taken is decided at start. PLAIN
+// leaves out all that is written for one kind of processor: the tests compare the two.
+#if defined(PLAIN)
+#define FOR_EACH_PROCESSOR
+#elif defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define FOR_EACH_PROCESSOR \
+    __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#else
+#define FOR_EACH_PROCESSOR
+#endif
+#define INLINE inline __attribute__((always_inline))
+
+namespace pixels {
+
+namespace py = pybind11;
+
+using Bytes = py::array_t<std::uint8_t, py::array::c_style>;
+using Doubles = py::array_t<double, py::array::c_style>;
+using Floats = py::array_t<float, py::array::c_style>;
+
+constexpr int kChannels = 3;
+
+// Added to a number below 2^22 in size it pushes all but the whole part out of a float: rounding to
+// the nearest even, without an instruction that old processors lack.
+constexpr float kRounder = 12582912.0F;
+constexpr std::int32_t kRounderBits = 0x4B400000;
+
+INLINE std::int32_t rounded(float number) {
+    return std::bit_cast<std::int32_t>(number + kRounder) - kRounderBits;
+}
+
+INLINE float clipped(float number, float least, float most) {
+    number = number < least ? least : number;
+    return number > most ? most : number;
+}
+
+INLINE std::int32_t lesser(std::int32_t a, std::int32_t b) { return a < b ? a : b; }
+
+INLINE std::int32_t within(std::int32_t number, std::int32_t most) {
+    return lesser(number < 0 ? 0 : number, most);
+}
+
+// Raises ValueError in Python.
+inline void require(bool holds, const char *what) {
+    if (!holds) {
+        throw std::invalid_argument(std::string("pixels: ") + what);
+    }
+}
+
+}  // namespace pixels

@@ -1,0 +1,163 @@
+#include "light.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+namespace pixels {
+namespace {
+
+// Share of a code in 255ths, rounded; exact, for there are no ties.
+INLINE std::uint8_t share_of(std::uint8_t code, std::uint8_t share) {
+    const auto product = static_cast<std::uint16_t>(code * share + 128);
+    return static_cast<std::uint8_t>(static_cast<std::uint16_t>(product + (product >> 8)) >> 8);
+}
+
+INLINE std::uint8_t sum_of(std::uint8_t a, std::uint8_t b) {
+    const auto sum = static_cast<std::uint8_t>(a + b);
+    return sum < a ? 255 : sum;
+}
+
+using Codes = std::array<std::uint8_t, kChannels>;
+
+// The nearest of the codes 0 to 255.
+std::uint8_t code_of(double number) {
+    return static_cast<std::uint8_t>(std::clamp(std::nearbyint(number), 0.0, 255.0));
+}
+
+Codes codes_of(const double *numbers) {
+    return {code_of(numbers[0]), code_of(numbers[1]), code_of(numbers[2])};
+}
+
+// One colour, again and again, over a row of the picture.
+void fill_row(const Codes &colour, std::vector<std::uint8_t> &row) {
+    std::memcpy(row.data(), colour.data(), kChannels);
+    for (std::size_t filled = kChannels; filled < row.size(); filled *= 2) {
+        std::memcpy(row.data() + filled, row.data(), std::min(filled, row.size() - filled));
+    }
+}
+
+FOR_EACH_PROCESSOR void keep_shares(std::uint8_t *__restrict codes,
+                                    const std::uint8_t *__restrict shares, int bytes) {
+    for (int i = 0; i < bytes; ++i) {
+        codes[i] = share_of(codes[i], shares[i]);
+    }
+}
+
+FOR_EACH_PROCESSOR void veil_row(std::uint8_t *__restrict codes,
+                                 const std::uint8_t *__restrict kept,
+                                 const std::uint8_t *__restrict added, int bytes) {
+    for (int i = 0; i < bytes; ++i) {
+        codes[i] = sum_of(share_of(codes[i], kept[i]), added[i]);
+    }
+}
+
+FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength,
+                                  const float *__restrict across, const float *__restrict tint,
+                                  int bytes) {
+    for (int i = 0; i < bytes; ++i) {
+        const float light = strength * across[i] * tint[i] + kRounder;
+        const std::int32_t code = std::bit_cast<std::int32_t>(light) - kRounderBits;
+        codes[i] = sum_of(codes[i], static_cast<std::uint8_t>(lesser(code, 255)));
+    }
+}
+
+// A picture, or a part of one: rows of three bytes a pixel, side by side.
+struct Rows {
+    std::uint8_t *first;
+    std::ptrdiff_t stride;
+    int count, width;
+
+    explicit Rows(Picture &picture) {
+        require(picture.ndim() == 3 && picture.shape(2) == kChannels && picture.strides(2) == 1 &&
+                    picture.strides(1) == kChannels,
+                "a picture is (rows, columns, 3), its pixels side by side");
+        first = picture.mutable_data();
+        stride = picture.strides(0);
+        count = static_cast<int>(picture.shape(0));
+        width = static_cast<int>(picture.shape(1));
+    }
+
+    std::uint8_t *at(int row) const { return first + row * stride; }
+    int bytes() const { return width * kChannels; }
+};
+
+}  // namespace
+
+void tint_rows(Picture picture, const Doubles &shares) {
+    const Rows rows(picture);
+    require(shares.ndim() == 2 && shares.shape(0) == rows.count && shares.shape(1) == kChannels,
+            "shares are (rows, 3)");
+    std::vector<std::uint8_t> share(rows.bytes());
+    for (int v = 0; v < rows.count; ++v) {
+        fill_row(codes_of(shares.data(v)), share);
+        keep_shares(rows.at(v), share.data(), rows.bytes());
+    }
+}
+
+void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3> &depth) {
+    const Rows rows(picture);
+    require(mask.ndim() == 2 && mask.shape(0) == rows.count && mask.shape(1) == rows.width &&
+                mask.strides(1) == 1,
+            "a mask is as large as its part of the picture, its codes side by side");
+    // A byte more, for four are written at once.
+    std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
+    for (int code = 0; code < 256; ++code) {
+        for (int c = 0; c < kChannels; ++c) {
+            const float share = __builtin_fmaf(static_cast<float>(code), -depth[c], 255.0F);
+            left[code][c] = static_cast<std::uint8_t>(within(rounded(share), 255));
+        }
+    }
+    std::vector<std::uint8_t> share(rows.bytes() + 1);
+    for (int v = 0; v < rows.count; ++v) {
+        const std::uint8_t *code = mask.data(v);
+        for (int u = 0; u < rows.width; ++u) {
+            std::memcpy(&share[kChannels * u], left[code[u]].data(), kChannels + 1);
+        }
+        keep_shares(rows.at(v), share.data(), rows.bytes());
+    }
+}
+
+void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doubles &added,
+             Picture picture) {
+    const Rows from(ground), to(picture);
+    require(from.count == to.count && from.width == to.width, "two pictures of one size");
+    require(curve.size() == 256, "a curve has 256 codes");
+    const int veiled = static_cast<int>(kept.size());
+    require(veiled <= to.count && added.ndim() == 2 && added.shape(0) == veiled &&
+                added.shape(1) == kChannels,
+            "the upper rows keep a share (n,) and have something added (n, 3)");
+    const std::uint8_t *table = curve.data();
+    const int bytes = to.bytes();
+    std::vector<std::uint8_t> share(bytes), more(bytes);
+    for (int v = 0; v < to.count; ++v) {
+        const std::uint8_t *code = from.at(v);
+        std::uint8_t *out = to.at(v);
+        for (int i = 0; i < bytes; ++i) {
+            out[i] = table[code[i]];
+        }
+        if (v < veiled) {
+            std::fill(share.begin(), share.end(), code_of(kept.data()[v]));
+            fill_row(codes_of(added.data(v)), more);
+            veil_row(out, share.data(), more.data(), bytes);
+        }
+    }
+}
+
+void add_shine(Picture picture, const Floats &by_row, const Floats &by_column,
+               const std::array<float, 3> &tint) {
+    const Rows rows(picture);
+    require(by_row.size() == rows.count && by_column.size() == rows.width,
+            "one strength a row and one a column");
+    std::vector<float> across(rows.bytes()), tints(rows.bytes());
+    for (int i = 0; i < rows.bytes(); ++i) {
+        across[i] = by_column.data()[i / kChannels];
+        tints[i] = tint[i % kChannels];
+    }
+    for (int v = 0; v < rows.count; ++v) {
+        shine_row(rows.at(v), by_row.data()[v], across.data(), tints.data(), rows.bytes());
+    }
+}
+
+}  // namespace pixels

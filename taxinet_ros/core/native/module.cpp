@@ -1,0 +1,79 @@
+// The module taxinet_ros.core.pixels: what is done once per pixel. Its signatures are in pixels.pyi.
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "ground.hpp"
+#include "light.hpp"
+#include "reduction.hpp"
+
+namespace py = pybind11;
+using namespace pixels;
+
+namespace {
+
+Axis axis(const std::array<double, 3> &ruler, const std::array<float, 4> &limits) {
+    return {ruler[0], ruler[1], ruler[2], limits[0], limits[1], limits[2], limits[3]};
+}
+
+Tile tile(const std::array<float, 4> &numbers) {
+    return {numbers[0], numbers[1], numbers[2], numbers[3]};
+}
+
+Floats array(const std::vector<float> &numbers) {
+    return Floats(static_cast<py::ssize_t>(numbers.size()), numbers.data());
+}
+
+py::tuple arrays(const Parts &parts) {
+    return py::make_tuple(array(parts.by_column), array(parts.by_row));
+}
+
+}  // namespace
+
+PYBIND11_MODULE(pixels, module) {
+    py::class_<Sight>(module, "Sight")
+        .def(py::init<const Doubles &, const Doubles &, int, int>())
+        .def("fall", [](const Sight &sight) { return arrays(sight.fall()); })
+        .def("density", [](const Sight &sight, int axis, double texel_m) {
+            require(axis == 0 || axis == 1, "the ground has the axes 0 and 1");
+            return arrays(sight.density(axis, texel_m));
+        })
+        .def("coordinate", [](const Sight &sight, int axis, double unit_m, double origin) {
+            require(axis == 0 || axis == 1, "the ground has the axes 0 and 1");
+            const Form form = sight.coordinate(axis, unit_m, origin);
+            return py::make_tuple(form[0], form[1], form[2]);
+        })
+        .def("first_row_nearer_than", &Sight::first_row_nearer_than);
+    py::class_<Ruler>(module, "Ruler")
+        .def(py::init([](float least_fall, const std::array<double, 3> &along,
+                         const std::array<float, 4> &along_limits,
+                         const std::array<double, 3> &across,
+                         const std::array<float, 4> &across_limits,
+                         const std::array<float, 4> &bend, int bend_levels,
+                         const std::array<float, 4> &grain_along,
+                         const std::array<float, 4> &grain_across, double tile_m,
+                         double grain_reach_m) {
+                 return Ruler{least_fall,
+                              axis(along, along_limits),
+                              axis(across, across_limits),
+                              Bend{bend[0], bend[1], bend[2], bend[3], bend_levels},
+                              tile(grain_along),
+                              tile(grain_across),
+                              tile_m,
+                              grain_reach_m};
+             }),
+             py::kw_only(), py::arg("least_fall"), py::arg("along"), py::arg("along_limits"),
+             py::arg("across"), py::arg("across_limits"), py::arg("bend"), py::arg("bend_levels"),
+             py::arg("grain_along"), py::arg("grain_across"), py::arg("tile_m"),
+             py::arg("grain_reach_m"));
+    py::class_<Ground>(module, "Ground")
+        .def(py::init<Bytes, Bytes, Floats, const Ruler &, const std::array<int, 3> &, float>())
+        .def("sample", &Ground::sample);
+    py::class_<Reduction>(module, "Reduction")
+        .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
+        .def("reduce", &Reduction::reduce);
+    module.def("tint_rows", &tint_rows);
+    module.def("tint_masked", &tint_masked);
+    module.def("develop", &develop);
+    module.def("add_shine", &add_shine);
+}

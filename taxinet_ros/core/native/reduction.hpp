@@ -1,0 +1,34 @@
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "common.hpp"
+
+namespace pixels {
+
+// Which of a row's numbers, and what share of each, make up each of fewer.
+struct Shares {
+    int from, count, taps;
+    std::vector<std::int32_t> first;
+    std::vector<float> weight;  // by tap, then by number
+
+    Shares(int from, int to);
+};
+
+class Reduction {
+  public:
+    // Bands from the top of the frame: their rows, and the rows that are made of them.
+    Reduction(int height, int width, std::vector<std::pair<int, int>> bands, int columns);
+
+    Bytes reduce(const Bytes &frame);
+
+  private:
+    int height_, width_;
+    Shares columns_;
+    std::vector<Shares> rows_;
+    int out_height_;
+    std::vector<float> grey_, row_, sum_;
+};
+
+}  // namespace pixels

@@ -1,0 +1,162 @@
+"""What the camera and the network's input do once per pixel: compiled from ``native/``.
+
+Equal arguments give equal bytes on every processor. Nothing here keeps to itself what it is given:
+arrays are of the types and shapes that are said, in C order, or a ``ValueError`` or ``TypeError``
+tells which is not.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Bytes = NDArray[np.uint8]
+_Floats = NDArray[np.float32]
+_Doubles = NDArray[np.float64]
+_Three = tuple[float, float, float]
+_Four = tuple[float, float, float, float]
+
+class Sight:
+    """How one pose sees the ground: the few numbers from which every pixel's texels follow.
+
+    With the ray of pixel (u, v) as d = A (u, v, 1) in ``map`` and the camera at height h over the
+    place c, the ground point is c + h (dx, dy) w with w = -1/dz.
+    """
+
+    def __init__(self, rays: _Doubles, camera: _Doubles, height: int, width: int) -> None:
+        """Take A, (3, 3), the camera's place in ``map`` (3,) [m], and the picture's size [px]."""
+
+    def fall(self) -> tuple[_Floats, _Floats]:
+        """The two parts of -dz: by column (width,), and by row (height,)."""
+
+    def density(self, axis: int, texel_m: float) -> tuple[_Floats, _Floats]:
+        """Factors on (dz)^2 that give pixels per texel along an axis of ``map``.
+
+        Of the footprint's side along v, by column (width,); and of the one along u, by row
+        (height,). The smaller one counts.
+        """
+
+    def coordinate(self, axis: int, unit_m: float, origin: float) -> _Three:
+        """Ground coordinate along an axis in units of ``unit_m``, plus ``origin``.
+
+        Returns:
+            Factors on u w and on w, and a constant.
+        """
+
+    def first_row_nearer_than(self, reach_m: float) -> int:
+        """First row whose middle lies within ``reach_m`` ahead; the number of rows if none."""
+
+class Ruler:
+    """What of the way from a pixel to its texels depends neither on the pose nor on the light."""
+
+    def __init__(
+        self,
+        *,
+        least_fall: float,
+        along: _Three,
+        along_limits: _Four,
+        across: _Three,
+        across_limits: _Four,
+        bend: _Four,
+        bend_levels: int,
+        grain_along: _Four,
+        grain_across: _Four,
+        tile_m: float,
+        grain_reach_m: float,
+    ) -> None:
+        """Take the measures of the textures.
+
+        Args:
+            least_fall: -dz from which on downwards the ground is looked up; above it is the last.
+            along: along the runway, unit of the coordinate [m], its beginning, and the size of the
+                texels that footprints are measured in [m].
+            along_limits: least and most of it, counted from the far end of the ripmap, that end,
+                and the scale of the coarsest level.
+            across: the same across the runway.
+            across_limits: the same.
+            bend: ends of the fine part of the ruler across the runway, the factor, less 1, by which
+                it is finer, and the distance from it that counts as outside.
+            bend_levels: levels that the coarse part is coarser.
+            grain_along: of the grain, texels of a tile at the footprints' unit, twice that, the
+                finest level's scale, and the end of the ripmap.
+            grain_across: the same across the runway.
+            tile_m: size of a tile of grain [m].
+            grain_reach_m: distance ahead to which there is grain [m].
+        """
+
+class Ground:
+    """The ground's textures, ready to be photographed. Not to be shared between threads."""
+
+    def __init__(
+        self,
+        atlas: _Bytes,
+        grain: _Bytes,
+        dither: _Floats,
+        ruler: Ruler,
+        neutral: tuple[int, int, int],
+        scale: float,
+    ) -> None:
+        """Keep the textures; they are not copied.
+
+        Args:
+            atlas: ripmap of the ground's colours, (rows, columns, 3).
+            grain: ripmap of the factor on them, (rows, columns, 3).
+            dither: factor on the footprints' density, (height, width) of the pictures.
+            ruler: measures of both.
+            neutral: the grain where there is none.
+            scale: factor on the product of ground and grain.
+        """
+
+    def sample(self, out: _Bytes, sight: Sight) -> None:
+        """Fill a picture, (height, width, 3), with the ground as one pose sees it."""
+
+class Reduction:
+    """Reduces frames to grey pictures, in bands from the top, each in a proportion of its own."""
+
+    def __init__(
+        self, height: int, width: int, bands: Sequence[tuple[int, int]], columns: int
+    ) -> None:
+        """Prepare the averages.
+
+        Args:
+            height: of a frame [px].
+            width: of a frame [px].
+            bands: rows of each band of it, and the rows that are made of them.
+            columns: of the picture [px], at least half of the frame's.
+        """
+
+    def reduce(self, frame: _Bytes) -> _Bytes:
+        """Grey levels (rows, columns), a new array, of a frame (height, width, 3) RGB.
+
+        Luma after ITU-R BT.601, averaged over areas; the numbers are OpenCV's.
+        """
+
+def tint_rows(picture: _Bytes, shares: _Doubles) -> None:
+    """Keep of each row, in place, a share in 255ths by channel: (rows, 3)."""
+
+def tint_masked(picture: _Bytes, mask: _Bytes, depth: Sequence[float] | _Doubles) -> None:
+    """Darken a part of a picture, in place, where a mask (rows, columns) is not 0.
+
+    Args:
+        picture: the part; its rows may lie apart.
+        mask: 255 for full darkness.
+        depth: what that takes of each channel, 0..1.
+    """
+
+def develop(
+    ground: _Bytes, curve: _Bytes, kept: _Doubles, added: _Doubles, picture: _Bytes
+) -> None:
+    """Make a lit picture of the ground, and lay a veil over its upper rows.
+
+    Args:
+        ground: daylight colours, (rows, columns, 3).
+        curve: what becomes of each code, (256,).
+        kept: share in 255ths that each of the first n rows keeps, (n,).
+        added: what is added to it, (n, 3).
+        picture: where it goes, of the ground's size.
+    """
+
+def add_shine(
+    picture: _Bytes, by_row: _Floats, by_column: _Floats, tint: tuple[float, float, float]
+) -> None:
+    """Add light, in place: the product of a strength by row, one by column, one by channel."""

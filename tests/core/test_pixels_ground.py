@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from ground_reference import ground_picture
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxinet_ros.core import ground, ground_view, pixels
+from taxinet_ros.core.camera import IMAGE_HEIGHT, IMAGE_WIDTH, intrinsics, pose
+from taxinet_ros.core.ground import grain_atlas, ground_atlas
+from taxinet_ros.core.ground_view import GroundView
+from taxinet_ros.core.types import AircraftState
+
+GAIN = np.array([1.0, 0.93, 0.71])
+
+
+def state(x: float, y: float, heading: float, roll: float, pitch: float) -> AircraftState:
+    return AircraftState(
+        x_m=x, y_m=y, z_m=1.55, roll_rad=math.radians(roll), pitch_rad=math.radians(pitch),
+        yaw_rad=math.radians(heading), speed_mps=5.0, yaw_rate_radps=0.0,
+    )
+
+
+POSES = st.builds(
+    state, st.floats(-300, 3400), st.floats(-220, 220), st.floats(-180, 180), st.floats(-6, 6),
+    st.floats(-6, 6),
+)
+
+
+@pytest.fixture(scope='module')
+def view() -> GroundView:
+    return GroundView(ground_atlas(), grain_atlas(), GAIN, IMAGE_HEIGHT, IMAGE_WIDTH)
+
+
+@settings(max_examples=30, deadline=None)
+@given(at=POSES)
+def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_written_rules(
+    view: GroundView, at: AircraftState
+) -> None:
+    _, to_optical, camera = pose(at)
+    rays = to_optical.T @ np.linalg.inv(intrinsics())
+    stretched = ground_view._FINER_CODES * GAIN
+    wanted = ground_picture(
+        atlas=ground_atlas(),
+        grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
+        neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
+        sight=pixels.Sight(rays, camera, IMAGE_HEIGHT, IMAGE_WIDTH),
+        camera=camera,
+        dither=ground_view._dither(IMAGE_HEIGHT, IMAGE_WIDTH),
+    )
+    np.testing.assert_array_equal(view.render(rays, camera), wanted)
+
+
+@pytest.mark.parametrize('shape', [(4, 4), (1, 4, 3), (4, 1, 3), (4, 4, 4)])
+def test_given_what_is_no_texture_when_a_ground_is_made_of_it_then_it_says_so(
+    shape: tuple[int, ...],
+) -> None:
+    no_texture, dither = np.zeros(shape, np.uint8), np.ones((2, 3), np.float32)
+    with pytest.raises(ValueError, match=r'a texture is \(rows, columns, 3\)'):
+        pixels.Ground(no_texture, grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0)
+
+
+@pytest.mark.parametrize('shape', [(3, 3, 3), (2, 2, 3), (2, 3, 4), (6, 3)])
+def test_given_a_picture_of_another_size_when_filled_then_it_says_so_and_writes_nothing(
+    shape: tuple[int, ...],
+) -> None:
+    dither, out = np.ones((2, 3), np.float32), np.zeros(shape, np.uint8)
+    textures = ground_atlas(), grain_atlas()
+    small = pixels.Ground(*textures, dither, ground_view._ruler(), (1, 1, 1), 1.0)
+    with pytest.raises(ValueError, match='of one size'):
+        small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3))
+    assert not out.any()

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from taxinet_ros.core import pixels
+
+PICTURES = arrays.arrays(np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 40), st.just(3)))
+CODES = st.floats(-20, 300)
+
+
+def kept(codes: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Shares in 255ths of codes, rounded; there are no ties."""
+    return np.rint(codes.astype(int) * shares / 255).astype(np.uint8)
+
+
+def codes_of(numbers: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(numbers), 0, 255).astype(np.uint8)
+
+
+def sum_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.minimum(a.astype(int) + b, 255).astype(np.uint8)
+
+
+@given(PICTURES, st.data())
+def test_given_shares_when_rows_are_tinted_then_each_channel_of_a_row_keeps_its_share(
+    picture: np.ndarray, data: st.DataObject
+) -> None:
+    shares = data.draw(arrays.arrays(np.float64, (len(picture), 3), elements=CODES))
+    wanted = kept(picture, codes_of(shares)[:, None].astype(int))
+    pixels.tint_rows(picture, shares)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+def test_given_every_code_and_share_when_tinted_then_the_product_is_rounded_to_the_nearest() -> (
+    None
+):
+    picture = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 256, axis=0).repeat(3, 2)
+    shares = np.arange(256.0)[:, None].repeat(3, 1)
+    wanted = kept(picture, shares[:, None])
+    pixels.tint_rows(picture, shares)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+@given(PICTURES, st.data())
+def test_given_a_mask_when_a_part_is_tinted_then_it_loses_its_depth_and_the_rest_nothing(
+    picture: np.ndarray, data: st.DataObject
+) -> None:
+    height, width = picture.shape[:2]
+    left, depth = data.draw(st.integers(0, width - 1)), data.draw(
+        st.tuples(*[st.floats(0, 1, width=32)] * 3)
+    )
+    mask = data.draw(arrays.arrays(np.uint8, (height, width - left)))
+    # Rounded to single precision once, then to whole codes.
+    share = (255 - mask[..., None].astype(np.float64) * depth).astype(np.float32)
+    wanted = picture.copy()
+    wanted[:, left:] = kept(picture[:, left:], np.rint(share).astype(int))
+    pixels.tint_masked(picture[:, left:], mask, depth)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+@given(PICTURES, st.data())
+def test_given_a_curve_and_a_veil_when_developed_then_the_upper_rows_lie_behind_it(
+    ground: np.ndarray, data: st.DataObject
+) -> None:
+    rows = data.draw(st.integers(0, len(ground)))
+    share = data.draw(arrays.arrays(np.float64, rows, elements=CODES))
+    added = data.draw(arrays.arrays(np.float64, (rows, 3), elements=CODES))
+    curve = data.draw(arrays.arrays(np.uint8, 256))
+    before = ground.copy()
+    picture = np.empty_like(ground)
+    pixels.develop(ground, curve, share, added, picture)
+
+    np.testing.assert_array_equal(ground, before)
+    np.testing.assert_array_equal(picture[rows:], curve[ground[rows:]])
+    behind = kept(curve[ground[:rows]], codes_of(share)[:, None, None].astype(int))
+    np.testing.assert_array_equal(picture[:rows], sum_of(behind, codes_of(added)[:, None]))
+
+
+@given(PICTURES, st.data())
+def test_given_strengths_when_light_is_added_then_it_is_their_product_up_to_white(
+    picture: np.ndarray, data: st.DataObject
+) -> None:
+    strengths = st.floats(0, 300, width=32)
+    by_row = data.draw(arrays.arrays(np.float32, len(picture), elements=strengths))
+    by_column = data.draw(
+        arrays.arrays(np.float32, picture.shape[1], elements=st.floats(0, 1, width=32))
+    )
+    tint = (1.0, 0.84, 0.58)
+    light = np.outer(by_row, by_column)[..., None] * np.array(tint, np.float32)
+    wanted = sum_of(picture, codes_of(light))
+    pixels.add_shine(picture, by_row, by_column, tint)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+def test_given_a_part_of_a_picture_when_opencv_multiplies_it_by_shares_then_it_finds_the_same() -> (
+    None
+):
+    rng = np.random.default_rng(5)
+    picture = rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    shares = rng.integers(0, 256, (20, 3)).astype(np.float64)
+    factor = np.broadcast_to(shares[:, None].astype(np.uint8), picture.shape)
+    wanted = cv2.multiply(picture, np.ascontiguousarray(factor), scale=1 / 255)
+    pixels.tint_rows(picture, shares)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+PICTURE = np.zeros((4, 6, 3), np.uint8)
+NOTHING = np.zeros(0), np.zeros((0, 3))
+CURVE = np.zeros(256, np.uint8)
+
+
+@pytest.mark.parametrize(('call', 'reason'), [
+    (lambda: pixels.tint_rows(PICTURE[..., 0], np.zeros((4, 3))), 'its pixels side by side'),
+    (lambda: pixels.tint_rows(PICTURE[:, ::2], np.zeros((4, 3))), 'its pixels side by side'),
+    (lambda: pixels.tint_rows(PICTURE, np.zeros((5, 3))), r'shares are \(rows, 3\)'),
+    (lambda: pixels.tint_masked(PICTURE, PICTURE[:, :5, 0], (0, 0, 0)), 'as large as its part'),
+    (lambda: pixels.develop(PICTURE, CURVE[:9], *NOTHING, PICTURE), '256 codes'),
+    (lambda: pixels.develop(PICTURE, CURVE, *NOTHING, PICTURE[:3]), 'two pictures of one size'),
+    (lambda: pixels.develop(PICTURE, CURVE, np.ones(5), np.ones((5, 3)), PICTURE), 'upper rows'),
+    (lambda: pixels.add_shine(
+        PICTURE, np.ones(4, np.float32), np.ones(5, np.float32), (1, 1, 1)), 'one a column'),
+])  # fmt: skip
+def test_given_arrays_that_do_not_fit_when_used_then_it_says_which(call, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        call()
+    assert not PICTURE.any()
+
+
+def test_given_a_read_only_picture_when_changed_then_it_refuses() -> None:
+    picture = PICTURE.copy()
+    picture.flags.writeable = False
+    with pytest.raises(ValueError, match='not writeable'):
+        pixels.tint_rows(picture, np.zeros((4, 3)))
