@@ -20,6 +20,11 @@ _SPARSE_PX = 15
 """Distance of the columns for which directions are computed; between them, interpolation errs by
 less than a tenth of the panorama's columns. It divides the picture's width."""
 
+_PANORAMA = (
+    math.degrees(sky.COLUMNS_PER_DEGREE), sky.LOWEST_RAD, sky.STEP_RAD, float(sky.ROWS)
+)
+"""Columns per radian, elevation of row 0 and step between rows [rad], and number of rows."""
+
 _GLARE_STRENGTH = 120.0
 _GLARE_HALF_WIDTH_RAD = math.radians(16.0)
 _GLARE_TINT = (1.0, 0.84, 0.58)
@@ -42,7 +47,9 @@ class Atmosphere:
             [self._columns, np.full_like(self._columns, 60.0), ones(self._columns)]
         )
         # Where the skyline is looked up: one column beyond the picture on both sides.
-        self._sparse = (np.arange(-1, width // _SPARSE_PX + 1) + 0.5) * _SPARSE_PX - 0.5
+        self._sparse: NDArray[np.float64] = (
+            (np.arange(-1, width // _SPARSE_PX + 1) + 0.5) * _SPARSE_PX - 0.5
+        )
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
         self._glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)
@@ -131,19 +138,7 @@ class Atmosphere:
         self, rays: NDArray[np.float64], rows: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Panorama column and row, (rows, width) each, of the upper ``rows`` of the picture."""
-        du, dv, d1 = rays.T[:, :, None, None]
-        x, y, z = du * self._sparse + dv * self._rows[:rows, None] + d1
-        # Measured from the view's middle, yaw has no jump inside the picture.
-        middle = len(self._sparse) // 2
-        cos, sin = float(x[0, middle]), float(y[0, middle])
-        aside = np.degrees(np.arctan2(cos * y - sin * x, cos * x + sin * y))
-        north = math.degrees(math.atan2(sin, cos)) + 180.0
-        across = (north + aside) * sky.COLUMNS_PER_DEGREE
-        up = (np.arctan2(z, np.hypot(x, y)) - sky.LOWEST_RAD) / sky.STEP_RAD
-        up = np.minimum(np.maximum(up, 0), sky.ROWS - 1)
+        places = pixels.on_panorama(rays, self._sparse, rows, _PANORAMA)
         size = (_SPARSE_PX * len(self._sparse), rows)
-        wide = [
-            cv2.resize(sparse.astype(np.float32), size)[:, _SPARSE_PX:-_SPARSE_PX]
-            for sparse in (across, up)
-        ]
+        wide = [cv2.resize(sparse, size)[:, _SPARSE_PX:-_SPARSE_PX] for sparse in places]
         return np.ascontiguousarray(wide[0], np.float32), np.ascontiguousarray(wide[1], np.float32)

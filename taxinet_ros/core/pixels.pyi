@@ -131,6 +131,45 @@ class Reduction:
         Luma after ITU-R BT.601, averaged over areas; the numbers are OpenCV's.
         """
 
+def outlines(
+    corners: _Doubles,
+    starts: Sequence[int],
+    intrinsics: _Doubles,
+    size: tuple[int, int],
+    nearest_m: float,
+    farthest_px: float,
+) -> list[NDArray[np.int32]]:
+    """Where the convex parts of a body lie in the picture.
+
+    Args:
+        corners: of all parts, (N, 3), in the camera's optical frame [m].
+        starts: index of the first corner of each part, in order.
+        intrinsics: camera matrix, (3, 3), without skew.
+        size: height and width of the picture [px].
+        nearest_m: depth at which a part is cut off that comes nearer.
+        farthest_px: distance from the picture's corner beyond which nothing is told.
+
+    Returns:
+        Of each part that may touch the picture, points (n, 2) in sixteenths of a pixel, whose hull
+        is its outline.
+    """
+
+def on_panorama(
+    rays: _Doubles, columns: _Doubles, rows: int, measures: _Four
+) -> tuple[_Floats, _Floats]:
+    """Where on a panorama the rays of some columns of the upper rows of a picture end.
+
+    Args:
+        rays: homogenous pixel to a direction in ``map``, (3, 3).
+        columns: of the picture, (n,).
+        rows: how many of the picture's.
+        measures: columns of the panorama per radian of yaw, counted from -pi; elevation of its row
+            0 and step between its rows [rad]; its rows.
+
+    Returns:
+        Columns, which may go on beyond the panorama's end, and rows of it, (rows, n) both.
+    """
+
 def tint_rows(picture: _Bytes, shares: _Doubles) -> None:
     """Keep of each row, in place, a share in 255ths by channel: (rows, 3)."""
 

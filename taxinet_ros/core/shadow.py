@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core import pixels
+
 Vectors = NDArray[np.float64]
 
 Mask = tuple[slice, slice, NDArray[np.uint8]]
@@ -21,11 +23,10 @@ LOWEST_SUN_RAD = math.radians(1.0)
 """Below this the shadow is longer than the runway is wide and fainter than the sky's light."""
 
 _NEAREST_M = 0.2
-_INSIDE = np.array([0.0, 0.0, 0.0, 0.0, _NEAREST_M])
 _THROW = 0.5
 """How far a shadow falls, as a share of its distance from the camera: a typical value."""
 
-_FARTHEST_PX = 4000
+_FARTHEST_PX = 4000.0
 _SHIFT = 4
 """OpenCV draws in whole numbers: of sixteenths of a pixel."""
 
@@ -77,10 +78,7 @@ OUTLINE: tuple[Vectors, ...] = (
 
 
 _POINTS = np.concatenate(OUTLINE)
-_STARTS = np.cumsum([0, *(len(part) for part in OUTLINE[:-1])])
-_PARTS = [
-    slice(start, start + len(part)) for start, part in zip(_STARTS.tolist(), OUTLINE, strict=True)
-]
+_STARTS = np.cumsum([0, *(len(part) for part in OUTLINE[:-1])]).tolist()
 
 
 class OwnShadow:
@@ -100,12 +98,9 @@ class OwnShadow:
         """
         self._size = (height, width)
         self._penumbra_px = 1 + 2 * math.ceil(0.5 * intrinsics[0, 0] * _THROW * sun_width_rad)
-        self._intrinsics = intrinsics.T
+        self._intrinsics = intrinsics
         self._flatten = np.eye(3)
         self._flatten[:, 2] -= sun / sun[2]
-        k, z = intrinsics, np.array([0.0, 0.0, 1.0])
-        # Distances from the view's five sides, inside positive, up to a scale.
-        self._sides = np.stack([k[0], k[1], width * z - k[0], height * z - k[1], z]).T
 
     def mask(
         self, body: Vectors, place: Vectors, to_optical: Vectors, camera: Vectors
@@ -120,7 +115,10 @@ class OwnShadow:
         """
         turn = to_optical @ self._flatten
         optical = _POINTS @ (turn @ body).T + (turn @ place - to_optical @ camera)
-        polygons = self._polygons_in_view(optical)
+        corners = pixels.outlines(
+            optical, _STARTS, self._intrinsics, self._size, _NEAREST_M, _FARTHEST_PX
+        )
+        polygons = [np.asarray(cv2.convexHull(part), np.int32) for part in corners]
         if not polygons:
             return None
         mask = np.zeros(self._size, np.uint8)
@@ -132,45 +130,3 @@ class OwnShadow:
         columns = slice(max(left - margin, 0), min(left + width + margin, self._size[1]))
         soft = cv2.blur(mask[rows, columns], (margin, margin))
         return rows, columns, np.asarray(soft, np.uint8)
-
-    def _polygons_in_view(self, optical: Vectors) -> list[NDArray[np.int32]]:
-        """Outlines (n, 1, 2) [px / 16] of the parts whose shadow may touch the picture."""
-        sides = optical @ self._sides
-        # A convex part that lies beyond one of the sides is out of view, also where some of its
-        # corners are behind the camera.
-        seen = (np.maximum.reduceat(sides, _STARTS) > _INSIDE).all(axis=1)
-        before = np.minimum.reduceat(optical[:, 2], _STARTS) >= _NEAREST_M
-        corners = [
-            optical[_PARTS[part]] if before[part] else _cut(optical[_PARTS[part]])
-            for part in np.flatnonzero(seen).tolist()
-        ]
-        if not corners:
-            return []
-        points, end = self._pixels(np.concatenate(corners)), 0
-        polygons = []
-        for part in corners:
-            start, end = end, end + len(part)
-            polygons.append(np.asarray(cv2.convexHull(points[start:end]), np.int32))
-        return polygons
-
-    def _pixels(self, optical: Vectors) -> NDArray[np.int32]:
-        """Corners (N, 3) before the camera as (N, 2) in sixteenths of a pixel."""
-        scaled = optical @ self._intrinsics
-        pixels = scaled[:, :2] / scaled[:, 2:]
-        near = np.minimum(np.maximum(pixels, -_FARTHEST_PX), _FARTHEST_PX)
-        return np.asarray(np.rint(near * (1 << _SHIFT)), np.int32)
-
-
-def _cut(points: Vectors) -> Vectors:
-    """Points whose hull is the share of these points' hull that lies before the camera.
-
-    Every pair across the nearest plane adds the point where its line pierces it; convexity does
-    the rest.
-    """
-    front = points[:, 2] >= _NEAREST_M
-    if front.all():
-        return points
-    ahead, behind = points[front], points[~front]
-    share = (_NEAREST_M - behind[None, :, 2]) / (ahead[:, None, 2] - behind[None, :, 2])
-    cuts = behind[None] + share[:, :, None] * (ahead[:, None] - behind[None])
-    return np.concatenate([ahead, cuts.reshape(-1, 3)])

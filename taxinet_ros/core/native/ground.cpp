@@ -1,14 +1,20 @@
 #include "ground.hpp"
 
+#include <algorithm>
 #include <cstring>
 #include <utility>
 
-#if defined(__SSE2__) && !defined(PLAIN)
-#include <emmintrin.h>
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
+#define WITH_AVX2
+#include <immintrin.h>
 #endif
 
 namespace pixels {
 namespace {
+
+#if defined(WITH_AVX2)
+#define AVX2 __attribute__((target("avx2"), always_inline)) inline
+#endif
 
 // A position between texels in steps of 1/32, as OpenCV's bilinear interpolation has it.
 constexpr int kSteps = 32;
@@ -31,86 +37,143 @@ struct Linear {
     }
 };
 
-// One of them, in a texture of this size; beyond its border the border goes on. Two weights share a
-// word, the left one in its lower half.
+// Where one pixel falls in a texture of this size; beyond its border the border goes on.
 struct Place {
-    std::int32_t offset, upper, lower;
+    std::int32_t offset, across, down;
 
     INLINE Place(int rows, int columns, float row, float column) {
         const std::int32_t y = within(rounded(row * kSteps), (rows - 1) * kSteps);
         const std::int32_t x = within(rounded(column * kSteps), (columns - 1) * kSteps);
-        const std::int32_t top = lesser(y >> 5, rows - 2);
-        const std::int32_t left = lesser(x >> 5, columns - 2);
+        const std::int32_t top = lesser(y / kSteps, rows - 2);
+        const std::int32_t left = lesser(x / kSteps, columns - 2);
         offset = (top * columns + left) * kChannels;
-        const std::int32_t right = x - left * kSteps;
-        const std::int32_t both = (right << 16) + kSteps - right;
-        lower = (y - top * kSteps) * both;
-        upper = (both << 5) - lower;
+        across = weights(x - left * kSteps, 8) * 0x10001;
+        down = weights(y - top * kSteps, 16);
+    }
+
+    // Of the first and the second of two texels, that many bits apart.
+    INLINE static std::int32_t weights(std::int32_t second, int bits) {
+        return (second << bits) + kSteps - second;
     }
 };
 
-#if defined(__SSE2__) && !defined(PLAIN)
-
-using Colour = __m128i;
-
-INLINE __m128i four_bytes(const std::uint8_t *first) {
-    std::int32_t bits;
-    std::memcpy(&bits, first, sizeof bits);
-    return _mm_cvtsi32_si128(bits);
-}
-
-// Two neighbours' weighted sum; of the second, read without going beyond the texture's last byte,
-// the first byte is its neighbour's.
-INLINE __m128i blended(const std::uint8_t *texels, std::int32_t weights) {
-    const __m128i second = _mm_srli_epi32(four_bytes(texels + kChannels - 1), 8);
-    const __m128i pairs = _mm_unpacklo_epi8(four_bytes(texels), second);
-    return _mm_madd_epi16(_mm_unpacklo_epi8(pairs, _mm_setzero_si128()), _mm_set1_epi32(weights));
-}
-
-INLINE Colour colour_at(const std::uint8_t *upper, std::ptrdiff_t row, std::int32_t upper_weights,
-                        std::int32_t lower_weights) {
-    const __m128i sum =
-        _mm_add_epi32(blended(upper, upper_weights), blended(upper + row, lower_weights));
-    return _mm_srai_epi32(_mm_add_epi32(sum, _mm_set1_epi32(512)), 10);
-}
-
-INLINE Colour colour_of(const std::array<int, 3> &codes) {
-    return _mm_setr_epi32(codes[0], codes[1], codes[2], 0);
-}
-
-// Writes four bytes, of which the last is to be written over.
-INLINE void write_product(Colour colour, float scale, Colour factor, std::uint8_t *out) {
-    const __m128 scaled = _mm_mul_ps(_mm_cvtepi32_ps(colour), _mm_set1_ps(scale));
-    const __m128i codes = _mm_cvtps_epi32(_mm_mul_ps(scaled, _mm_cvtepi32_ps(factor)));
-    const __m128i words = _mm_packs_epi32(codes, codes);
-    const std::int32_t bits = _mm_cvtsi128_si32(_mm_packus_epi16(words, words));
-    std::memcpy(out, &bits, sizeof bits);
-}
-
-#else
-
 using Colour = std::array<std::int32_t, kChannels>;
 
-INLINE Colour colour_at(const std::uint8_t *upper, std::ptrdiff_t row, std::int32_t upper_weights,
-                        std::int32_t lower_weights) {
-    const std::uint8_t *lower = upper + row;
+INLINE Colour colour_at(const Texture &texture, const Places &places, int u) {
+    const std::uint8_t *upper = texture.texels + places.offset[u];
+    const std::uint8_t *lower = upper + texture.stride();
+    const int left = places.across[u] & 0xFF, right = places.across[u] >> 8 & 0xFF;
+    const int above = places.down[u] & 0xFFFF, below = places.down[u] >> 16;
     Colour colour;
     for (int c = 0; c < kChannels; ++c) {
-        colour[c] = (upper[c] * (upper_weights & 0xFFFF) +
-                     upper[c + kChannels] * (upper_weights >> 16) +
-                     lower[c] * (lower_weights & 0xFFFF) +
-                     lower[c + kChannels] * (lower_weights >> 16) + 512) >> 10;
+        const int high = upper[c] * left + upper[c + kChannels] * right;
+        const int low = lower[c] * left + lower[c + kChannels] * right;
+        colour[c] = (high * above + low * below + kSteps * kSteps / 2) / (kSteps * kSteps);
     }
     return colour;
 }
 
-INLINE Colour colour_of(const std::array<int, 3> &codes) { return {codes[0], codes[1], codes[2]}; }
+// What is looked up for one row: a texture, and where in it. Without a texture it is one colour.
+struct Layer {
+    const Texture *texture;
+    const Places *places;
+    Colour plain;
 
-INLINE void write_product(Colour colour, float scale, Colour factor, std::uint8_t *out) {
-    for (int c = 0; c < kChannels; ++c) {
-        const float product = static_cast<float>(colour[c]) * scale * static_cast<float>(factor[c]);
-        out[c] = static_cast<std::uint8_t>(within(rounded(product), 255));
+    INLINE Colour at(int u) const {
+        return texture == nullptr ? plain : colour_at(*texture, *places, u);
     }
+
+    // Whether eight bytes can be read wherever six are needed.
+    bool roomy() const {
+        if (texture == nullptr) {
+            return true;
+        }
+        const std::int32_t furthest =
+            *std::max_element(places->offset.begin(), places->offset.end());
+        return furthest + texture->stride() + 8 <= texture->owner.size();
+    }
+};
+
+// The product of ground and grain, from one column on.
+void multiply(const Layer &ground, const Layer &grain, float scale, int first, int width,
+              std::uint8_t *row) {
+    for (int u = first; u < width; ++u) {
+        const Colour colour = ground.at(u), factor = grain.at(u);
+        for (int c = 0; c < kChannels; ++c) {
+            const float product =
+                static_cast<float>(colour[c]) * scale * static_cast<float>(factor[c]);
+            row[kChannels * u + c] = static_cast<std::uint8_t>(within(rounded(product), 255));
+        }
+    }
+}
+
+#if defined(WITH_AVX2)
+
+// The same for two pixels at a time, red, green, blue and nothing of each in one half of a register.
+class TwoPixels {
+  public:
+    AVX2 explicit TwoPixels(const Layer &layer)
+        : plain_(_mm256_setr_epi32(layer.plain[0], layer.plain[1], layer.plain[2], 0,
+                                   layer.plain[0], layer.plain[1], layer.plain[2], 0)),
+          texels_(nullptr) {
+        if (layer.texture != nullptr) {
+            texels_ = layer.texture->texels;
+            stride_ = layer.texture->stride();
+            offset_ = layer.places->offset.data();
+            across_ = layer.places->across.data();
+            down_ = layer.places->down.data();
+        }
+    }
+
+    AVX2 __m256i at(int u) const {
+        if (texels_ == nullptr) {
+            return plain_;
+        }
+        // Of each channel both upper and both lower texels side by side.
+        const __m256i order = _mm256_broadcastsi128_si256(
+            _mm_setr_epi8(0, 3, 8, 11, 1, 4, 9, 12, 2, 5, 10, 13, -1, -1, -1, -1));
+        const __m256i texels = _mm256_set_m128i(four_texels(u + 1), four_texels(u));
+        const __m256i pairs = _mm256_shuffle_epi8(texels, order);
+        const __m256i blended = _mm256_maddubs_epi16(pairs, halves(across_ + u));
+        const __m256i sum = _mm256_madd_epi16(blended, halves(down_ + u));
+        return _mm256_srai_epi32(_mm256_add_epi32(sum, _mm256_set1_epi32(512)), 10);
+    }
+
+  private:
+    AVX2 __m128i four_texels(int u) const {
+        const std::uint8_t *upper = texels_ + offset_[u];
+        return _mm_unpacklo_epi64(_mm_loadu_si64(upper), _mm_loadu_si64(upper + stride_));
+    }
+
+    AVX2 static __m256i halves(const std::int32_t *words) {
+        return _mm256_blend_epi32(_mm256_set1_epi32(words[0]), _mm256_set1_epi32(words[1]), 0xF0);
+    }
+
+    __m256i plain_;
+    const std::uint8_t *texels_;
+    std::ptrdiff_t stride_ = 0;
+    const std::int32_t *offset_ = nullptr, *across_ = nullptr, *down_ = nullptr;
+};
+
+// Returns the first column that is left. Two bytes beyond what it fills are written to.
+__attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer, const Layer &grain_layer, float scale, int width,
+                        std::uint8_t *row) {
+    const TwoPixels ground(ground_layer), grain(grain_layer);
+    const __m256 factor = _mm256_set1_ps(scale);
+    const __m256i order = _mm256_broadcastsi128_si256(
+        _mm_setr_epi8(0, 1, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1));
+    int u = 0;
+    for (; u + 2 <= width; u += 2) {
+        const __m256 scaled = _mm256_mul_ps(_mm256_cvtepi32_ps(ground.at(u)), factor);
+        const __m256 product = _mm256_mul_ps(scaled, _mm256_cvtepi32_ps(grain.at(u)));
+        const __m256i words = _mm256_cvtps_epi32(product);
+        const __m128i both =
+            _mm_packs_epi32(_mm256_castsi256_si128(words), _mm256_extracti128_si256(words, 1));
+        const __m128i codes =
+            _mm_shuffle_epi8(_mm_packus_epi16(both, both), _mm256_castsi256_si128(order));
+        _mm_storel_epi64(reinterpret_cast<__m128i *>(row + kChannels * u), codes);
+    }
+    return u;
 }
 
 #endif
@@ -133,11 +196,11 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const float *__restrict along_by_column = view.density_along.by_column.data();
     const float *__restrict across_by_column = view.density_across.by_column.data();
     std::int32_t *__restrict ground_offset = ground.offset.data();
-    std::int32_t *__restrict ground_upper = ground.upper.data();
-    std::int32_t *__restrict ground_lower = ground.lower.data();
+    std::int32_t *__restrict ground_across = ground.across.data();
+    std::int32_t *__restrict ground_down = ground.down.data();
     std::int32_t *__restrict grain_offset = grain.offset.data();
-    std::int32_t *__restrict grain_upper = grain.upper.data();
-    std::int32_t *__restrict grain_lower = grain.lower.data();
+    std::int32_t *__restrict grain_across = grain.across.data();
+    std::int32_t *__restrict grain_down = grain.down.data();
     const float fall_of_row = view.fall.by_row[v];
     const float along_of_row = view.density_along.by_row[v];
     const float across_of_row = view.density_across.by_row[v];
@@ -166,52 +229,42 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
             atlas_rows, atlas_columns, ruler.along.on_level(along_form.at(uw, w), along),
             ruler.across.on_level(__builtin_fmaf(inside, ruler.bend.factor, coarse), level));
         ground_offset[u] = on_ground.offset;
-        ground_upper[u] = on_ground.upper;
-        ground_lower[u] = on_ground.lower;
+        ground_across[u] = on_ground.across;
+        ground_down[u] = on_ground.down;
         if (grained) {
             const Place in_grain(
                 tile_rows, tile_columns,
                 ruler.grain_along.on_level(grain_along_form.at(uw, w), along),
                 ruler.grain_across.on_level(grain_across_form.at(uw, w), across));
             grain_offset[u] = in_grain.offset;
-            grain_upper[u] = in_grain.upper;
-            grain_lower[u] = in_grain.lower;
+            grain_across[u] = in_grain.across;
+            grain_down[u] = in_grain.down;
         }
     }
 }
 
-FOR_EACH_PROCESSOR void read_row(const Texture &atlas, const Places &ground, bool grained, const Texture &tile,
-              const Places &grain, Colour neutral, float scale, int width,
-              std::uint8_t *__restrict out) {
-    const std::uint8_t *atlas_texels = atlas.texels, *tile_texels = tile.texels;
-    const std::ptrdiff_t atlas_row = static_cast<std::ptrdiff_t>(atlas.columns) * kChannels;
-    const std::ptrdiff_t tile_row = static_cast<std::ptrdiff_t>(tile.columns) * kChannels;
-    const std::int32_t *ground_offset = ground.offset.data(), *ground_upper = ground.upper.data(),
-                       *ground_lower = ground.lower.data();
-    const std::int32_t *grain_offset = grain.offset.data(), *grain_upper = grain.upper.data(),
-                       *grain_lower = grain.lower.data();
-    for (int u = 0; u < width; ++u) {
-        const Colour colour = colour_at(atlas_texels + ground_offset[u], atlas_row, ground_upper[u],
-                                        ground_lower[u]);
-        const Colour factor = grained ? colour_at(tile_texels + grain_offset[u], tile_row,
-                                                  grain_upper[u], grain_lower[u])
-                                      : neutral;
-        write_product(colour, scale, factor, out + kChannels * u);
+void read_row(const Layer &ground, const Layer &grain, float scale, int width, std::uint8_t *row) {
+    int done = 0;
+#if defined(WITH_AVX2)
+    static const bool with_avx2 = __builtin_cpu_supports("avx2");
+    if (with_avx2 && ground.roomy() && grain.roomy()) {
+        done = multiply_pairs(ground, grain, scale, width, row);
     }
+#endif
+    multiply(ground, grain, scale, done, width, row);
 }
 
 void ask_for(const Texture &texture, const Places &places) {
-    const std::ptrdiff_t row = static_cast<std::ptrdiff_t>(texture.columns) * kChannels;
     for (const std::int32_t offset : places.offset) {
         __builtin_prefetch(texture.texels + offset);
-        __builtin_prefetch(texture.texels + offset + row);
+        __builtin_prefetch(texture.texels + offset + texture.stride());
     }
 }
 
 }  // namespace
 
 Ground::Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
-       const std::array<int, 3> &neutral, float scale)
+               const std::array<int, 3> &neutral, float scale)
     : atlas_(std::move(atlas)),
       grain_(std::move(grain)),
       dither_(std::move(dither)),
@@ -222,7 +275,7 @@ Ground::Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
       width_(static_cast<int>(dither_.shape(1))),
       ground_places_{Places(width_), Places(width_)},
       grain_places_{Places(width_), Places(width_)},
-      row_(static_cast<std::size_t>(width_) * kChannels + 1) {}
+      row_(static_cast<std::size_t>(width_) * kChannels + 2) {}
 
 void Ground::sample(Bytes out, const Sight &sight) {
     require(out.ndim() == 3 && out.shape(0) == height_ && out.shape(1) == width_ &&
@@ -239,21 +292,23 @@ void Ground::sample(Bytes out, const Sight &sight) {
     const std::size_t stride = static_cast<std::size_t>(width_) * kChannels;
     std::uint8_t *target = out.mutable_data();
     const float *dither = dither_.data();
-    const Colour neutral = colour_of(neutral_);
     // The texels of a row are asked for while those of the row before are read.
     for (int v = 0; v <= height_; ++v) {
         if (v < height_) {
+            Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
+            const bool grained = v >= first_grain_row;
             find_places(view, ruler_, v, width_, dither + static_cast<std::size_t>(v) * width_,
-                        v >= first_grain_row, atlas_, grain_, ground_places_[v % 2],
-                        grain_places_[v % 2]);
-            ask_for(atlas_, ground_places_[v % 2]);
-            if (v >= first_grain_row) {
-                ask_for(grain_, grain_places_[v % 2]);
+                        grained, atlas_, grain_, ground, grain);
+            ask_for(atlas_, ground);
+            if (grained) {
+                ask_for(grain_, grain);
             }
         }
         if (v > 0) {
-            read_row(atlas_, ground_places_[(v - 1) % 2], v > first_grain_row, grain_,
-                     grain_places_[(v - 1) % 2], neutral, scale_, width_, row_.data());
+            const Layer ground{&atlas_, &ground_places_[(v - 1) % 2], {}};
+            const Layer grain{v > first_grain_row ? &grain_ : nullptr, &grain_places_[(v - 1) % 2],
+                              neutral_};
+            read_row(ground, grain, scale_, width_, row_.data());
             std::memcpy(target + (v - 1) * stride, row_.data(), stride);
         }
     }

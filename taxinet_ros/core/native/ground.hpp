@@ -24,14 +24,18 @@ struct Texture {
         rows = static_cast<int>(owner.shape(0));
         columns = static_cast<int>(owner.shape(1));
     }
+
+    // Bytes from one row to the next.
+    std::ptrdiff_t stride() const { return static_cast<std::ptrdiff_t>(columns) * kChannels; }
 };
 
-// Where the pixels of one row of the picture fall: the offset of the upper left one of four texels,
-// and the weights of the upper two and the lower two, which add up to 1,024.
+// Where the pixels of one row of the picture fall between four texels of a texture: the offset of
+// the upper left one, and the weights of left and right, in its first and second byte and once more,
+// and of above and below, in its first and second half. Each two of them add up to 32.
 struct Places {
-    std::vector<std::int32_t> offset, upper, lower;
+    std::vector<std::int32_t> offset, across, down;
 
-    explicit Places(int width) : offset(width), upper(width), lower(width) {}
+    explicit Places(int width) : offset(width), across(width), down(width) {}
 };
 
 // One axis of the ground's texture.

@@ -5,7 +5,9 @@
 
 #include "ground.hpp"
 #include "light.hpp"
+#include "outline.hpp"
 #include "reduction.hpp"
+#include "skyline.hpp"
 
 namespace py = pybind11;
 using namespace pixels;
@@ -72,6 +74,8 @@ PYBIND11_MODULE(pixels, module) {
     py::class_<Reduction>(module, "Reduction")
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
+    module.def("outlines", &outlines);
+    module.def("on_panorama", &on_panorama);
     module.def("tint_rows", &tint_rows);
     module.def("tint_masked", &tint_masked);
     module.def("develop", &develop);
