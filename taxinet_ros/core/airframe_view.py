@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core import pixels
 from taxinet_ros.core.light import GAMMA, Light, display_code
 
 HEIGHT, WIDTH = 200, 56
@@ -137,9 +138,7 @@ class AirframeView:
         step = round(yaw_rad / _YAW_STEP_RAD)
         if step not in self._lit:
             self._lit[step] = self._lighten(step * _YAW_STEP_RAD)
-        corner = picture[:HEIGHT, :WIDTH]
-        through = cv2.multiply(corner, self._behind, scale=1 / 255)
-        cv2.add(through, self._lit[step], dst=corner)
+        pixels.lay_over(picture[:HEIGHT, :WIDTH], self._behind, self._lit[step])
 
     def _lighten(self, yaw_rad: float) -> NDArray[np.uint8]:
         """The drawing in the light, times its opacity."""

@@ -47,9 +47,8 @@ class Atmosphere:
             [self._columns, np.full_like(self._columns, 60.0), ones(self._columns)]
         )
         # Where the skyline is looked up: one column beyond the picture on both sides.
-        self._sparse: NDArray[np.float64] = (
-            (np.arange(-1, width // _SPARSE_PX + 1) + 0.5) * _SPARSE_PX - 0.5
-        )
+        sparse = np.arange(-1, width // _SPARSE_PX + 1, dtype=np.float64)
+        self._sparse = (sparse + 0.5) * _SPARSE_PX - 0.5
         beam = float(light.direct.max() / light.total.max())
         low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
         self._glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)

@@ -39,6 +39,8 @@ CTE_SCALE_M = 10.0
 HE_SCALE_RAD = math.radians(30.0)
 """Heading error [rad] at an output of 1."""
 
+_SCALES = np.array([CTE_SCALE_M, HE_SCALE_RAD])
+
 _MEAN, _DEVIATION = 0.449, 0.226
 """Of grey levels 0..1: the customary ones, of ImageNet's pictures."""
 
@@ -120,7 +122,8 @@ def scaled(cte_m: NDArray[np.float64], he_rad: NDArray[np.float64]) -> NDArray[n
 
 def unscaled(outputs: NDArray[np.float32]) -> NDArray[np.float64]:
     """Cross-track [m] and heading errors [rad], (N, 2), that outputs (N, 2) stand for."""
-    return outputs.astype(np.float64) * (CTE_SCALE_M, HE_SCALE_RAD)
+    errors: NDArray[np.float64] = outputs.astype(np.float64) * _SCALES
+    return errors
 
 
 class TaxiNet:

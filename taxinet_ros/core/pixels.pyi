@@ -195,6 +195,15 @@ def develop(
         picture: where it goes, of the ground's size.
     """
 
+def lay_over(picture: _Bytes, kept: _Bytes, added: _Bytes) -> None:
+    """Lay a picture over a part of one, in place: a share in 255ths of each code, and a sum.
+
+    Args:
+        picture: the part, (rows, columns, 3); its rows may lie apart.
+        kept: the share that shines through, of the same size.
+        added: what is added to it, of the same size.
+    """
+
 def add_shine(
     picture: _Bytes, by_row: _Floats, by_column: _Floats, tint: tuple[float, float, float]
 ) -> None:

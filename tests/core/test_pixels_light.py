@@ -82,6 +82,19 @@ def test_given_a_curve_and_a_veil_when_developed_then_the_upper_rows_lie_behind_
 
 
 @given(PICTURES, st.data())
+def test_given_a_picture_to_lay_over_a_part_when_laid_then_it_hides_its_share_and_adds_up_to_white(
+    picture: np.ndarray, data: st.DataObject
+) -> None:
+    shape = (len(picture), data.draw(st.integers(1, picture.shape[1])), 3)
+    share, added = (data.draw(arrays.arrays(np.uint8, shape)) for _ in range(2))
+    wanted = picture.copy()
+    part = wanted[:, : shape[1]]
+    part[:] = sum_of(kept(part, share.astype(int)), added)
+    pixels.lay_over(picture[:, : shape[1]], share, added)
+    np.testing.assert_array_equal(picture, wanted)
+
+
+@given(PICTURES, st.data())
 def test_given_strengths_when_light_is_added_then_it_is_their_product_up_to_white(
     picture: np.ndarray, data: st.DataObject
 ) -> None:
@@ -122,6 +135,7 @@ CURVE = np.zeros(256, np.uint8)
     (lambda: pixels.develop(PICTURE, CURVE[:9], *NOTHING, PICTURE), '256 codes'),
     (lambda: pixels.develop(PICTURE, CURVE, *NOTHING, PICTURE[:3]), 'two pictures of one size'),
     (lambda: pixels.develop(PICTURE, CURVE, np.ones(5), np.ones((5, 3)), PICTURE), 'upper rows'),
+    (lambda: pixels.lay_over(PICTURE, PICTURE[:3], PICTURE), 'as large as that'),
     (lambda: pixels.add_shine(
         PICTURE, np.ones(4, np.float32), np.ones(5, np.float32), (1, 1, 1)), 'one a column'),
 ])  # fmt: skip

@@ -145,6 +145,18 @@ void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doub
     }
 }
 
+void lay_over(Picture picture, const Bytes &kept, const Bytes &added) {
+    const Rows rows(picture);
+    for (const Bytes *layer : {&kept, &added}) {
+        require(layer->ndim() == 3 && layer->shape(0) == rows.count &&
+                    layer->shape(1) == rows.width && layer->shape(2) == kChannels,
+                "what is laid over a picture is as large as that");
+    }
+    for (int v = 0; v < rows.count; ++v) {
+        veil_row(rows.at(v), kept.data(v), added.data(v), rows.bytes());
+    }
+}
+
 void add_shine(Picture picture, const Floats &by_row, const Floats &by_column,
                const std::array<float, 3> &tint) {
     const Rows rows(picture);

@@ -22,6 +22,9 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
 void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doubles &added,
              Picture picture);
 
+// Each channel of each pixel keeps a share, and has something added: the picture's size, both.
+void lay_over(Picture picture, const Bytes &kept, const Bytes &added);
+
 // Adds the product of a strength by row, one by column, and one by channel.
 void add_shine(Picture picture, const Floats &by_row, const Floats &by_column,
                const std::array<float, 3> &tint);

@@ -79,5 +79,6 @@ PYBIND11_MODULE(pixels, module) {
     module.def("tint_rows", &tint_rows);
     module.def("tint_masked", &tint_masked);
     module.def("develop", &develop);
+    module.def("lay_over", &lay_over);
     module.def("add_shine", &add_shine);
 }
