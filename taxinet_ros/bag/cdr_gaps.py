@@ -14,19 +14,51 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
-_BODY = 4
+BODY = 4
 """Bytes of encapsulation before the first field."""
 
-_COUNT = struct.Struct('<I')
-_SIZES = {
-    'bool': 1, 'byte': 1, 'char': 1, 'octet': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2,
-    'int32': 4, 'uint32': 4, 'float32': 4, 'int64': 8, 'uint64': 8, 'float64': 8,
+FORMATS = {
+    'bool': '?', 'byte': 'B', 'char': 'B', 'octet': 'B', 'int8': 'b', 'uint8': 'B', 'int16': 'h',
+    'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'float32': 'f', 'int64': 'q', 'uint64': 'Q',
+    'float64': 'd',
 }
+"""Character of a :mod:`struct` format by type of field, where that has a constant size."""
+
+_COUNT = struct.Struct('<I')
+_SIZES = {name: struct.calcsize('<' + form) for name, form in FORMATS.items()}
 _TEXT = 1
 _MAX_TAIL = 3
 """Middleware rounds the length of a message up to a multiple of four bytes."""
 
-_Gaps = list[tuple[int, int]]
+_MOST_KNOWN = 16
+
+
+class Trail:
+    """What a walk came past.
+
+    Attributes:
+        gaps: first byte of each alignment gap, and the first after it.
+        counts: first byte of each count.
+    """
+
+    def __init__(self) -> None:
+        """Begin."""
+        self.gaps: list[tuple[int, int]] = []
+        self.counts: list[int] = []
+
+    def aligned(self, at: int, align: int) -> int:
+        """Where a field begins at or after ``at``; the gap before it is noted."""
+        short = (BODY - at) % align
+        if short:
+            self.gaps.append((at, at + short))
+        return at + short
+
+    def counted(self, cdr: bytes, at: int) -> tuple[int, int]:
+        """The count at or after ``at``, and where it ends; both it and its gap are noted."""
+        at = self.aligned(at, _COUNT.size)
+        self.counts.append(at)
+        (count,) = _COUNT.unpack_from(cdr, at)
+        return count, at + _COUNT.size
 
 
 class _Stride:
@@ -39,9 +71,9 @@ class _Stride:
         """Whether ``other`` can follow without a gap, wherever this one begins."""
         return other.align <= self.align and self.size % other.align == 0
 
-    def walk(self, cdr: bytes, at: int, gaps: _Gaps) -> int:
-        """Where it ends if it begins at or after ``at``; the gap before it goes to ``gaps``."""
-        return _aligned(at, self.align, gaps) + self.size
+    def walk(self, cdr: bytes, at: int, trail: Trail) -> int:
+        """Where it ends if it begins at or after ``at``; what it comes past goes to ``trail``."""
+        return trail.aligned(at, self.align) + self.size
 
 
 class _Counted:
@@ -50,14 +82,12 @@ class _Counted:
     def __init__(self, size: int) -> None:
         self._size = size
 
-    def walk(self, cdr: bytes, at: int, gaps: _Gaps) -> int:
+    def walk(self, cdr: bytes, at: int, trail: Trail) -> int:
         """See :meth:`_Stride.walk`."""
-        at = _aligned(at, _COUNT.size, gaps)
-        (count,) = _COUNT.unpack_from(cdr, at)
-        at += _COUNT.size
+        count, at = trail.counted(cdr, at)
         if not count:
             return at
-        return _aligned(at, self._size, gaps) + count * self._size
+        return trail.aligned(at, self._size) + count * self._size
 
 
 class _Repeated:
@@ -66,20 +96,37 @@ class _Repeated:
     def __init__(self, steps: Sequence[Any], count: int | None) -> None:
         self._steps, self._count = tuple(steps), count
 
-    def walk(self, cdr: bytes, at: int, gaps: _Gaps) -> int:
+    def walk(self, cdr: bytes, at: int, trail: Trail) -> int:
         """See :meth:`_Stride.walk`."""
         count = self._count
         if count is None:
-            at = _aligned(at, _COUNT.size, gaps)
-            (count,) = _COUNT.unpack_from(cdr, at)
-            at += _COUNT.size
+            count, at = trail.counted(cdr, at)
         for _ in range(count):
             before = at
             for step in self._steps:
-                at = step.walk(cdr, at, gaps)
+                at = step.walk(cdr, at, trail)
             if at > len(cdr) or at == before:
                 raise ValueError(f'{count} elements do not fit')
         return at
+
+
+class _Layout:
+    """How a message of a type is laid out: its counts decide that, and nothing else does."""
+
+    def __init__(self, cdr: bytes, trail: Trail) -> None:
+        """Learn from a message with zeros in its gaps."""
+        counts = [(at, at + _COUNT.size) for at in trail.counts]
+        spans = [*trail.gaps, *counts]
+        self._size = max((end for _, end in spans), default=0)
+        marked = bytearray(self._size)
+        for start, end in spans:
+            marked[start:end] = b'\xff' * (end - start)
+        self._mask = int.from_bytes(marked, 'little')
+        self._values = int.from_bytes(cdr[:self._size], 'little') & self._mask
+
+    def has(self, cdr: bytes) -> bool:
+        """Whether a message of the same length has the same counts, and zeros in its gaps."""
+        return int.from_bytes(cdr[:self._size], 'little') & self._mask == self._values
 
 
 class Walk:
@@ -88,6 +135,7 @@ class Walk:
     def __init__(self, steps: Iterable[Any]) -> None:
         """Run together what can be; ``steps`` come from :func:`walk_of`."""
         self._steps = tuple(_joined(steps))
+        self._known: dict[int, _Layout] = {}
 
     def without_gaps(self, cdr: bytes) -> bytes:
         """The message with zeros in its gaps, cut after its last field.
@@ -95,20 +143,29 @@ class Walk:
         Raises:
             ValueError, struct.error: the bytes are no message of the type.
         """
-        at = _BODY
-        gaps: _Gaps = []
+        # Most messages are as they should be, and laid out like the one before them.
+        known = self._known.get(len(cdr))
+        if known is not None and known.has(cdr):
+            return cdr
+        at = BODY
+        trail = Trail()
         for step in self._steps:
-            at = step.walk(cdr, at, gaps)
+            at = step.walk(cdr, at, trail)
         if not at <= len(cdr) <= at + _MAX_TAIL:
             raise ValueError(f'fields end at byte {at}')
-        # Most messages are as they should be, and big ones are not copied for nothing.
-        wrong = [(start, end) for start, end in gaps if any(cdr[start:end])]
+        wrong = [(start, end) for start, end in trail.gaps if any(cdr[start:end])]
         if not wrong and len(cdr) == at:
+            self._learn(cdr, trail)
             return cdr
         mended = bytearray(cdr[:at])
         for start, end in wrong:
             mended[start:end] = bytes(end - start)
         return bytes(mended)
+
+    def _learn(self, cdr: bytes, trail: Trail) -> None:
+        if len(self._known) == _MOST_KNOWN:
+            self._known.clear()
+        self._known[len(cdr)] = _Layout(cdr, trail)
 
 
 def walk_of(store: Any, type_name: str) -> Walk:
@@ -125,10 +182,11 @@ def walk_of(store: Any, type_name: str) -> Walk:
 
 
 def _steps(store: Any, type_name: str) -> list[Any]:
-    return [step for _, kind in store.fielddefs[type_name][1] for step in _field(store, kind)]
+    return [step for _, kind in store.fielddefs[type_name][1] for step in steps_of(store, kind)]
 
 
-def _field(store: Any, kind: Any) -> list[Any]:
+def steps_of(store: Any, kind: Any) -> list[Any]:
+    """The way through one field of a kind that rosbags' ``fielddefs`` names; errors as above."""
     node, what = kind
     if node is Nodetype.BASE:
         name = what[0]
@@ -136,7 +194,7 @@ def _field(store: Any, kind: Any) -> list[Any]:
     if node is Nodetype.NAME:
         return _steps(store, what)
     element, count = what
-    inner = _joined(_field(store, element))
+    inner = _joined(steps_of(store, element))
     if node is Nodetype.ARRAY and _constant(inner):
         return [_Stride(inner[0].align, inner[0].size) for _ in range(count)]
     if node is Nodetype.ARRAY:
@@ -159,10 +217,3 @@ def _joined(steps: Iterable[Any]) -> list[Any]:
         else:
             done.append(step)
     return done
-
-
-def _aligned(at: int, align: int, gaps: _Gaps) -> int:
-    short = (_BODY - at) % align
-    if short:
-        gaps.append((at, at + short))
-    return at + short

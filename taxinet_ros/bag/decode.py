@@ -6,7 +6,7 @@ become plain objects with the fields of the definition.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,12 +45,27 @@ def decode(topic: TopicInfo, cdr: bytes) -> Any:
         BagForeign: the bag carries no definition that could be used.
         BagCorrupt: the bytes do not fit the definition.
     """
+    return decoder(topic)(cdr)
+
+
+def decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
+    """From bytes on ``topic`` to the object that they stand for, for many messages.
+
+    It raises BagCorrupt where the bytes do not fit the definition.
+
+    Raises:
+        BagForeign: the bag carries no definition that could be used.
+    """
     store = typestore(topic)
-    try:
-        return store.deserialize_cdr(cdr, topic.type)
-    except (SerdeError, TypesysError, ValueError, TypeError, LookupError, ArithmeticError,
-            AssertionError, MemoryError, RecursionError) as error:
-        raise BagCorrupt(f'topic {topic.name}: not a {topic.type}: {_line(error)}') from error
+
+    def decoded(cdr: bytes) -> Any:
+        try:
+            return store.deserialize_cdr(cdr, topic.type)
+        except (SerdeError, TypesysError, ValueError, TypeError, LookupError, ArithmeticError,
+                AssertionError, MemoryError, RecursionError) as error:
+            raise BagCorrupt(f'topic {topic.name}: not a {topic.type}: {_line(error)}') from error
+
+    return decoded
 
 
 def decoded_messages(path: Path, wanted: Wanted | None = None) -> Iterator[DecodedMessage]:

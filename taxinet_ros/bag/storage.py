@@ -7,7 +7,6 @@ damaged chunk costs a few messages or the whole file.
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -19,7 +18,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -31,6 +29,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from taxinet_ros.bag.chunk import Chunk
 from taxinet_ros.bag.output import Output
 from taxinet_ros.bag.topics import TopicInfo
 
@@ -40,14 +39,6 @@ CHUNK_BYTES = 32 * 1024
 
 COMPRESSION_LEVEL = 1
 """Of zstd: on camera frames a third of the time of its default, for a sixth more bytes."""
-
-_COMPRESSION = b'zstd'
-# Frames pass through these records by the hundred thousand bytes, so they are not copied as often
-# as the library's builder would.
-_MESSAGE = struct.Struct('<BQHIQQ')
-_CHUNK = struct.Struct('<BQQQQII4sQ')
-_INDEX = struct.Struct('<BQHI')
-_INDEX_ENTRY = struct.Struct('<QQ')
 
 
 class StorageFile:
@@ -73,32 +64,25 @@ class StorageFile:
         self.counts = dict.fromkeys(self._channels, 0)
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._started = False
-        self._chunk = bytearray()
-        self._index: dict[int, list[tuple[int, int]]] = {}
-        self._chunks: list[ChunkIndex] = []
+        self._chunk_indexes: list[bytes] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.output.put(MAGIC + encode(Header('ros2', library)) + self._declarations())
         # Once more under the first chunk's checksum, so that damage to the copy above shows.
-        self._chunk += self._declarations()
+        self._chunk = Chunk(self._declarations())
 
     def add_message(self, topic: str, data: bytes, stamp_ns: int) -> None:
         """Append one message; its stamp is both log and publish time."""
         self.output.check()
-        channel = self._channels[topic].id
-        if self._index and len(self._chunk) + len(data) > CHUNK_BYTES:
+        if not self._chunk.empty and len(self._chunk.data) + len(data) > CHUNK_BYTES:
             self.finish_chunk()
-        self._index.setdefault(channel, []).append((stamp_ns, len(self._chunk)))
-        self._chunk += _MESSAGE.pack(
-            Opcode.MESSAGE, _MESSAGE.size - 9 + len(data), channel, self.counts[topic],
-            stamp_ns, stamp_ns,
-        )
-        self._chunk += data
+        number = self.counts[topic]
+        self._chunk.add(self._channels[topic].id, number, data, stamp_ns)
         self.start_ns = min(self.start_ns, stamp_ns) if self._started else stamp_ns
         self._started = True
         self.end_ns = max(self.end_ns, stamp_ns)
-        self.counts[topic] += 1
-        if len(self._chunk) > CHUNK_BYTES:
+        self.counts[topic] = number + 1
+        if len(self._chunk.data) > CHUNK_BYTES:
             self.finish_chunk()
 
     def add_attachment(self, name: str, data: bytes, *, media_type: str) -> None:
@@ -124,29 +108,21 @@ class StorageFile:
     def finish_chunk(self) -> None:
         """Hand everything to the operating system; no chunk is written without messages."""
         self.output.check()
-        if not self._index:
+        if self._chunk.empty:
             return
-        stamps = [stamp for records in self._index.values() for stamp, _ in records]
-        packed = self._compressor.compress(self._chunk)
-        head = _CHUNK.pack(
-            Opcode.CHUNK, _CHUNK.size - 9 + len(packed), min(stamps), max(stamps),
-            len(self._chunk), zlib.crc32(self._chunk), len(_COMPRESSION), _COMPRESSION, len(packed),
-        )
-        indexes = [_message_index(channel, records) for channel, records in self._index.items()]
-        entry = self._chunk_index(stamps, len(packed), [len(index) for index in indexes])
-        self.output.put(b''.join([head, packed, *indexes]))
-        self._chunks.append(entry)
-        self._chunk = bytearray()
-        self._index = {}
+        records, summary = self._chunk.packed(self._compressor, self.output.size)
+        self.output.put(records)
+        self._chunk_indexes.append(summary)
+        self._chunk = Chunk()
 
     def finish(self) -> None:
         """Write what makes the file complete: end of data, summary, footer, with checksums."""
         self.finish_chunk()
         self.output.put(encode(DataEnd(self.output.crc)))
         start = self.output.size
-        groups = [(code, b''.join(map(encode, records))) for code, records in self._summary()]
+        groups = self._summary()
         summary = b''.join(data for _, data in groups)
-        offsets = b''.join(map(encode, _offsets(start, groups)))
+        offsets = _encoded(_offsets(start, groups))
         footer = Footer(
             summary_start=start, summary_offset_start=start + len(summary), summary_crc=0
         )
@@ -165,40 +141,25 @@ class StorageFile:
         )
 
     def _declarations(self) -> bytes:
-        return b''.join(map(encode, [*self._schemas.values(), *self._channels.values()]))
+        return _encoded([*self._schemas.values(), *self._channels.values()])
 
-    def _chunk_index(self, stamps: list[int], packed: int, indexes: list[int]) -> ChunkIndex:
-        start = self.output.size
-        length = _CHUNK.size + packed
-        offset = start + length
-        offsets = {}
-        for channel, size in zip(self._index, indexes, strict=True):
-            offsets[channel] = offset
-            offset += size
-        return ChunkIndex(
-            chunk_length=length, chunk_start_offset=start, compression=_COMPRESSION.decode(),
-            compressed_size=packed, message_end_time=max(stamps),
-            message_index_length=sum(indexes), message_index_offsets=offsets,
-            message_start_time=min(stamps), uncompressed_size=len(self._chunk),
-        )
-
-    def _summary(self) -> list[tuple[Opcode, list[McapRecord]]]:
+    def _summary(self) -> list[tuple[Opcode, bytes]]:
         """The records of the summary section by kind; readers stumble over kinds without any."""
         numbers = {channel.id: self.counts[topic] for topic, channel in self._channels.items()}
         statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=numbers, chunk_count=len(self._chunks),
+            channel_message_counts=numbers, chunk_count=len(self._chunk_indexes),
             message_count=sum(numbers.values()), message_end_time=self.end_ns,
             message_start_time=self.start_ns, metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas.values()]),
-            (Opcode.CHANNEL, [*self._channels.values()]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunks]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
-            (Opcode.METADATA_INDEX, [*self._metadata]),
+        groups = [
+            (Opcode.SCHEMA, _encoded(self._schemas.values())),
+            (Opcode.CHANNEL, _encoded(self._channels.values())),
+            (Opcode.STATISTICS, _encoded([statistics])),
+            (Opcode.CHUNK_INDEX, b''.join(self._chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, _encoded(self._attachments)),
+            (Opcode.METADATA_INDEX, _encoded(self._metadata)),
         ]
         return [(code, records) for code, records in groups if records]
 
@@ -210,11 +171,8 @@ def encode(record: McapRecord) -> bytes:
     return bytes(builder.end())
 
 
-def _message_index(channel: int, records: list[tuple[int, int]]) -> bytes:
-    """The record that says where in a chunk the messages of a channel are, by stamp."""
-    size = _INDEX_ENTRY.size * len(records)
-    head = _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX.size - 9 + size, channel, size)
-    return head + b''.join(_INDEX_ENTRY.pack(*record) for record in records)
+def _encoded(records: Iterable[McapRecord]) -> bytes:
+    return b''.join(map(encode, records))
 
 
 def _offsets(start: int, groups: list[tuple[Opcode, bytes]]) -> Iterable[SummaryOffset]:

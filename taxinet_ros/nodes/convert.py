@@ -1,7 +1,6 @@
 """Messages to core values and back. Floats pass unchanged, so the graph matches the core's bits.
 
-What is said in every control step is written ``into`` a message that its node keeps: generated
-messages take as long to make as to send, for each makes its parts, and defaults for them, anew.
+What is said in every control step is not here but in :mod:`taxinet_ros.nodes.step_cdr`.
 """
 
 from __future__ import annotations
@@ -10,26 +9,22 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 
 from taxinet_ros.bag.message_values import SCENARIO_FIELDS
 from taxinet_ros.core import camera
-from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
-from taxinet_ros.nodes.interface import BASE_FRAME, MAP_FRAME
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.nodes.interface import CAMERA_FRAME, MAP_FRAME
 
 
-def time_of(stamp_ns: int, into: Time | None = None) -> Time:
+def time_of(stamp_ns: int) -> Time:
     """Nanoseconds since the start of the run as a ROS time."""
-    time = into or Time()
-    time.sec, time.nanosec = divmod(stamp_ns, NS_PER_S)
-    return time
+    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
 
 
 def stamp_of(stamp: Time) -> int:
@@ -40,20 +35,6 @@ def stamp_of(stamp: Time) -> int:
 def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
     """A header at simulated time ``stamp_ns``."""
     return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
-
-
-def set_header(message: Any, stamp_ns: int, frame_id: str = MAP_FRAME) -> None:
-    """Stamp a message with simulated time ``stamp_ns``."""
-    time_of(stamp_ns, message.header.stamp)
-    message.header.frame_id = frame_id
-
-
-def set_step(
-    message: Any, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME
-) -> None:
-    """Say which control step of which run a message belongs to."""
-    set_header(message, stamp_ns, frame_id)
-    message.run_id, message.seq = run_id, seq
 
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
@@ -75,10 +56,11 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
 
 
 def camera_info_message() -> CameraInfo:
-    """Intrinsics of the wing camera; the caller stamps it."""
+    """Intrinsics of the wing camera at the start of a run."""
     matrix = camera.intrinsics()
     projection = np.hstack([matrix, np.zeros((3, 1))])
     return CameraInfo(
+        header=header(0, CAMERA_FRAME),
         height=camera.IMAGE_HEIGHT,
         width=camera.IMAGE_WIDTH,
         distortion_model='plumb_bob',
@@ -89,59 +71,25 @@ def camera_info_message() -> CameraInfo:
     )
 
 
-def odometry_message(
-    state: AircraftState, stamp_ns: int, into: Odometry | None = None
-) -> Odometry:
-    """The true state: pose in map, velocity in base_link."""
-    message = into or Odometry()
-    set_header(message, stamp_ns)
-    message.child_frame_id = BASE_FRAME
-    position, orientation = message.pose.pose.position, message.pose.pose.orientation
-    position.x, position.y, position.z = state.x_m, state.y_m, state.z_m
-    orientation.x, orientation.y, orientation.z, orientation.w = quaternion(
-        state.roll_rad, state.pitch_rad, state.yaw_rad
-    )
-    message.twist.twist.linear.x = state.speed_mps
-    message.twist.twist.angular.z = state.yaw_rate_radps
-    return message
-
-
-def error_message(
-    error: TrackingError, run_id: str, seq: int, stamp_ns: int,
-    into: taxinet.TrackingError | None = None,
-) -> taxinet.TrackingError:
-    """Truth or estimate as a message."""
-    message = into or taxinet.TrackingError()
-    set_step(message, run_id, seq, stamp_ns)
-    message.cross_track_error, message.heading_error = error.cte_m, error.he_rad
-    message.valid = error.valid
-    return message
-
-
-def command_message(
-    command: TaxiCommand, run_id: str, seq: int, stamp_ns: int,
-    into: taxinet.TaxiCommand | None = None,
-) -> taxinet.TaxiCommand:
-    """A command as a message."""
-    message = into or taxinet.TaxiCommand()
-    set_step(message, run_id, seq, stamp_ns, BASE_FRAME)
-    message.steering_angle, message.speed = command.steering_rad, command.speed_mps
-    return message
-
-
 def robustness_message(
-    spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME,
-    into: taxinet.Robustness | None = None,
+    spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int, frame_id: str = MAP_FRAME
 ) -> taxinet.Robustness:
     """One formula's reading."""
-    message = into or taxinet.Robustness()
-    set_step(message, run_id, seq, stamp_ns, frame_id)
-    message.spec, message.formula = spec.name, spec.text
-    message.rho_lower, message.rho_upper = reading.lower, reading.upper
-    message.verdict = int(reading.verdict)
-    message.final, message.valid, message.trusted = reading.final, reading.valid, reading.trusted
-    message.samples, message.rejected = reading.samples, reading.rejected
-    return message
+    return taxinet.Robustness(
+        header=header(stamp_ns, frame_id),
+        run_id=run_id,
+        seq=seq,
+        spec=spec.name,
+        formula=spec.text,
+        rho_lower=reading.lower,
+        rho_upper=reading.upper,
+        verdict=int(reading.verdict),
+        final=reading.final,
+        valid=reading.valid,
+        trusted=reading.trusted,
+        samples=reading.samples,
+        rejected=reading.rejected,
+    )
 
 
 def statistics_fields(statistics: RunStatistics) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from taxinet_msgs.msg import NodeStatus, Robustness, Scenario, Verdict
+from taxinet_msgs.msg import Scenario, Verdict
 
 from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -30,6 +30,7 @@ from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.monitor_alone import MonitorAlone
 from taxinet_ros.nodes.parameters import any_given, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.step_cdr import robustness_cdr
 from taxinet_ros.nodes.steps import StepCollector
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
@@ -54,7 +55,6 @@ class MtlMonitor(Participant):
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""
         self._specs = tuple(parse_spec(text) for text in scenario.specs)
-        self._messages = [Robustness() for _ in self._specs]
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._judge = Judge(
@@ -78,20 +78,20 @@ class MtlMonitor(Participant):
         readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
             self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
-        results = [
-            robustness_message(spec, reading, self.run_id, seq, stamp_ns, into=message)
-            for spec, reading, message in zip(self._specs, readings, self._messages, strict=True)
-        ]
-        for result in results:
-            self._robustness.publish(result)
+        for spec, reading in zip(self._specs, readings, strict=True):
+            self._robustness.publish(robustness_cdr(spec, reading, self.run_id, seq, stamp_ns))
         stopped = self._judge.stopped_early
         if stopped or seq == self._last_seq:
-            self._conclude(results, stamp_ns)
+            self._conclude(seq, stamp_ns)
         if not stopped and reports_progress(seq, self._last_seq, self._stop_on):
-            self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+            self._progress.publish(self.progress(seq, stamp_ns))
 
-    def _conclude(self, results: list[Any], stamp_ns: int) -> None:
+    def _conclude(self, seq: int, stamp_ns: int) -> None:
         judgement = self._judge.judgement
+        results = [
+            robustness_message(spec, reading, self.run_id, seq, stamp_ns)
+            for spec, reading in zip(self._specs, judgement.readings, strict=True)
+        ]
         self._verdict.publish(Verdict(
             header=header(stamp_ns),
             run_id=self.run_id,

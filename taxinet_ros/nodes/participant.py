@@ -16,7 +16,8 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.matching import heard_by, hears_from
-from taxinet_ros.nodes.reading import reader_of
+from taxinet_ros.nodes.reading import read_here, reader_of
+from taxinet_ros.nodes.step_cdr import progress_cdr
 
 _READY_POLL_S = 0.005
 
@@ -68,10 +69,10 @@ class Participant(Node):
 
         Args:
             topic: what is heard.
-            callback: takes the messages; of a topic of every step, objects with their fields.
+            callback: takes the messages; of a topic that is read here, objects with their fields.
             raw: it takes their bytes.
         """
-        if topic.each_step and not raw:
+        if read_here(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
         guarded = self._guarded(callback)
         heard = self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
@@ -79,12 +80,8 @@ class Participant(Node):
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Tell the simulator how this node stands in the current run."""
-        self._status.publish(self.status(state, seq=seq, stamp_ns=stamp_ns, detail=detail))
-
-    def status(self, state: int, *, seq: int, stamp_ns: int, detail: str = '') -> NodeStatus:
-        """A status message of this node for the current run."""
         ready = state == NodeStatus.READY
-        return NodeStatus(
+        self._status.publish(NodeStatus(
             header=header(stamp_ns, ''),
             run_id=self.run_id,
             node=self.get_name(),
@@ -94,6 +91,12 @@ class Participant(Node):
             listens=[topic.name for topic, _ in self._listeners] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
+        ))
+
+    def progress(self, seq: int, stamp_ns: int) -> bytes:
+        """The status, serialised, of having come as far as control step ``seq``."""
+        return progress_cdr(
+            self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
         )
 
     def close(self) -> None:

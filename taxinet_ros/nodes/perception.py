@@ -14,9 +14,10 @@ from taxinet_ros.core.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import error_message, stamp_of
+from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.parameters import refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.step_cdr import error_cdr
 
 
 class PerceptionNode(Participant, abc.ABC):
@@ -30,7 +31,6 @@ class PerceptionNode(Participant, abc.ABC):
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
         self._estimates = self.speak(interface.ESTIMATE)
-        self._message = TrackingError()
         if self._perception.needs_image:
             self.listen(interface.IMAGE, self._see, raw=True)
         else:
@@ -52,4 +52,4 @@ class PerceptionNode(Participant, abc.ABC):
 
     def _say(self, estimate: Estimate, run_id: str, stamp_ns: int) -> None:
         seq = stamp_ns // CONTROL_PERIOD_NS
-        self._estimates.publish(error_message(estimate, run_id, seq, stamp_ns, self._message))
+        self._estimates.publish(error_cdr(estimate, run_id, seq, stamp_ns))

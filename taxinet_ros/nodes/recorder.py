@@ -36,7 +36,7 @@ from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
-from taxinet_ros.nodes.steps import StepCollector
+from taxinet_ros.nodes.steps import Step, StepCollector
 
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
@@ -44,6 +44,9 @@ _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 def bag_name(topic: Topic) -> str:
     """Name of a topic in a bag: the graph's own, whatever namespace the graph ran in."""
     return '/' + topic.name.lstrip('/')
+
+
+_BAG_NAMES = {topic.name: bag_name(topic) for topic in interface.TOPICS}
 
 
 @functools.cache
@@ -108,7 +111,7 @@ class Recorder(Participant):
             for topic in self._stepped
         }
         self._steps = StepCollector(self._expected)
-        self._held: list[tuple[int, dict[str, list[bytes]]]] = []
+        self._held: list[Step] = []
         self._verdict: bytes | None = None
         self._ended: RunStatus | None = None
         self._written = 0
@@ -141,8 +144,7 @@ class Recorder(Participant):
                 f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
                 'is no control step; does a second simulator publish?'
             )
-        for step in self._steps.add(topic.name, seq, cdr):
-            self._held.append(step)
+        self._held += self._steps.add(topic.name, seq, cdr)
         self._write_steps()
 
     def _on_status(self, cdr: bytes) -> None:
@@ -192,14 +194,13 @@ class Recorder(Participant):
 
     def _write_steps(self) -> None:
         """Write what is whole, once the head of the bag is on disk."""
-        if not self._head_known() or not self._held:
+        if not self._held or not self._head_known():
             return
         for seq, messages in self._held:
             self._write_step(seq, messages)
             self._written += 1
             if reports_progress(seq, self._last_seq, self._stop_on):
-                stamp_ns = seq * CONTROL_PERIOD_NS
-                self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+                self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
         self._held.clear()
 
     def _write_step(self, seq: int, messages: dict[str, list[bytes]]) -> None:
@@ -211,7 +212,7 @@ class Recorder(Participant):
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
         assert self._writer is not None
-        name = bag_name(topic)
+        name = _BAG_NAMES[topic.name]
         self._writer.write(name, self._canonical.message(name, cdr), stamp_ns)
 
     def report(self, state: int, **what: Any) -> None:
@@ -259,8 +260,7 @@ class Recorder(Participant):
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is at work."""
         if reports_progress(seq, self._last_seq):
-            stamp_ns = seq * CONTROL_PERIOD_NS
-            self._progress.publish(self.status(NodeStatus.PROGRESS, seq=seq, stamp_ns=stamp_ns))
+            self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
 
     def _on_frames(self, trouble: str) -> None:
         if trouble:

@@ -30,10 +30,10 @@ from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by, hears_from
-from taxinet_ros.nodes.observation_messages import ObservationMessages
+from taxinet_ros.nodes.observation_messages import observation_messages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
-from taxinet_ros.nodes.reading import reader_of
+from taxinet_ros.nodes.reading import read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 
 _WATCH_PERIOD_S = 0.1
@@ -60,7 +60,6 @@ class Simulator(Node):
                 self._speakers[topic.name] = self.create_publisher(
                     topic.type, topic.name, topic.qos
                 )
-        self._messages = ObservationMessages()
         for topic, callback in (
             (interface.NODE_STATUS, self._on_status),
             (interface.PROGRESS, self._on_progress),
@@ -70,7 +69,7 @@ class Simulator(Node):
         ):
             hear = functools.partial(self._hear, reader_of(topic), callback)
             heard = self.create_subscription(
-                topic.type, topic.name, hear, topic.qos, raw=topic.each_step
+                topic.type, topic.name, hear, topic.qos, raw=read_here(topic)
             )
             self._listeners.append((topic, heard))
         self._server = ActionServer(
@@ -228,7 +227,7 @@ class Simulator(Node):
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq)
-        for topic, message in self._messages.of(now, run.run_id):
+        for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:

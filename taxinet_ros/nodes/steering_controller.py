@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from taxinet_msgs.msg import TaxiCommand, TrackingError
+from taxinet_msgs.msg import TrackingError
 
 from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.bag.recorded_run import words_of_gains
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains, steer
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import command_message, stamp_of
+from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.step_cdr import command_cdr
 
 
 class SteeringController(Participant):
@@ -35,15 +36,12 @@ class SteeringController(Participant):
         tuned = {name: x for name, x in asdict(self.gains).items() if x != usual[name]}
         self.implementation = words_of_gains(tuned)
         self._commands = self.speak(interface.COMMAND)
-        self._message = TaxiCommand()
         self.listen(interface.ESTIMATE, self._answer)
 
     def _answer(self, estimate: TrackingError) -> None:
         command = steer(error_of(estimate), self.gains)
         stamp_ns = stamp_of(estimate.header.stamp)
-        self._commands.publish(
-            command_message(command, estimate.run_id, estimate.seq, stamp_ns, self._message)
-        )
+        self._commands.publish(command_cdr(command, estimate.run_id, estimate.seq, stamp_ns))
 
 
 def main() -> None:

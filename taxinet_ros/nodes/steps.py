@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+Step = tuple[int, dict[str, list[Any]]]
+"""Number of a control step, and its messages by topic."""
 
 
 class StepCollector:
@@ -18,26 +21,31 @@ class StepCollector:
         self._next = 0
         self.repeated = 0
 
-    def add(self, topic: str, seq: int, message: Any) -> Iterator[tuple[int, dict[str, list[Any]]]]:
-        """Take one message; yield every step that is now whole, oldest first.
+    def add(self, topic: str, seq: int, message: Any) -> Sequence[Step]:
+        """Take one message; answer every step that is now whole, oldest first.
 
         A message beyond the expected number (a repetition, or one of a step already handed out) is
         counted in :attr:`repeated` and ignored.
         """
         if seq < self._next:
             self.repeated += 1
-            return
+            return ()
         messages = self._pending.setdefault(seq, {}).setdefault(topic, [])
         if len(messages) == self._expected[topic]:
             self.repeated += 1
-            return
+            return ()
         messages.append(message)
-        self._counts[seq] = self._counts.get(seq, 0) + 1
+        count = self._counts[seq] = self._counts.get(seq, 0) + 1
+        return self._whole() if count == self._total and seq == self._next else ()
+
+    def _whole(self) -> list[Step]:
+        whole = []
         while self._counts.get(self._next) == self._total:
             del self._counts[self._next]
-            yield self._next, self._pending.pop(self._next)
+            whole.append((self._next, self._pending.pop(self._next)))
             self._next += 1
+        return whole
 
-    def torn(self) -> list[tuple[int, dict[str, list[Any]]]]:
+    def torn(self) -> list[Step]:
         """Steps begun and not whole, oldest first: what an aborted run left behind."""
         return sorted(self._pending.items())

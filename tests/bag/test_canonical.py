@@ -3,16 +3,15 @@
 import contextlib
 import struct
 
-import numpy as np
 import pytest
+from any_messages import messages_of
 from bag_edits import GOLDEN
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from taxinet_ros.bag.canonical import Canonical
-from taxinet_ros.bag.cdr_gaps import walk_of
+from taxinet_ros.bag.cdr_gaps import Trail, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.nodes.recorder import bag_topics
@@ -27,45 +26,13 @@ TYPES = [
 ]
 
 
-def values_of(kind):
-    """Anything that a field may hold."""
-    node, what = kind
-    if node is Nodetype.BASE:
-        return base_values(what[0])
-    if node is Nodetype.NAME:
-        return messages_of(what)
-    element, count = what
-    sizes = {'min_size': count, 'max_size': count} if node is Nodetype.ARRAY else {'max_size': 3}
-    inner = st.lists(values_of(element), **sizes)
-    if element[0] is Nodetype.BASE and element[1][0] != 'string':
-        name = {'bool': 'bool', 'byte': 'uint8', 'char': 'uint8', 'octet': 'uint8'}
-        dtype = np.dtype(name.get(element[1][0], element[1][0]))
-        return inner.map(lambda values: np.array(values, dtype))
-    return inner
-
-
-def base_values(name):
-    if name == 'string':
-        return st.text(st.characters(codec='ascii', exclude_characters='\0'), max_size=9)
-    if name == 'bool':
-        return st.booleans()
-    if name.startswith('float'):
-        return st.floats(width=int(name[5:]))
-    return st.integers(0, 100)
-
-
-def messages_of(name):
-    fields = {key: values_of(kind) for key, kind in STORE.fielddefs[name][1]}
-    return st.builds(STORE.types[name], **fields)
-
-
 def dirty(cdr, walk, garbage):
     """The same message with garbage in its gaps."""
-    gaps, at = [], 4
+    trail, at = Trail(), 4
     for step in walk._steps:
-        at = step.walk(cdr, at, gaps)
+        at = step.walk(cdr, at, trail)
     spoilt = bytearray(cdr)
-    for start, end in gaps:
+    for start, end in trail.gaps:
         spoilt[start:end] = (garbage * 2)[: end - start]
     return bytes(spoilt)
 
@@ -75,7 +42,7 @@ def dirty(cdr, walk, garbage):
 def test_given_any_message_with_garbage_in_its_gaps_then_it_is_what_rosbags_writes(
     name, data, garbage, tail
 ):
-    clean = bytes(STORE.serialize_cdr(data.draw(messages_of(name)), name))
+    clean = bytes(STORE.serialize_cdr(data.draw(messages_of(STORE, name)), name))
     walk = walk_of(STORE, name)
     spoilt = dirty(clean, walk, garbage)
     again = bytes(STORE.serialize_cdr(STORE.deserialize_cdr(spoilt, name), name))
@@ -84,10 +51,32 @@ def test_given_any_message_with_garbage_in_its_gaps_then_it_is_what_rosbags_writ
     assert walk.without_gaps(clean) is clean, 'nothing is copied for nothing'
 
 
+@given(garbage=st.binary(min_size=7, max_size=7))
+def test_given_equally_long_messages_with_gaps_elsewhere_then_each_is_mended_in_its_own(garbage):
+    name = 'diagnostic_msgs/msg/KeyValue'
+    walk = walk_of(STORE, name)
+    kinds = [STORE.types[name](key='a', value='bbbbbb'), STORE.types[name](key='aaaa', value='bb')]
+    clean = [bytes(STORE.serialize_cdr(kind, name)) for kind in kinds]
+    assert len(clean[0]) == len(clean[1])
+    for one in [*clean, *clean]:
+        assert walk.without_gaps(one) is one, 'known from then on'
+        for other in clean:
+            assert walk.without_gaps(dirty(other, walk, garbage)) == other
+            assert walk.without_gaps(other + b'\1') == other
+
+
+def test_given_more_layouts_than_are_remembered_then_every_message_is_mended():
+    walk = walk_of(STORE, 'std_msgs/msg/String')
+    texts = [bytes(STORE.serialize_cdr(STORE.types['std_msgs/msg/String'](data='a' * size),
+                                       'std_msgs/msg/String')) for size in range(40)]
+    for one in [*texts, *texts]:
+        assert walk.without_gaps(one) is one
+
+
 @pytest.mark.parametrize('name', TYPES)
 @given(data=st.data())
 def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes(name, data):
-    clean = bytearray(STORE.serialize_cdr(data.draw(messages_of(name)), name))
+    clean = bytearray(STORE.serialize_cdr(data.draw(messages_of(STORE, name)), name))
     at = data.draw(st.integers(4, max(4, len(clean) - 1)))
     clean[at:at + 4] = data.draw(st.binary(max_size=4))
     with contextlib.suppress(ValueError, struct.error):

@@ -16,32 +16,12 @@ from taxinet_ros.bag.image_cdr import frame_of_cdr, image_cdr
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.nodes import convert
-
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
 def test_given_a_stamp_when_sent_and_read_then_no_nanosecond_is_lost(stamp_ns):
     assert convert.stamp_of(convert.time_of(stamp_ns)) == stamp_ns
-
-
-@given(FINITE, FINITE, st.booleans())
-def test_given_a_tracking_error_when_sent_and_read_then_every_bit_is_there(cte, he, valid):
-    error = TrackingError(cte_m=cte, he_rad=he, valid=valid)
-    message = convert.error_message(error, 'run', 7, 700_000_000)
-    assert message_values.error_of(message) == error
-    assert (message.run_id, message.seq) == ('run', 7)
-
-
-@given(FINITE, FINITE)
-def test_given_a_command_when_sent_and_read_then_every_bit_is_there(steering, speed):
-    command = TaxiCommand(steering_rad=steering, speed_mps=speed)
-    message = convert.command_message(command, 'run', 7, 700_000_000)
-    assert message_values.command_of(message) == command
-    assert (message.run_id, message.seq) == ('run', 7)
-    assert convert.stamp_of(message.header.stamp) == 700_000_000
 
 
 def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
@@ -132,15 +112,3 @@ def test_given_an_attitude_then_its_quaternion_turns_the_axes_the_same_way(roll,
         math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), -math.sin(pitch)
     )
     assert forward == pytest.approx(expected), 'positive pitch is nose down'
-
-
-def test_given_a_state_then_odometry_says_pose_in_map_and_speed_in_base_link():
-    state = AircraftState(
-        x_m=400.0, y_m=-3.0, z_m=1.5, roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.2, speed_mps=5.0,
-        yaw_rate_radps=0.1,
-    )
-    message = convert.odometry_message(state, 100_000_000)
-    position = message.pose.pose.position
-    assert (position.x, position.y, position.z) == (400.0, -3.0, 1.5)
-    assert (message.header.frame_id, message.child_frame_id) == ('map', 'base_link')
-    assert (message.twist.twist.linear.x, message.twist.twist.angular.z) == (5.0, 0.1)

@@ -7,11 +7,13 @@ import math
 import numpy as np
 import pytest
 import rclpy
+from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from scipy.spatial.transform import Rotation
 from taxinet_msgs.msg import RunStatus
@@ -21,10 +23,10 @@ from taxinet_ros.core import camera, runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.convert import odometry_message
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
 from taxinet_ros.nodes.scene_markers import SceneMarkers
+from taxinet_ros.nodes.step_cdr import odometry_cdr
 
 STEPS = 21
 
@@ -35,6 +37,10 @@ def state(**more: float) -> AircraftState:
         'speed_mps': 5.0, 'yaw_rate_radps': 0.0,
     }
     return AircraftState(**{**values, **more})
+
+
+def odometry(at: AircraftState, stamp_ns: int) -> Odometry:
+    return deserialize_message(odometry_cdr(at, stamp_ns), Odometry)
 
 
 def points_of(marker) -> np.ndarray:
@@ -70,7 +76,7 @@ def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_pat
     aircraft = Aircraft()
     for step in range(3):
         at = state(x_m=700.0 + step)
-        body, path = aircraft.markers(odometry_message(at, step * 100_000_000)).markers
+        body, path = aircraft.markers(odometry(at, step * 100_000_000)).markers
     assert body.pose.position.x == 702.0
     assert body.header.frame_id == 'map'
     assert body.header.stamp.nanosec == 200_000_000
@@ -83,15 +89,15 @@ def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_pat
 
 def test_given_time_that_goes_back_then_another_path_begins():
     aircraft = Aircraft()
-    aircraft.markers(odometry_message(state(), 100_000_000))
-    _, path = aircraft.markers(odometry_message(state(x_m=10.0), 0)).markers
+    aircraft.markers(odometry(state(), 100_000_000))
+    _, path = aircraft.markers(odometry(state(x_m=10.0), 0)).markers
     assert points_of(path)[:, 0].tolist() == [10.0]
 
 
 def test_given_the_frames_then_a_point_goes_through_them_to_the_pixel_that_the_camera_sees():
     at = state()
     target = np.array([730.0, -4.0, 0.0])
-    base, turned = parts(base_transform(odometry_message(at, 0)))
+    base, turned = parts(base_transform(odometry(at, 0)))
     in_base = turned.inv().apply(target - base)
     lens, mounted = parts(camera_transform())
     seen = mounted.inv().apply(in_base - lens)
