@@ -127,8 +127,11 @@ PIXELS = Pybind11Extension(
     depends=[str(path) for path in files_below(f'{NAME}/core/native') if path.suffix == '.hpp'],
     cxx_std=20,
     # Equal bytes on every processor: no two operations are fused unless the source says so. That
-    # nobody asks for errno or traps lets loops be vectorised and changes no number.
-    extra_compile_args=['-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math'],
+    # nobody asks for errno or traps, nor for whole numbers to wrap round, as Python's own sources
+    # do, lets loops be vectorised and changes no number.
+    extra_compile_args=[
+        '-O3', '-ffp-contract=off', '-fno-math-errno', '-fno-trapping-math', '-fno-wrapv',
+    ],
 )
 
 # No data of the package, but code, its sources, and what is compiled from them.

@@ -40,7 +40,7 @@ def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-campaign-')))
     return [
         Subject(
-            name='campaign', run=partial(_search, folder, workers), warm_ups=0, most=1,
+            name='campaign', run=partial(_search, folder, workers), warm_ups=0, most=3,
             simulated_s=Scenario().duration_s,
         )
         for workers in WORKERS

@@ -292,14 +292,14 @@ void Ground::sample(Bytes out, const Sight &sight) {
     const std::size_t stride = static_cast<std::size_t>(width_) * kChannels;
     std::uint8_t *target = out.mutable_data();
     const float *dither = dither_.data();
-    // The texels of a row are asked for while those of the row before are read.
+    // The grain of a row is asked for while the row before is read: it is spread over more memory
+    // than a core's cache has, and the ground under a row is not.
     for (int v = 0; v <= height_; ++v) {
         if (v < height_) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
             const bool grained = v >= first_grain_row;
             find_places(view, ruler_, v, width_, dither + static_cast<std::size_t>(v) * width_,
                         grained, atlas_, grain_, ground, grain);
-            ask_for(atlas_, ground);
             if (grained) {
                 ask_for(grain_, grain);
             }
