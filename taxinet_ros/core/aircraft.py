@@ -147,10 +147,13 @@ class Aircraft:
             raise ValueError(f'not a command that an aircraft can follow: {command}')
         self._set_controls(command)
         self._step += 1
-        for _ in range(self._steps):
-            self._attempt(self._fdm.run, 'run')
+        self._attempt(self._integrate, 'run')
         self._state = self._measure()
         return self._state
+
+    def _integrate(self) -> bool:
+        run = self._fdm.run
+        return all(run() for _ in range(self._steps))
 
     def _load(self, name: str) -> jsbsim.FGFDMExec:
         with captured_log() as log:
