@@ -109,7 +109,7 @@ void multiply(const Layer &ground, const Layer &grain, float scale, int first, i
 
 #if defined(WITH_AVX2)
 
-// The same for two pixels at a time, red, green, blue and nothing of each in one half of a register.
+// The same for two pixels at a time: red, green, blue and nothing of each in a half of a register.
 class TwoPixels {
   public:
     AVX2 explicit TwoPixels(const Layer &layer)
@@ -156,8 +156,9 @@ class TwoPixels {
 };
 
 // Returns the first column that is left. Two bytes beyond what it fills are written to.
-__attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer, const Layer &grain_layer, float scale, int width,
-                        std::uint8_t *row) {
+__attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer,
+                                                   const Layer &grain_layer, float scale,
+                                                   int width, std::uint8_t *row) {
     const TwoPixels ground(ground_layer), grain(grain_layer);
     const __m256 factor = _mm256_set1_ps(scale);
     const __m256i order = _mm256_broadcastsi128_si256(

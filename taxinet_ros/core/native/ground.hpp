@@ -30,8 +30,8 @@ struct Texture {
 };
 
 // Where the pixels of one row of the picture fall between four texels of a texture: the offset of
-// the upper left one, and the weights of left and right, in its first and second byte and once more,
-// and of above and below, in its first and second half. Each two of them add up to 32.
+// the upper left one; the weights of left and right, a byte each, twice; and those of above and
+// below, half a word each. Each two add up to 32.
 struct Places {
     std::vector<std::int32_t> offset, across, down;
 
@@ -66,7 +66,8 @@ struct Tile {
 
     INLINE float on_level(float place, float level) const {
         const float whole = __builtin_floorf(place);
-        const float part = __builtin_fmaf(place, texels, __builtin_fmaf(whole, -texels, -two_tiles));
+        const float start = __builtin_fmaf(whole, -texels, -two_tiles);
+        const float part = __builtin_fmaf(place, texels, start);
         return part * (level > finest ? finest : level) + end;
     }
 };

@@ -1,4 +1,4 @@
-// The module taxinet_ros.core.pixels: what is done once per pixel. Its signatures are in pixels.pyi.
+// The module taxinet_ros.core.pixels: what is done once per pixel. pixels.pyi has the signatures.
 
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>

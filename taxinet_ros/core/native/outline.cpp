@@ -47,8 +47,11 @@ std::vector<Point> cut(const std::vector<Point> &part, double nearest_m) {
     for (const Point &near : behind) {
         for (const Point &far : ahead) {
             const double share = (nearest_m - near[2]) / (far[2] - near[2]);
-            all.push_back({near[0] + share * (far[0] - near[0]), near[1] + share * (far[1] - near[1]),
-                           near[2] + share * (far[2] - near[2])});
+            Point pierced;
+            for (std::size_t axis = 0; axis < pierced.size(); ++axis) {
+                pierced[axis] = near[axis] + share * (far[axis] - near[axis]);
+            }
+            all.push_back(pierced);
         }
     }
     return all;

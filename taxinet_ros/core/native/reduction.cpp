@@ -31,7 +31,8 @@ FOR_EACH_PROCESSOR void average_columns(const float *__restrict grey, const Shar
 #pragma GCC ivdep
     for (int u = 0; u < count; ++u) {
         const float *from = grey + first[u];
-        row[u] = from[0] * weight[u] + from[1] * weight[count + u] + from[2] * weight[2 * count + u];
+        const float two = from[0] * weight[u] + from[1] * weight[count + u];
+        row[u] = two + from[2] * weight[2 * count + u];
     }
 }
 

@@ -1,10 +1,10 @@
 // How one pose sees the ground: the few numbers from which every pixel's texels follow.
 //
-// With the ray of pixel (u, v) as d = A (u, v, 1) in `map` and the camera at height h over the place
-// c, the ground point is c + h (dx, dy) w with w = -1/dz. As dz is linear in u and v, so is every
-// linear ground coordinate in u w and w, whatever its unit and origin: one pass over the picture.
-// The footprints are exact too: with X = dx w, dX/du = w (A00 + X A20) is w^2 times a linear
-// function of v alone, and dX/dv is w^2 times one of u alone.
+// With the ray of pixel (u, v) as d = A (u, v, 1) in `map` and the camera at height h over the
+// place c, the ground point is c + h (dx, dy) w with w = -1/dz. As dz is linear in u and v, so is
+// every linear ground coordinate in u w and w, whatever its unit and origin: one pass over the
+// picture. The footprints are exact too: with X = dx w, dX/du = w (A00 + X A20) is w^2 times a
+// linear function of v alone, and dX/dv is w^2 times one of u alone.
 
 #pragma once
 

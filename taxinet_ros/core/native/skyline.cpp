@@ -20,7 +20,8 @@ std::pair<Floats, Floats> on_panorama(const Doubles &rays, const Doubles &column
     const double middle = columns.data()[width / 2];
     const double cos = along(0, middle, 0), sin = along(1, middle, 0);
     const double north = std::atan2(sin, cos) + std::numbers::pi;
-    Floats across({static_cast<py::ssize_t>(rows), width}), up({static_cast<py::ssize_t>(rows), width});
+    Floats across({static_cast<py::ssize_t>(rows), width});
+    Floats up({static_cast<py::ssize_t>(rows), width});
     for (int v = 0; v < rows; ++v) {
         for (py::ssize_t i = 0; i < width; ++i) {
             const double u = columns.data()[i];
