@@ -106,8 +106,15 @@ $(DONE)/venv:
 HEADLESS := import cv2, re, sys; \
   sys.exit(not re.search(r"GUI: +NONE", cv2.getBuildInformation()))
 
+# What the sources in taxinet_ros/core/native ask of a compiler.
+MODERN := \#include <bit>\nstatic_assert(std::bit_cast<int>(0.0F) == 0);\n
+
 $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt $(SHARED) $(NATIVE)
 	@echo 'make: installing taxinet_ros and what it needs (minutes the first time)'
+	@printf '$(MODERN)' | c++ -std=c++20 -fsyntax-only -x c++ - 2>/dev/null || { \
+	  echo 'make: compiler "c++" knows no C++20; GCC 11, Clang 14 and newer do:' \
+	    "$$(c++ --version | head -1)" >&2; \
+	  exit 2; }
 	@$(INSTALL) pybind11
 	@$(INSTALL) --no-build-isolation -e '.[ros]'
 	@$(BIN)/python -c '$(HEADLESS)' 2>/dev/null || \

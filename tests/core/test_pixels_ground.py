@@ -75,3 +75,13 @@ def test_given_a_picture_of_another_size_when_filled_then_it_says_so_and_writes_
     with pytest.raises(ValueError, match='of one size'):
         small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3))
     assert not out.any()
+
+
+def test_given_a_picture_whose_rows_lie_apart_when_filled_then_it_refuses_to_fill_a_copy() -> None:
+    dither = np.ones((2, 3), np.float32)
+    small = pixels.Ground(
+        ground_atlas(), grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0
+    )
+    part = np.zeros((2, 5, 3), np.uint8)[:, :3]
+    with pytest.raises(TypeError, match='incompatible function arguments'):
+        small.sample(part, pixels.Sight(np.eye(3), np.ones(3), 2, 3))

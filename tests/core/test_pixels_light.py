@@ -150,3 +150,19 @@ def test_given_a_read_only_picture_when_changed_then_it_refuses() -> None:
     picture.flags.writeable = False
     with pytest.raises(ValueError, match='not writeable'):
         pixels.tint_rows(picture, np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize('call', [
+    lambda picture: pixels.tint_rows(picture, np.zeros((4, 3))),
+    lambda picture: pixels.tint_masked(picture, PICTURE[..., 0].copy(), (1, 1, 1)),
+    lambda picture: pixels.develop(PICTURE, CURVE, *NOTHING, picture),
+    lambda picture: pixels.lay_over(picture, PICTURE, PICTURE),
+    lambda picture: pixels.add_shine(
+        picture, np.ones(4, np.float32), np.ones(6, np.float32), (1, 1, 1)),
+])  # fmt: skip
+@pytest.mark.parametrize('kind', [np.float64, np.int8, np.uint16])
+def test_given_a_picture_of_another_kind_when_changed_then_it_refuses_to_change_a_copy(
+    call, kind: type
+) -> None:
+    with pytest.raises(TypeError, match='incompatible function arguments'):
+        call(PICTURE.astype(kind))

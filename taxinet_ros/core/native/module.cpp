@@ -69,16 +69,23 @@ PYBIND11_MODULE(pixels, module) {
              py::arg("grain_along"), py::arg("grain_across"), py::arg("tile_m"),
              py::arg("grain_reach_m"));
     py::class_<Ground>(module, "Ground")
-        .def(py::init<Bytes, Bytes, Floats, const Ruler &, const std::array<int, 3> &, float>())
-        .def("sample", &Ground::sample);
+        .def(py::init<Bytes, Bytes, Floats, const Ruler &, const std::array<int, 3> &, float>(),
+             py::arg("atlas").noconvert(), py::arg("grain").noconvert(), py::arg("dither"),
+             py::arg("ruler"), py::arg("neutral"), py::arg("scale"))
+        .def("sample", &Ground::sample, py::arg("out").noconvert(), py::arg("sight"));
     py::class_<Reduction>(module, "Reduction")
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
     module.def("outlines", &outlines);
     module.def("on_panorama", &on_panorama);
-    module.def("tint_rows", &tint_rows);
-    module.def("tint_masked", &tint_masked);
-    module.def("develop", &develop);
-    module.def("lay_over", &lay_over);
-    module.def("add_shine", &add_shine);
+    // What is written to must not be a converted copy, nor must large things be copied unsaid.
+    module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
+    module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),
+               py::arg("mask").noconvert(), py::arg("depth"));
+    module.def("develop", &develop, py::arg("ground").noconvert(), py::arg("curve"),
+               py::arg("kept"), py::arg("added"), py::arg("picture").noconvert());
+    module.def("lay_over", &lay_over, py::arg("picture").noconvert(), py::arg("kept"),
+               py::arg("added"));
+    module.def("add_shine", &add_shine, py::arg("picture").noconvert(), py::arg("by_row"),
+               py::arg("by_column"), py::arg("tint"));
 }
