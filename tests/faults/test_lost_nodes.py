@@ -22,7 +22,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on fe
 
 NODES = (SIMULATOR, *PARTICIPANTS)
 KIND = {
-    signal.SIGKILL: ('died', 'killed by SIGKILL'), signal.SIGSTOP: ('timeout', 'silent for '),
+    signal.SIGKILL: ('died', ('killed by SIGKILL',)),
+    # Where another node was silent first, on a busy machine, the recorder is missed at the end.
+    signal.SIGSTOP: ('timeout', ('silent for ', 'did not finish its bag')),
 }
 
 
@@ -44,7 +46,7 @@ def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag
     assert result.outcome is Outcome.INFRA_ERROR
     kind, words = KIND[number]
     assert (result.kind, result.who) == (kind, who), result
-    assert words in result.detail
+    assert any(some in result.detail for some in words), result
     assert result.rho == {}
     assert result.last_seq >= step
     check_bag(tmp_path / 'run', result, who, capfd)
@@ -59,12 +61,15 @@ def check_bag(bag, result, who, capfd) -> None:
         saved = bag.with_name('saved')
         recover(bag, saved)
         assert steps_in(saved) == steps
-        if who == RECORDER:
+        # One that hung is woken when the graph ends, and may still finish its bag.
+        woken = who == RECORDER and result.kind == 'timeout' and read_info(bag).complete
+        if who == RECORDER and not woken:
             assert show_info(bag, as_json=False) == 3
             out = capfd.readouterr().out
             assert 'NOT WHOLE: ' in out
             assert f'taxinet bag recover {bag} --out NEW' in out
-        return
+        if not woken:
+            return
     assert read_info(bag).complete
     facts = read_facts(bag)
     assert (facts.outcome, facts.kind, facts.who) == ('INFRA_ERROR', result.kind, who)

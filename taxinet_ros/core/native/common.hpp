@@ -27,6 +27,13 @@ static_assert(std::endian::native == std::endian::little);
 #endif
 #define INLINE inline __attribute__((always_inline))
 
+// Before a loop whose turns may be taken at once: what is written is read by none of them.
+#if defined(__clang__)
+#define INDEPENDENT _Pragma("clang loop vectorize(assume_safety)")
+#else
+#define INDEPENDENT _Pragma("GCC ivdep")
+#endif
+
 namespace pixels {
 
 namespace py = pybind11;

@@ -207,7 +207,7 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const float across_of_row = view.density_across.by_row[v];
     const int atlas_rows = atlas.rows, atlas_columns = atlas.columns;
     const int tile_rows = tile.rows, tile_columns = tile.columns;
-#pragma GCC ivdep
+    INDEPENDENT
     for (int u = 0; u < width; ++u) {
         // The sky gets the last ground.
         float fall = fall_by_column[u] + fall_of_row;

@@ -28,7 +28,7 @@ FOR_EACH_PROCESSOR void average_columns(const float *__restrict grey, const Shar
     const int count = columns.count;
     const std::int32_t *__restrict first = columns.first.data();
     const float *__restrict weight = columns.weight.data();
-#pragma GCC ivdep
+    INDEPENDENT
     for (int u = 0; u < count; ++u) {
         const float *from = grey + first[u];
         const float two = from[0] * weight[u] + from[1] * weight[count + u];
