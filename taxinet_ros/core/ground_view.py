@@ -111,6 +111,7 @@ class GroundView:
 def _dither(height: int, width: int) -> Floats:
     """Factor of half an octave up and down, well mixed over the picture.
 
+    It dissolves the borders between a ripmap's levels, where blending two would double the work.
     Roberts' R2 sequence spreads it evenly; it is fixed to the picture.
     """
     u = np.arange(width)[None, :] * 0.7548776662466927

@@ -214,6 +214,8 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
         const float w = 1.0F / fall, uw = w * static_cast<float>(u);
         const float common = fall * fall * dither[u];
+        // The scales of the levels: that of level i is 2^-i. Of the footprint's sides the larger
+        // one counts, which has fewer pixels per texel.
         const float along_density =
             along_by_column[u] < along_of_row ? along_by_column[u] : along_of_row;
         const float across_density =

@@ -60,7 +60,7 @@ struct Bend {
 };
 
 // One axis of the grain, which repeats: whole tiles are taken off a place before it is scaled to
-// texels.
+// texels. No level is too coarse, for the ripmap's far end repeats its last one.
 struct Tile {
     float texels, two_tiles, finest, end;
 
