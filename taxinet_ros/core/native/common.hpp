@@ -64,6 +64,11 @@ INLINE std::int32_t within(std::int32_t number, std::int32_t most) {
     return lesser(number < 0 ? 0 : number, most);
 }
 
+// The nearest of the codes 0 to 255.
+INLINE std::uint8_t code_of(float number) {
+    return static_cast<std::uint8_t>(within(rounded(number), 255));
+}
+
 // Raises ValueError in Python.
 inline void require(bool holds, const char *what) {
     if (!holds) {

@@ -18,6 +18,7 @@ namespace {
 
 // A position between texels in steps of 1/32, as OpenCV's bilinear interpolation has it.
 constexpr int kSteps = 32;
+constexpr int kWhole = kSteps * kSteps;
 
 // Largest power of two not above a normal, positive number.
 INLINE float whole_power_of_two(float number) {
@@ -68,7 +69,7 @@ INLINE Colour colour_at(const Texture &texture, const Places &places, int u) {
     for (int c = 0; c < kChannels; ++c) {
         const int high = upper[c] * left + upper[c + kChannels] * right;
         const int low = lower[c] * left + lower[c + kChannels] * right;
-        colour[c] = (high * above + low * below + kSteps * kSteps / 2) / (kSteps * kSteps);
+        colour[c] = (high * above + low * below + kWhole / 2) / kWhole;
     }
     return colour;
 }
@@ -100,9 +101,8 @@ void multiply(const Layer &ground, const Layer &grain, float scale, int first, i
     for (int u = first; u < width; ++u) {
         const Colour colour = ground.at(u), factor = grain.at(u);
         for (int c = 0; c < kChannels; ++c) {
-            const float product =
-                static_cast<float>(colour[c]) * scale * static_cast<float>(factor[c]);
-            row[kChannels * u + c] = static_cast<std::uint8_t>(within(rounded(product), 255));
+            row[kChannels * u + c] =
+                code_of(static_cast<float>(colour[c]) * scale * static_cast<float>(factor[c]));
         }
     }
 }
@@ -136,7 +136,8 @@ class TwoPixels {
         const __m256i pairs = _mm256_shuffle_epi8(texels, order);
         const __m256i blended = _mm256_maddubs_epi16(pairs, halves(across_ + u));
         const __m256i sum = _mm256_madd_epi16(blended, halves(down_ + u));
-        return _mm256_srai_epi32(_mm256_add_epi32(sum, _mm256_set1_epi32(512)), 10);
+        const __m256i half = _mm256_set1_epi32(kWhole / 2);
+        return _mm256_srai_epi32(_mm256_add_epi32(sum, half), std::countr_zero(0U + kWhole));
     }
 
   private:
@@ -161,8 +162,8 @@ __attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer,
                                                    int width, std::uint8_t *row) {
     const TwoPixels ground(ground_layer), grain(grain_layer);
     const __m256 factor = _mm256_set1_ps(scale);
-    const __m256i order = _mm256_broadcastsi128_si256(
-        _mm_setr_epi8(0, 1, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1));
+    const __m128i order =
+        _mm_setr_epi8(0, 1, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
     int u = 0;
     for (; u + 2 <= width; u += 2) {
         const __m256 scaled = _mm256_mul_ps(_mm256_cvtepi32_ps(ground.at(u)), factor);
@@ -170,8 +171,7 @@ __attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer,
         const __m256i words = _mm256_cvtps_epi32(product);
         const __m128i both =
             _mm_packs_epi32(_mm256_castsi256_si128(words), _mm256_extracti128_si256(words, 1));
-        const __m128i codes =
-            _mm_shuffle_epi8(_mm_packus_epi16(both, both), _mm256_castsi256_si128(order));
+        const __m128i codes = _mm_shuffle_epi8(_mm_packus_epi16(both, both), order);
         _mm_storel_epi64(reinterpret_cast<__m128i *>(row + kChannels * u), codes);
     }
     return u;

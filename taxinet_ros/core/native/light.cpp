@@ -21,13 +21,13 @@ INLINE std::uint8_t sum_of(std::uint8_t a, std::uint8_t b) {
 
 using Codes = std::array<std::uint8_t, kChannels>;
 
-// The nearest of the codes 0 to 255.
-std::uint8_t code_of(double number) {
+// The nearest of the codes 0 to 255, not rounded to single precision before.
+std::uint8_t exact_code_of(double number) {
     return static_cast<std::uint8_t>(std::clamp(std::nearbyint(number), 0.0, 255.0));
 }
 
 Codes codes_of(const double *numbers) {
-    return {code_of(numbers[0]), code_of(numbers[1]), code_of(numbers[2])};
+    return {exact_code_of(numbers[0]), exact_code_of(numbers[1]), exact_code_of(numbers[2])};
 }
 
 // One colour, again and again, over a row of the picture.
@@ -57,9 +57,7 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
                                   const float *__restrict across, const float *__restrict tint,
                                   int bytes) {
     for (int i = 0; i < bytes; ++i) {
-        const float light = strength * across[i] * tint[i] + kRounder;
-        const std::int32_t code = std::bit_cast<std::int32_t>(light) - kRounderBits;
-        codes[i] = sum_of(codes[i], static_cast<std::uint8_t>(lesser(code, 255)));
+        codes[i] = sum_of(codes[i], code_of(strength * across[i] * tint[i]));
     }
 }
 
@@ -105,8 +103,7 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
     std::array<std::array<std::uint8_t, kChannels + 1>, 256> left{};
     for (int code = 0; code < 256; ++code) {
         for (int c = 0; c < kChannels; ++c) {
-            const float share = __builtin_fmaf(static_cast<float>(code), -depth[c], 255.0F);
-            left[code][c] = static_cast<std::uint8_t>(within(rounded(share), 255));
+            left[code][c] = code_of(__builtin_fmaf(static_cast<float>(code), -depth[c], 255.0F));
         }
     }
     std::vector<std::uint8_t> share(rows.bytes() + 1);
@@ -138,7 +135,7 @@ void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doub
             out[i] = table[code[i]];
         }
         if (v < veiled) {
-            std::fill(share.begin(), share.end(), code_of(kept.data()[v]));
+            std::fill(share.begin(), share.end(), exact_code_of(kept.data()[v]));
             fill_row(codes_of(added.data(v)), more);
             veil_row(out, share.data(), more.data(), bytes);
         }

@@ -46,7 +46,7 @@ FOR_EACH_PROCESSOR void add_row(const float *__restrict row, float weight, int c
 FOR_EACH_PROCESSOR void round_row(const float *__restrict sum, int count,
                                   std::uint8_t *__restrict out) {
     for (int u = 0; u < count; ++u) {
-        out[u] = static_cast<std::uint8_t>(within(rounded(sum[u]), 255));
+        out[u] = code_of(sum[u]);
     }
 }
 
@@ -110,7 +110,7 @@ Bytes Reduction::reduce(const Bytes &frame) {
     const int count = columns_.count;
     Bytes picture({out_height_, count});
     std::uint8_t *out = picture.mutable_data();
-    int from = 0;
+    int from = 0, averaged = -1;
     for (const Shares &band : rows_) {
         for (int v = 0; v < band.count; ++v, out += count) {
             std::fill(sum_.begin(), sum_.end(), 0.0F);
@@ -119,8 +119,13 @@ Bytes Reduction::reduce(const Bytes &frame) {
                 if (weight == 0.0F) {
                     break;
                 }
-                grey_row(frame.data(from + band.first[v] + tap), width_, grey_.data());
-                average_columns(grey_.data(), columns_, row_.data());
+                // Two rows of the picture may share one of the frame.
+                const int row = from + band.first[v] + tap;
+                if (row != averaged) {
+                    grey_row(frame.data(row), width_, grey_.data());
+                    average_columns(grey_.data(), columns_, row_.data());
+                    averaged = row;
+                }
                 add_row(row_.data(), weight, count, sum_.data());
             }
             round_row(sum_.data(), count, out);
