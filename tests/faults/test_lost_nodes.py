@@ -9,7 +9,6 @@ import signal
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 from fault_runs import once, request, run, steps_in
 
@@ -24,8 +23,13 @@ from taxinet_ros.nodes.processes import process_graph
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
 
-WAITING = {'x86_64': {'202', '219'}, 'aarch64': {'98', '128'}}[platform.machine()]
-"""Numbers of the system calls futex and restart_syscall, in which an executor waits."""
+FUTEX, *OTHER_WAITS = {
+    'x86_64': ('202', '219', '45'), 'aarch64': ('98', '128', '207'),
+}[platform.machine()]
+"""Numbers of the system calls futex, restart_syscall and recvfrom, in which threads wait."""
+
+FUTEX_COMMAND, FUTEX_WAITS = 0x7F, (0, 9)
+"""Mask without a futex operation's flags, and the operations that wait: the others wake."""
 
 NODES = (SIMULATOR, *PARTICIPANTS)
 KIND = {
@@ -62,8 +66,8 @@ def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag
 def lose(pid: int, number: signal.Signals) -> None:
     """Kill a process, or stop it while it waits.
 
-    Stopped in the middle of sending, it would have told one node and not the next, and that one
-    would be the silent one.
+    Stopped in the middle of sending, it would have told one node and not the next, or would keep
+    the lock of the memory in which another one is told things; that one would be the silent one.
     """
     os.kill(pid, number)
     while number is signal.SIGSTOP and not waits(pid):
@@ -73,10 +77,16 @@ def lose(pid: int, number: signal.Signals) -> None:
 
 
 def waits(pid: int) -> bool:
-    """Whether the first thread of a process that is being stopped was waiting for work."""
-    while psutil.Process(pid).status() != psutil.STATUS_STOPPED:
+    """Whether every thread of a process that is being stopped was waiting for work."""
+    threads = list(Path(f'/proc/{pid}/task').iterdir())
+    while not all('T (stopped)' in (thread / 'status').read_text() for thread in threads):
         time.sleep(0.001)
-    return Path(f'/proc/{pid}/syscall').read_text().split()[0] in WAITING
+    calls = [(thread / 'syscall').read_text().split() for thread in threads]
+    return all(call in OTHER_WAITS or waits_for_futex(call, rest) for call, *rest in calls)
+
+
+def waits_for_futex(call: str, arguments: list[str]) -> bool:
+    return call == FUTEX and int(arguments[1], 16) & FUTEX_COMMAND in FUTEX_WAITS
 
 
 def check_bag(bag, result, who, capfd) -> None:
