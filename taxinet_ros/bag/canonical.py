@@ -17,7 +17,8 @@ from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.topics import TopicInfo
 
 _TIME = struct.Struct('<iI')
-_LITTLE_ENDIAN = b'\x00\x01'
+LITTLE_ENDIAN = b'\x00\x01'
+"""How a message begins whose numbers are: CDR of version 1."""
 
 
 def stamp_of_cdr(cdr: bytes) -> int:
@@ -26,7 +27,7 @@ def stamp_of_cdr(cdr: bytes) -> int:
     Raises:
         BagCorrupt: it is too short, or not little-endian CDR.
     """
-    if len(cdr) < 12 or cdr[:2] != _LITTLE_ENDIAN:
+    if len(cdr) < 12 or cdr[:2] != LITTLE_ENDIAN:
         raise BagCorrupt(f'message of {len(cdr)} bytes is not little-endian CDR with a stamp')
     sec, nanosec = _TIME.unpack_from(cdr, 4)
     return int(sec) * 1_000_000_000 + int(nanosec)
@@ -55,7 +56,7 @@ class Canonical:
             BagCorrupt: the bytes are no message of the topic's type.
         """
         try:
-            if cdr[:2] != _LITTLE_ENDIAN:
+            if cdr[:2] != LITTLE_ENDIAN:
                 raise ValueError('not little-endian CDR')
             return self._walks[topic].without_gaps(cdr)
         except (struct.error, ValueError) as error:

@@ -30,7 +30,8 @@ _TEXT = 1
 _MAX_TAIL = 3
 """Middleware rounds the length of a message up to a multiple of four bytes."""
 
-_MOST_KNOWN = 16
+MOST_KNOWN = 16
+"""Layouts that are remembered of the messages of one type."""
 
 
 class Trail:
@@ -110,7 +111,7 @@ class _Repeated:
         return at
 
 
-class _Layout:
+class Layout:
     """How a message of a type is laid out: its counts decide that, and nothing else does."""
 
     def __init__(self, cdr: bytes, trail: Trail) -> None:
@@ -135,7 +136,7 @@ class Walk:
     def __init__(self, steps: Iterable[Any]) -> None:
         """Run together what can be; ``steps`` come from :func:`walk_of`."""
         self._steps = tuple(_joined(steps))
-        self._known: dict[int, _Layout] = {}
+        self._known: dict[int, Layout] = {}
 
     def without_gaps(self, cdr: bytes) -> bytes:
         """The message with zeros in its gaps, cut after its last field.
@@ -163,9 +164,9 @@ class Walk:
         return bytes(mended)
 
     def _learn(self, cdr: bytes, trail: Trail) -> None:
-        if len(self._known) == _MOST_KNOWN:
+        if len(self._known) == MOST_KNOWN:
             self._known.clear()
-        self._known[len(cdr)] = _Layout(cdr, trail)
+        self._known[len(cdr)] = Layout(cdr, trail)
 
 
 def walk_of(store: Any, type_name: str) -> Walk:

@@ -66,6 +66,22 @@ def _drawing() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return mixed / np.maximum(weight, 1e-6), np.asarray(weight, np.float64)
 
 
+@cache
+def _behind() -> NDArray[np.uint8]:
+    """Share of what is behind that is seen, (HEIGHT, WIDTH, 3), in 255ths."""
+    _, opacity = _drawing()
+    return np.rint(np.repeat(255 * (1 - opacity), 3, axis=2)).astype(np.uint8)
+
+
+@cache
+def hidden_columns() -> NDArray[np.int32]:
+    """How many columns at the left of each row of a picture the parts cover wholly, (HEIGHT,)."""
+    seen = np.pad(_behind().any(axis=2), ((0, 0), (0, 1)), constant_values=True)
+    columns: NDArray[np.int32] = seen.argmax(axis=1).astype(np.int32)
+    columns.flags.writeable = False
+    return columns
+
+
 def _fill(
     canvas: NDArray[np.uint8], outline: tuple[tuple[float, float], ...], paint: tuple[int, ...]
 ) -> None:
@@ -124,8 +140,6 @@ class AirframeView:
         self._light = light
         colour, self._opacity = _drawing()
         self._albedo = (colour / 255) ** GAMMA
-        behind = np.repeat(255 * (1 - self._opacity), 3, axis=2)
-        self._behind = np.rint(behind).astype(np.uint8)
         self._lit: dict[int, NDArray[np.uint8]] = {}
 
     def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
@@ -138,7 +152,7 @@ class AirframeView:
         step = round(yaw_rad / _YAW_STEP_RAD)
         if step not in self._lit:
             self._lit[step] = self._lighten(step * _YAW_STEP_RAD)
-        pixels.lay_over(picture[:HEIGHT, :WIDTH], self._behind, self._lit[step])
+        pixels.lay_over(picture[:HEIGHT, :WIDTH], _behind(), self._lit[step])
 
     def _lighten(self, yaw_rad: float) -> NDArray[np.uint8]:
         """The drawing in the light, times its opacity."""

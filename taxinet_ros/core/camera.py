@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core import pixels
-from taxinet_ros.core.airframe_view import AirframeView
+from taxinet_ros.core.airframe_view import AirframeView, hidden_columns
 from taxinet_ros.core.atmosphere import Atmosphere
 from taxinet_ros.core.cloud_shade import CloudShade
 from taxinet_ros.core.ground import grain_atlas, ground_atlas, uncrossed_atlas
@@ -162,7 +162,7 @@ class Camera:
         self._curve, gain = shared_curve(ground_table(self._light))
         if ground is None:
             ground = ground_atlas() if scenario.crossing else uncrossed_atlas()
-        self._ground = GroundView(ground, grain_atlas(), gain, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._ground = GroundView(ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH)
         self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._airframe = AirframeView(self._light)

@@ -70,7 +70,7 @@ class GroundView:
         atlas: NDArray[np.uint8],
         grain: NDArray[np.uint8],
         gain: Vectors,
-        height: int,
+        hidden: NDArray[np.int32],
         width: int,
     ) -> None:
         """Prepare the grain and the buffer.
@@ -79,13 +79,16 @@ class GroundView:
             atlas: ripmap of the ground's colours.
             grain: ripmap of the factor on them.
             gain: factor on red, green and blue, at most 1; it rides on the grain for free.
-            height: of the pictures [px].
+            hidden: columns at the left of each row of the pictures, (height,), that something else
+                will cover; what is there means nothing.
             width: of the pictures [px].
         """
+        height = len(hidden)
         stretched = _FINER_CODES * gain
         red, green, blue = (ground.GRAIN_NEUTRAL * stretched).tolist()
         self._size = height, width
-        self._colour = np.empty((height, width, 3), np.uint8)
+        self._hidden = hidden
+        self._colour = np.zeros((height, width, 3), np.uint8)
         self._ground = pixels.Ground(
             atlas,
             np.asarray(cv2.multiply(grain, np.append(stretched, 1.0)), np.uint8),
@@ -103,7 +106,8 @@ class GroundView:
             camera: the camera's place in ``map`` (3,).
         """
         height, width = self._size
-        self._ground.sample(self._colour, pixels.Sight(rays, camera, height, width))
+        sight = pixels.Sight(rays, camera, height, width)
+        self._ground.sample(self._colour, sight, self._hidden)
         return self._colour
 
 

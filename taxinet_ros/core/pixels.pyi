@@ -107,8 +107,90 @@ class Ground:
             scale: factor on the product of ground and grain.
         """
 
-    def sample(self, out: _Bytes, sight: Sight) -> None:
-        """Fill a picture, (height, width, 3), with the ground as one pose sees it."""
+    def sample(self, out: _Bytes, sight: Sight, hidden: NDArray[np.int32]) -> None:
+        """Fill a picture with the ground as one pose sees it.
+
+        Args:
+            out: the picture, (height, width, 3).
+            sight: of the pose.
+            hidden: how many columns at the left of each row are left as they are, (height,).
+        """
+
+class Air:
+    """The air of one scenario, its water and its low sun: what they add to rows and columns."""
+
+    def __init__(
+        self,
+        *,
+        visibility_m: float,
+        film: float,
+        spray: float,
+        sky_low: Sequence[float] | _Doubles,
+        sky_high: Sequence[float] | _Doubles,
+        glare: float,
+        sun_yaw_rad: float,
+        glare_width_rad: float,
+    ) -> None:
+        """Take the measures.
+
+        Args:
+            visibility_m: distance at which haze leaves 1/e of a contrast [m].
+            film: share of the ground that is covered by water, 0..1.
+            spray: share of the picture that spray veils evenly, 0..1.
+            sky_low: display colour of the sky at the horizon, 0..255.
+            sky_high: display colour of the sky 15 degrees up, 0..255.
+            glare: brightness of the glare, in display codes.
+            sun_yaw_rad: direction of the sun in ``map`` [rad].
+            glare_width_rad: half of the glare's width [rad].
+        """
+
+    def veil(
+        self, rays: _Doubles, height_m: float, height: int, width: int
+    ) -> tuple[_Doubles, _Doubles]:
+        """What haze and, where wet, the sky's mirror image make of the upper rows of the ground.
+
+        Args:
+            rays: homogenous pixel to a direction in ``map``, (3, 3).
+            height_m: the camera's height above ground [m].
+            height: of the picture [px].
+            width: of the picture [px].
+
+        Returns:
+            The share of its colour that each row keeps, in 255ths (n,), and what is added (n, 3).
+        """
+
+    def shine(self, rays: _Doubles, height: int, width: int) -> tuple[_Floats, _Floats] | None:
+        """A broad shine on the ground under a low sun, strongest at grazing angles.
+
+        Returns:
+            Its strength by row (height,) and by column (width,), for :func:`add_shine`; None where
+            the sun is too far aside.
+        """
+
+class Panorama:
+    """What stands above the ground at the horizon."""
+
+    def __init__(
+        self, codes: _Bytes, lowest_rad: float, step_rad: float, end_tan: float, spacing_px: int
+    ) -> None:
+        """Keep the panorama; it is not copied.
+
+        Args:
+            codes: display colours (rows, columns, 3). Columns begin at yaw -pi and go round.
+            lowest_rad: elevation of row 0 [rad].
+            step_rad: elevation from one row to the next [rad].
+            end_tan: tangent of the depression at which the ground ends.
+            spacing_px: distance of the columns of a picture for which directions are computed,
+                odd; they are interpolated in between.
+        """
+
+    def lay_over(self, picture: _Bytes, rays: _Doubles) -> None:
+        """Replace what is above the end of the ground, in place.
+
+        Args:
+            picture: (height, width, 3), its width a multiple of the spacing.
+            rays: homogenous pixel to a direction in ``map``, (3, 3).
+        """
 
 class Reduction:
     """Reduces frames to grey pictures, in bands from the top, each in a proportion of its own."""
@@ -152,22 +234,6 @@ def outlines(
     Returns:
         Of each part that may touch the picture, points (n, 2) in sixteenths of a pixel, whose hull
         is its outline.
-    """
-
-def on_panorama(
-    rays: _Doubles, columns: _Doubles, rows: int, measures: _Four
-) -> tuple[_Floats, _Floats]:
-    """Where on a panorama the rays of some columns of the upper rows of a picture end.
-
-    Args:
-        rays: homogenous pixel to a direction in ``map``, (3, 3).
-        columns: of the picture, (n,).
-        rows: how many of the picture's.
-        measures: columns of the panorama per radian of yaw, counted from -pi; elevation of its row
-            0 and step between its rows [rad]; its rows.
-
-    Returns:
-        Columns, which may go on beyond the panorama's end, and rows of it, (rows, n) both.
     """
 
 def tint_rows(picture: _Bytes, shares: _Doubles) -> None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
-
-from taxinet_msgs.msg import TaxiCommand
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError
-from taxinet_ros.nodes.convert import stamp_of
+from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.nodes.reading import Said
 
 PROTOCOL = 'protocol'
 """Kind of an error of a node that does not keep to the lockstep."""
 
 
-def check_answer(answer: Any, who: str, seq: int) -> None:
+def check_answer(answer: Said, who: str, seq: int) -> None:
     """See that an answer is to a frame that is out. A late or repeated one is nothing bad.
 
     Args:
@@ -29,18 +27,17 @@ def check_answer(answer: Any, who: str, seq: int) -> None:
     if answer.seq > seq:
         detail = f'answered frame {answer.seq}, which is not out yet'
         raise InfraError(PROTOCOL, who, seq, detail)
-    stamp_ns = stamp_of(answer.header.stamp)
-    if stamp_ns != answer.seq * CONTROL_PERIOD_NS:
-        detail = f'its answer to frame {answer.seq} is stamped {stamp_ns / 1e9:g} s'
+    if answer.stamp_ns != answer.seq * CONTROL_PERIOD_NS:
+        detail = f'its answer to frame {answer.seq} is stamped {answer.stamp_ns / 1e9:g} s'
         raise InfraError(PROTOCOL, who, seq, detail)
 
 
-def check_command(command: TaxiCommand, who: str) -> None:
-    """See that an aircraft can follow a command.
+def check_command(command: TaxiCommand, who: str, seq: int) -> None:
+    """See that an aircraft can follow the command that a node gave as its answer to a frame.
 
     Raises:
         InfraError: the angle is not finite, or the speed is not, or is negative.
     """
-    if not (math.isfinite(command.steering_angle) and 0 <= command.speed < math.inf):
-        detail = f'commanded {command.steering_angle:g} rad at {command.speed:g} m/s'
-        raise InfraError(PROTOCOL, who, command.seq, detail)
+    if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
+        detail = f'commanded {command.steering_rad:g} rad at {command.speed_mps:g} m/s'
+        raise InfraError(PROTOCOL, who, seq, detail)

@@ -11,11 +11,11 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Verdict
 
-from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
+from taxinet_ros.bag.message_values import assumptions_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
-from taxinet_ros.core.loop import MAX_GAP_NS
+from taxinet_ros.core.loop import MAX_GAP_NS, signals
 from taxinet_ros.core.mtl import Spec, parse_spec
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
@@ -23,13 +23,13 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import (
     header,
     robustness_message,
-    stamp_of,
     statistics_fields,
 )
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.monitor_alone import MonitorAlone
 from taxinet_ros.nodes.parameters import any_given, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import robustness_cdr
 from taxinet_ros.nodes.steps import StepCollector
 
@@ -63,18 +63,26 @@ class MtlMonitor(Participant):
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
 
-    def _collect(self, topic: str, message: Any) -> None:
+    def _collect(self, topic: str, said: Said) -> None:
         # What is left of a run that was broken off is not of this one; odometry tells no run.
-        if not self._specs or getattr(message, 'run_id', self.run_id) != self.run_id:
+        of_this_run = topic == interface.ODOMETRY.name or said.run_id == self.run_id
+        if not (self._specs and of_this_run):
             return
-        seq = stamp_of(message.header.stamp) // CONTROL_PERIOD_NS
-        for step, messages in self._steps.add(topic, seq, message):
+        seq = said.stamp_ns // CONTROL_PERIOD_NS
+        for step, messages in self._steps.add(topic, seq, said):
             self._judge_step(step, messages)
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth, estimate, command = (messages[topic.name][0] for topic in _INPUTS)
-        sample = sample_of(truth, odometry, estimate, command)
-        stamp_ns = stamp_of(truth.header.stamp)
+        stamp_ns = truth.stamp_ns
+        sample = signals(
+            cte_m=truth.value.cte_m,
+            he_rad=truth.value.he_rad,
+            x_m=odometry.value.x_m,
+            speed_mps=odometry.value.speed_mps,
+            estimate=estimate.value,
+            command=command.value,
+        )
         readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
             self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')

@@ -69,7 +69,7 @@ class Participant(Node):
 
         Args:
             topic: what is heard.
-            callback: takes the messages; of a topic that is read here, objects with their fields.
+            callback: takes the messages; of a topic that is read here, what they say.
             raw: it takes their bytes.
         """
         if read_here(topic) and not raw:

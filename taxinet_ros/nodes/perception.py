@@ -5,18 +5,15 @@ from __future__ import annotations
 import abc
 from typing import Any
 
-from taxinet_msgs.msg import TrackingError
-
 from taxinet_ros.bag.image_cdr import frame_of_cdr
-from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.parameters import refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import error_cdr
 
 
@@ -46,9 +43,9 @@ class PerceptionNode(Participant, abc.ABC):
             raise ValueError(f'image is {pixels.shape}, expected {IMAGE_SHAPE}')
         self._say(self._perception.estimate(pixels, None), self.run_id, stamp_ns)
 
-    def _know(self, message: TrackingError) -> None:
-        estimate = self._perception.estimate(None, error_of(message))
-        self._say(estimate, message.run_id, stamp_of(message.header.stamp))
+    def _know(self, truth: Said) -> None:
+        estimate = self._perception.estimate(None, truth.value)
+        self._say(estimate, truth.run_id, truth.stamp_ns)
 
     def _say(self, estimate: Estimate, run_id: str, stamp_ns: int) -> None:
         seq = stamp_ns // CONTROL_PERIOD_NS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.action import ActionClient
@@ -68,7 +68,8 @@ class ScenarioSampler(Node):
         """
         self._executor = executor
         self._finished = Future(executor=executor)
-        executor.create_task(self._campaign, self._finished, iter(requests), on_result)
+        self._requests, self._on_result = iter(requests), on_result
+        executor.create_task(self._guarded(self._begin_next))
         return self._finished
 
     def interrupt(self) -> None:
@@ -104,52 +105,73 @@ class ScenarioSampler(Node):
         """Leave the graph; every answer is already taken."""
         self._client.destroy()
 
-    async def _campaign(
-        self, finished: Future, requests: Iterator[RunRequest],
-        on_result: Callable[[RunRequest, RunResult], bool],
-    ) -> None:
-        try:
-            for request in requests:
-                started = time.monotonic()
-                result = await self._run(request)
-                result = dataclasses.replace(result, wall_s=time.monotonic() - started)
-                if not on_result(request, result) or self.interrupted:
-                    break
-            if not finished.done():
-                finished.set_result(None)
-        except BaseException as error:
-            # It belongs to whoever waits for the campaign, not to the executor.
-            finished.set_exception(error)
+    # Run by run --------------------------------------------------------------------------------
+    #
+    # By callbacks, not by tasks that await: such a task of the events executor of rclpy 7.1 notices
+    # what another task brings at the next event only, and is looked after at every one till then.
 
-    async def _run(self, request: RunRequest) -> RunResult:
-        if self.interrupted:
-            return RunResult(outcome=Outcome.INTERRUPTED)
-        self._request, self.seq = request, 0
-        self._server_found = Future(executor=self._executor)
-        self._answer = Future(executor=self._executor)
-        self._asked, self._last_heard = time.monotonic(), 0.0
-        self._executor.create_task(self._ask, request, self._answer)
-        result = await self._answer
-        self._goal = self._request = None
-        return result
+    def _guarded(self, action: Callable[..., None], *what: Any) -> Callable[..., None]:
+        """What it raises belongs to whoever waits for the campaign, not to the executor."""
+        finished = self._finished
+        assert finished is not None
 
-    async def _ask(self, request: RunRequest, answer: Future) -> None:
-        if not self._client.server_is_ready():
-            await self._server_found
-        if answer.done():
+        def guarded(*came: Future) -> None:
+            try:
+                action(*what, *came)
+            except BaseException as error:
+                finished.set_exception(error)
+
+        return guarded
+
+    def _begin_next(self) -> None:
+        request = next(self._requests, None)
+        if request is None:
+            self._finish()
             return
+        self._request, self.seq = request, 0
+        self._asked, self._last_heard = time.monotonic(), 0.0
+        self._answer = Future(executor=self._executor)
+        self._answer.add_done_callback(self._guarded(self._take_answer, request))
+        if self.interrupted:
+            self._answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
+        elif self._client.server_is_ready():
+            self._ask(request, self._answer)
+
+    def _take_answer(self, request: RunRequest, answer: Future) -> None:
+        self._goal = self._request = None
+        wall_s = time.monotonic() - self._asked
+        result = dataclasses.replace(answer.result(), wall_s=wall_s)
+        if not self._on_result(request, result) or self.interrupted:
+            self._finish()
+        else:
+            self._begin_next()
+
+    def _finish(self) -> None:
+        assert self._finished is not None
+        if not self._finished.done():
+            self._finished.set_result(None)
+
+    def _ask(self, request: RunRequest, answer: Future) -> None:
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = time.monotonic()
-        handle = await self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        sent.add_done_callback(self._guarded(self._take_handle, answer))
+
+    def _take_handle(self, answer: Future, sent: Future) -> None:
+        handle = sent.result()
+        if answer.done():
+            return
         if not handle.accepted:
             answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
             return
         self._goal = handle
         if self.interrupted:
             handle.cancel_goal_async()
-        response = await handle.get_result_async()
+        handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
+
+    def _take_result(self, answer: Future, response: Future) -> None:
         if not answer.done():
-            answer.set_result(_result_of(response.result))
+            answer.set_result(_result_of(response.result().result))
 
     def _on_feedback(self, message: Any) -> None:
         self._last_heard = time.monotonic()
@@ -168,8 +190,8 @@ class ScenarioSampler(Node):
             if now - self._last_heard > silence_timeout_s:
                 self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
         elif self._client.server_is_ready():
-            if not self._server_found.done():
-                self._server_found.set_result(None)
+            assert self._request is not None
+            self._ask(self._request, answer)
         elif now - self._asked > server_timeout_s:
             detail = f'not found within {server_timeout_s:g} s'
             answer.set_result(_broken('not_ready', interface.SIMULATOR, detail, 0))

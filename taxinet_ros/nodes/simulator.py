@@ -19,9 +19,8 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
+from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
-from taxinet_ros.bag.message_values import command_of
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
@@ -33,7 +32,7 @@ from taxinet_ros.nodes.matching import heard_by, hears_from
 from taxinet_ros.nodes.observation_messages import observation_messages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
-from taxinet_ros.nodes.reading import read_here, reader_of
+from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 
 _WATCH_PERIOD_S = 0.1
@@ -158,25 +157,25 @@ class Simulator(Node):
         elif status.state == NodeStatus.DONE and run.ending is not None:
             run.finish()
 
-    def _on_estimate(self, run: ActiveRun, estimate: TrackingError) -> None:
+    def _on_estimate(self, run: ActiveRun, estimate: Said) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
         if run.lockstep.answer(interface.PERCEPTION, estimate.seq):
             run.heard()
 
-    def _on_command(self, run: ActiveRun, command: TaxiCommand) -> None:
+    def _on_command(self, run: ActiveRun, command: Said) -> None:
         if run.ending is not None:
             return
         check_answer(command, interface.STEERING_CONTROLLER, run.lockstep.seq)
-        check_command(command, interface.STEERING_CONTROLLER)
+        check_command(command.value, interface.STEERING_CONTROLLER, command.seq)
         # The estimate travels on another topic and may be overtaken by the command made from it.
         run.lockstep.answer(interface.PERCEPTION, command.seq)
         if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq):
-            run.command = command_of(command)
+            run.command = command.value
             run.heard()
             self._go_on(run)
 
-    def _on_progress(self, run: ActiveRun, status: NodeStatus) -> None:
-        run.lockstep.progress(status.node, status.seq)
+    def _on_progress(self, run: ActiveRun, progress: Said) -> None:
+        run.lockstep.progress(progress.value, progress.seq)
         run.heard()
         self._go_on(run)
 

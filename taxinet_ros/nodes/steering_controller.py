@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from taxinet_msgs.msg import TrackingError
-
-from taxinet_ros.bag.message_values import error_of
 from taxinet_ros.bag.recorded_run import words_of_gains
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains, steer
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import command_cdr
 
 
@@ -38,10 +35,11 @@ class SteeringController(Participant):
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer)
 
-    def _answer(self, estimate: TrackingError) -> None:
-        command = steer(error_of(estimate), self.gains)
-        stamp_ns = stamp_of(estimate.header.stamp)
-        self._commands.publish(command_cdr(command, estimate.run_id, estimate.seq, stamp_ns))
+    def _answer(self, estimate: Said) -> None:
+        command = steer(estimate.value, self.gains)
+        self._commands.publish(
+            command_cdr(command, estimate.run_id, estimate.seq, estimate.stamp_ns)
+        )
 
 
 def main() -> None:

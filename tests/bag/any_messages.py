@@ -36,3 +36,15 @@ def base_values(name):
     if name.startswith('float'):
         return st.floats(width=int(name[5:]))
     return st.integers(0, 100)
+
+
+def fields_in(store, name, prefix=''):
+    """Names of a type's numbers, and of its texts, but for those within arrays and sequences."""
+    numbers, texts = [], []
+    for field, (node, what) in store.fielddefs[name][1]:
+        if node is Nodetype.NAME:
+            inner = fields_in(store, what, f'{prefix}{field}.')
+            numbers, texts = numbers + inner[0], texts + inner[1]
+        elif node is Nodetype.BASE:
+            (texts if what[0] == 'string' else numbers).append(prefix + field)
+    return numbers, texts

@@ -157,7 +157,7 @@ def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_a
 
 def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resumed(tmp_path):
     out = tmp_path / 'c'
-    words = ('--workers', '2', '--runs', '3', '--set', 'duration=120', '--out', str(out))
+    words = ('--workers', '2', '--runs', '3', '--set', 'duration=600', '--out', str(out))
     with begun(*words) as search:
         wait_for(lambda: len([bag for bag in out.glob('nominal-*') if frames(bag) > 60_000]) == 2)
         search.send_signal(signal.SIGINT)

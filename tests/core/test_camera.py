@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from taxinet_ros.core import runway
+from taxinet_ros.core.airframe_view import hidden_columns
 from taxinet_ros.core.camera import (
     IMAGE_HEIGHT,
     IMAGE_WIDTH,
@@ -215,6 +216,22 @@ def test_given_one_camera_when_used_again_then_old_pictures_stay_and_equal_state
     assert first.dtype == np.uint8
     assert first.flags.c_contiguous
     assert first.flags.owndata
+
+
+@pytest.mark.parametrize('weather', [
+    {'clouds': 'scattered'}, {'clouds': 'stratus', 'rain': 0.7}, {'hour': 7.0},
+], ids=['shadows', 'rain', 'glare'])  # fmt: skip
+def test_given_ground_that_the_aircraft_covers_when_left_out_then_the_picture_is_the_same(
+    weather: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    states = [at(1200.0, 2.0, 8.0), at(800.0, -4.0, -20.0, 1.0)]
+    left_out = [shot(state, **weather) for state in states]
+    assert hidden_columns().sum() > 5000
+    monkeypatch.setattr(
+        'taxinet_ros.core.camera.hidden_columns', lambda: np.zeros(IMAGE_HEIGHT, np.int32)
+    )
+    for state, picture in zip(states, left_out, strict=True):
+        np.testing.assert_array_equal(shot(state, **weather), picture)
 
 
 def test_given_the_hours_when_photographed_then_dawn_is_dark_and_coloured() -> None:

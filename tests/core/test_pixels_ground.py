@@ -17,6 +17,7 @@ from taxinet_ros.core.ground_view import GroundView
 from taxinet_ros.core.types import AircraftState
 
 GAIN = np.array([1.0, 0.93, 0.71])
+NOTHING_HIDDEN = np.zeros(2, np.int32)
 
 
 def state(x: float, y: float, heading: float, roll: float, pitch: float) -> AircraftState:
@@ -34,7 +35,7 @@ POSES = st.builds(
 
 @functools.cache
 def view(height: int, width: int) -> GroundView:
-    return GroundView(ground_atlas(), grain_atlas(), GAIN, height, width)
+    return GroundView(ground_atlas(), grain_atlas(), GAIN, np.zeros(height, np.int32), width)
 
 
 @settings(max_examples=40, deadline=None)
@@ -56,6 +57,21 @@ def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_
     np.testing.assert_array_equal(view(*size).render(rays, camera), wanted)
 
 
+@settings(max_examples=20, deadline=None)
+@given(at=POSES, seed=st.integers(0, 9))
+def test_given_hidden_columns_when_the_ground_is_sampled_then_they_stay_and_the_rest_is_the_same(
+    at: AircraftState, seed: int
+) -> None:
+    _, to_optical, camera = pose(at)
+    rays = to_optical.T @ np.linalg.inv(intrinsics())
+    height, width = 40, 361
+    hidden = np.random.default_rng(seed).integers(0, width + 1, height, dtype=np.int32)
+    partly = GroundView(ground_atlas(), grain_atlas(), GAIN, hidden, width)
+    found, whole = partly.render(rays, camera), view(height, width).render(rays, camera)
+    is_hidden = np.arange(width)[None, :] < hidden[:, None]
+    np.testing.assert_array_equal(found, np.where(is_hidden[..., None], 0, whole))
+
+
 @pytest.mark.parametrize('shape', [(4, 4), (1, 4, 3), (4, 1, 3), (4, 4, 4)])
 def test_given_what_is_no_texture_when_a_ground_is_made_of_it_then_it_says_so(
     shape: tuple[int, ...],
@@ -73,8 +89,21 @@ def test_given_a_picture_of_another_size_when_filled_then_it_says_so_and_writes_
     textures = ground_atlas(), grain_atlas()
     small = pixels.Ground(*textures, dither, ground_view._ruler(), (1, 1, 1), 1.0)
     with pytest.raises(ValueError, match='of one size'):
-        small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3))
+        small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3), NOTHING_HIDDEN)
     assert not out.any()
+
+
+@pytest.mark.parametrize('hidden', [[0], [0, 4], [-1, 0]])
+def test_given_other_columns_than_there_are_when_left_out_then_it_says_so(
+    hidden: list[int],
+) -> None:
+    small = pixels.Ground(
+        ground_atlas(), grain_atlas(), np.ones((2, 3), np.float32), ground_view._ruler(),
+        (1, 1, 1), 1.0,
+    )
+    sight = pixels.Sight(np.eye(3), np.ones(3), 2, 3)
+    with pytest.raises(ValueError, match='so many columns are hidden'):
+        small.sample(np.zeros((2, 3, 3), np.uint8), sight, np.array(hidden, np.int32))
 
 
 def test_given_a_picture_whose_rows_lie_apart_when_filled_then_it_refuses_to_fill_a_copy() -> None:
@@ -84,4 +113,4 @@ def test_given_a_picture_whose_rows_lie_apart_when_filled_then_it_refuses_to_fil
     )
     part = np.zeros((2, 5, 3), np.uint8)[:, :3]
     with pytest.raises(TypeError, match='incompatible function arguments'):
-        small.sample(part, pixels.Sight(np.eye(3), np.ones(3), 2, 3))
+        small.sample(part, pixels.Sight(np.eye(3), np.ones(3), 2, 3), NOTHING_HIDDEN)

@@ -1,55 +1,124 @@
+"""What stands at the horizon is looked up where the rays of a picture's pixels meet it."""
+
 from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from view_samples import rays_of
 
-from taxinet_ros.core.camera import intrinsics, rotation
-from taxinet_ros.core.pixels import on_panorama
+from taxinet_ros.core.pixels import Panorama
 
-MEASURES = (100.0, -0.05, 0.01, 40.0)
-"""Columns per radian, elevation of row 0 and step [rad], rows."""
-COLUMNS = np.array([0.0, 90.0, 180.0, 270.0, 359.0])
-
-
-def rays_of(yaw: float, pitch: float) -> np.ndarray:
-    """Pixel to map of a camera that looks ahead (x forward, y left, z up), then is turned."""
-    to_optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return rotation(0.0, pitch, yaw) @ to_optical @ np.linalg.inv(intrinsics())
+WIDTH, HEIGHT, SPACING = 45, 50, 15
+LOWEST, STEP, END_TAN = math.radians(-0.5), math.radians(0.1), 0.0022
+CODES = np.random.default_rng(3).integers(1, 256, (160, 1440, 3), dtype=np.uint8)
+YAWS, PITCHES = st.floats(-math.pi, math.pi), st.floats(-0.05, 0.3)
 
 
-@given(st.floats(-math.pi, math.pi), st.floats(-0.3, 0.3))
-def test_given_a_view_when_looked_up_then_columns_are_yaw_and_rows_are_elevation(
+def panorama(codes: np.ndarray = CODES, spacing_px: int = SPACING) -> Panorama:
+    return Panorama(
+        codes, lowest_rad=LOWEST, step_rad=STEP, end_tan=END_TAN, spacing_px=spacing_px
+    )
+
+
+def laid(rays: np.ndarray, codes: np.ndarray = CODES, spacing_px: int = SPACING) -> np.ndarray:
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    panorama(codes, spacing_px).lay_over(picture, rays)
+    return picture
+
+
+def directions(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Yaw and elevation [rad] of every pixel, (HEIGHT, WIDTH) each."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    x, y, z = np.einsum('ij,jvu->ivu', rays, np.stack([u, v, np.ones_like(u)]))
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+
+@given(YAWS, PITCHES, st.floats(-0.05, 0.05))
+def test_given_a_view_when_laid_over_then_the_panorama_ends_where_the_ground_does(
+    yaw: float, pitch: float, roll: float
+) -> None:
+    rays = rays_of(yaw, pitch, roll)
+    _, elevation = directions(rays)
+    replaced = laid(rays).any(axis=2)
+    above = elevation + math.atan(END_TAN)
+    # At the picture's edges a ray is longer than the depth by which its fall is measured.
+    sure = np.abs(above) > 0.25 * END_TAN
+    np.testing.assert_array_equal(replaced[sure], (above > 0)[sure])
+
+
+@given(YAWS, PITCHES)
+def test_given_a_view_when_looked_up_at_every_column_then_it_is_what_opencv_finds_there(
     yaw: float, pitch: float
 ) -> None:
     rays = rays_of(yaw, pitch)
-    across, up = on_panorama(rays, COLUMNS, 3, MEASURES)
-    assert across.shape == up.shape == (3, len(COLUMNS))
-    for v in range(3):
-        for i, u in enumerate(COLUMNS):
-            x, y, z = rays @ (u, v, 1.0)
-            per_radian, lowest, step, rows = MEASURES
-            turn = (across[v, i] / per_radian - math.pi - math.atan2(y, x)) / (2 * math.pi)
-            assert turn == pytest.approx(round(turn), abs=1e-5)
-            row = (math.atan2(z, math.hypot(x, y)) - lowest) / step
-            assert up[v, i] == pytest.approx(min(max(row, 0), rows - 1), abs=1e-4)
+    found, (yaws, elevation) = laid(rays, spacing_px=1), directions(rays)
+    middle = math.atan2(rays[1] @ (WIDTH // 2, 0, 1), rays[0] @ (WIDTH // 2, 0, 1))
+    turned = np.angle(np.exp(1j * (yaws - middle)))  # no jump within the picture
+    across = ((middle + turned + math.pi) * CODES.shape[1] / math.tau).astype(np.float32)
+    up = np.clip((elevation - LOWEST) / STEP, 0, len(CODES) - 1).astype(np.float32)
+    wanted = cv2.remap(CODES, across, up, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    seen = found.any(axis=2)
+    # Both round to 1/32 of a pixel; a last bit may decide which way.
+    same = (found == wanted).all(axis=2)[seen]
+    assert same.mean() > 0.98 if seen.any() else pitch > 0
 
 
-@given(st.floats(-math.pi, math.pi))
-def test_given_a_view_when_looked_up_then_its_columns_have_no_jump(yaw: float) -> None:
-    across, _ = on_panorama(rays_of(yaw, 0.0), COLUMNS, 1, MEASURES)
-    assert (np.diff(across[0]) < 0).all()  # yaw grows to the left
-    assert np.abs(np.diff(across[0])).max() < 60
-
-
-@pytest.mark.parametrize(('rays', 'columns', 'rows'), [
-    (np.eye(2), COLUMNS, 1), (np.eye(3), np.zeros(0), 1), (np.eye(3), COLUMNS, 0),
-])  # fmt: skip
-def test_given_no_directions_when_looked_up_then_it_says_so(
-    rays: np.ndarray, columns: np.ndarray, rows: int
+@given(YAWS, PITCHES)
+def test_given_a_smooth_panorama_when_directions_lie_apart_then_nobody_sees_it(
+    yaw: float, pitch: float
 ) -> None:
-    with pytest.raises(ValueError, match='directions are of'):
-        on_panorama(rays, columns, rows, MEASURES)
+    columns = np.cos(np.arange(1440) * math.tau / 1440)
+    smooth = np.rint(128 + 100 * columns[None, :, None] + np.arange(3)).astype(np.uint8)
+    codes = np.ascontiguousarray(np.broadcast_to(smooth, CODES.shape))
+    rays = rays_of(yaw, pitch)
+    apart, each = laid(rays, codes).astype(int), laid(rays, codes, 1).astype(int)
+    both = apart.any(axis=2) & each.any(axis=2)
+    assert np.abs(apart - each)[both].max(initial=0) <= 1
+
+
+def test_given_a_panorama_that_goes_round_when_looked_at_its_seam_then_there_is_no_seam() -> None:
+    columns = np.abs(np.arange(1440) - 719.5) / 719.5
+    codes = np.rint(200 * columns)[None, :, None] + np.zeros((160, 1, 3)) + 20
+    picture = laid(rays_of(math.pi, -0.05), codes.astype(np.uint8))
+    rows = picture[picture.any(axis=(1, 2))].astype(int)
+    assert len(rows) > 10
+    assert np.abs(np.diff(rows, axis=1)).max() <= 1
+
+
+def test_given_a_part_of_a_picture_when_laid_over_then_the_rest_stays() -> None:
+    whole = np.zeros((HEIGHT, WIDTH + 10, 3), np.uint8)
+    panorama().lay_over(whole[:, 5:-5], rays_of(0.3, -0.05))
+    assert not whole[:, :5].any()
+    assert not whole[:, -5:].any()
+    np.testing.assert_array_equal(whole[:, 5:-5], laid(rays_of(0.3, -0.05)))
+
+
+def test_given_a_view_of_the_ground_only_when_laid_over_then_nothing_changes() -> None:
+    assert not laid(rays_of(0.0, 0.4)).any()
+
+
+@pytest.mark.parametrize(('codes', 'spacing', 'reason'), [
+    (CODES[..., 0].copy(), 15, r'a panorama is \(rows, columns, 3\)'),
+    (CODES[:0], 15, r'a panorama is \(rows, columns, 3\)'),
+    (CODES, 0, 'an odd number of columns apart'),
+    (CODES, 4, 'an odd number of columns apart'),
+])  # fmt: skip
+def test_given_what_does_not_fit_when_made_then_it_says_which(
+    codes: np.ndarray, spacing: int, reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        panorama(codes, spacing)
+
+
+def test_given_a_picture_of_another_width_when_laid_over_then_it_says_so() -> None:
+    with pytest.raises(ValueError, match="divides a picture's width"):
+        panorama().lay_over(np.zeros((4, 44, 3), np.uint8), np.eye(3))
+    with pytest.raises(ValueError, match=r'rays are \(3, 3\)'):
+        panorama().lay_over(np.zeros((4, 45, 3), np.uint8), np.eye(2))
+    with pytest.raises(TypeError, match='incompatible function arguments'):
+        panorama().lay_over(np.zeros((4, 45, 3), np.float32), np.eye(3))

@@ -84,13 +84,15 @@ def test_given_a_reach_when_its_first_row_is_sought_then_only_that_and_lower_one
     np.testing.assert_array_equal(within, np.arange(IMAGE_HEIGHT) >= first)
 
 
-@pytest.mark.parametrize(('rays', 'camera'), [
-    (np.eye(2), np.ones(3)), (np.ones(9), np.ones(3)), (np.eye(3), np.ones(2)),
+@pytest.mark.parametrize(('rays', 'camera', 'reason'), [
+    (np.eye(2), np.ones(3), r'rays are \(3, 3\)'),
+    (np.ones(9), np.ones(3), r'rays are \(3, 3\)'),
+    (np.eye(3), np.ones(2), r'a camera is at a place \(3,\)'),
 ])  # fmt: skip
 def test_given_arrays_of_another_shape_when_a_sight_is_made_then_it_says_so(
-    rays: np.ndarray, camera: np.ndarray
+    rays: np.ndarray, camera: np.ndarray, reason: str
 ) -> None:
-    with pytest.raises(ValueError, match=r'rays \(3, 3\) and a camera \(3,\)'):
+    with pytest.raises(ValueError, match=reason):
         Sight(rays, camera, IMAGE_HEIGHT, IMAGE_WIDTH)
     with pytest.raises(ValueError, match='axes 0 and 1'):
         seen_from(0.0).sight.density(2, 0.1)

@@ -41,8 +41,12 @@ namespace py = pybind11;
 using Bytes = py::array_t<std::uint8_t, py::array::c_style>;
 using Doubles = py::array_t<double, py::array::c_style>;
 using Floats = py::array_t<float, py::array::c_style>;
+using Whole = py::array_t<std::int32_t, py::array::c_style>;
 
 constexpr int kChannels = 3;
+
+// A position between pixels in steps of 1/32, as OpenCV's bilinear interpolation has it.
+constexpr int kStepBits = 5, kSteps = 1 << kStepBits, kWhole = kSteps * kSteps;
 
 // Added to a number below 2^22 in size it pushes all but the whole part out of a float: rounding to
 // the nearest even, without an instruction that old processors lack.
@@ -59,6 +63,7 @@ INLINE float clipped(float number, float least, float most) {
 }
 
 INLINE std::int32_t lesser(std::int32_t a, std::int32_t b) { return a < b ? a : b; }
+INLINE std::int32_t greater(std::int32_t a, std::int32_t b) { return a > b ? a : b; }
 
 INLINE std::int32_t within(std::int32_t number, std::int32_t most) {
     return lesser(number < 0 ? 0 : number, most);

@@ -16,10 +16,6 @@ namespace {
 #define AVX2 __attribute__((target("avx2"), always_inline)) inline
 #endif
 
-// A position between texels in steps of 1/32, as OpenCV's bilinear interpolation has it.
-constexpr int kSteps = 32;
-constexpr int kWhole = kSteps * kSteps;
-
 // Largest power of two not above a normal, positive number.
 INLINE float whole_power_of_two(float number) {
     return std::bit_cast<float>(std::bit_cast<std::int32_t>(number) & 0x7F800000);
@@ -74,6 +70,15 @@ INLINE Colour colour_at(const Texture &texture, const Places &places, int u) {
     return colour;
 }
 
+// The largest of some numbers, none of them negative.
+FOR_EACH_PROCESSOR std::int32_t greatest(const std::int32_t *numbers, int count) {
+    std::int32_t most = 0;
+    for (int i = 0; i < count; ++i) {
+        most = greater(most, numbers[i]);
+    }
+    return most;
+}
+
 // What is looked up for one row: a texture, and where in it. Without a texture it is one colour.
 struct Layer {
     const Texture *texture;
@@ -84,13 +89,12 @@ struct Layer {
         return texture == nullptr ? plain : colour_at(*texture, *places, u);
     }
 
-    // Whether eight bytes can be read wherever six are needed.
-    bool roomy() const {
+    // Whether eight bytes can be read wherever six are needed, from one column on.
+    bool roomy(int first, int width) const {
         if (texture == nullptr) {
             return true;
         }
-        const std::int32_t furthest =
-            *std::max_element(places->offset.begin(), places->offset.end());
+        const std::int32_t furthest = greatest(places->offset.data() + first, width - first);
         return furthest + texture->stride() + 8 <= texture->owner.size();
     }
 };
@@ -137,7 +141,7 @@ class TwoPixels {
         const __m256i blended = _mm256_maddubs_epi16(pairs, halves(across_ + u));
         const __m256i sum = _mm256_madd_epi16(blended, halves(down_ + u));
         const __m256i half = _mm256_set1_epi32(kWhole / 2);
-        return _mm256_srai_epi32(_mm256_add_epi32(sum, half), std::countr_zero(0U + kWhole));
+        return _mm256_srai_epi32(_mm256_add_epi32(sum, half), 2 * kStepBits);
     }
 
   private:
@@ -159,12 +163,12 @@ class TwoPixels {
 // Returns the first column that is left. Two bytes beyond what it fills are written to.
 __attribute__((target("avx2"))) int multiply_pairs(const Layer &ground_layer,
                                                    const Layer &grain_layer, float scale,
-                                                   int width, std::uint8_t *row) {
+                                                   int first, int width, std::uint8_t *row) {
     const TwoPixels ground(ground_layer), grain(grain_layer);
     const __m256 factor = _mm256_set1_ps(scale);
     const __m128i order =
         _mm_setr_epi8(0, 1, 2, 4, 5, 6, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
-    int u = 0;
+    int u = first;
     for (; u + 2 <= width; u += 2) {
         const __m256 scaled = _mm256_mul_ps(_mm256_cvtepi32_ps(ground.at(u)), factor);
         const __m256 product = _mm256_mul_ps(scaled, _mm256_cvtepi32_ps(grain.at(u)));
@@ -185,8 +189,8 @@ struct View {
     Linear along, across, grain_along, grain_across;
 };
 
-FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int v, int width,
-                                    const float *__restrict dither, bool grained,
+FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int v, int first,
+                                    int width, const float *__restrict dither, bool grained,
                                     const Texture &atlas, const Texture &tile, Places &ground,
                                     Places &grain) {
     const Linear along_form = view.along, across_form = view.across;
@@ -208,7 +212,7 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     const int atlas_rows = atlas.rows, atlas_columns = atlas.columns;
     const int tile_rows = tile.rows, tile_columns = tile.columns;
     INDEPENDENT
-    for (int u = 0; u < width; ++u) {
+    for (int u = first; u < width; ++u) {
         // The sky gets the last ground.
         float fall = fall_by_column[u] + fall_of_row;
         fall = fall < ruler.least_fall ? ruler.least_fall : fall;
@@ -246,21 +250,21 @@ FOR_EACH_PROCESSOR void find_places(const View &view, const Ruler &measured, int
     }
 }
 
-void read_row(const Layer &ground, const Layer &grain, float scale, int width, std::uint8_t *row) {
-    int done = 0;
+void read_row(const Layer &ground, const Layer &grain, float scale, int first, int width,
+              std::uint8_t *row) {
 #if defined(WITH_AVX2)
     static const bool with_avx2 = __builtin_cpu_supports("avx2");
-    if (with_avx2 && ground.roomy() && grain.roomy()) {
-        done = multiply_pairs(ground, grain, scale, width, row);
+    if (with_avx2 && ground.roomy(first, width) && grain.roomy(first, width)) {
+        first = multiply_pairs(ground, grain, scale, first, width, row);
     }
 #endif
-    multiply(ground, grain, scale, done, width, row);
+    multiply(ground, grain, scale, first, width, row);
 }
 
-void ask_for(const Texture &texture, const Places &places) {
-    for (const std::int32_t offset : places.offset) {
-        __builtin_prefetch(texture.texels + offset);
-        __builtin_prefetch(texture.texels + offset + texture.stride());
+void ask_for(const Texture &texture, const Places &places, int first) {
+    for (auto offset = places.offset.begin() + first; offset < places.offset.end(); ++offset) {
+        __builtin_prefetch(texture.texels + *offset);
+        __builtin_prefetch(texture.texels + *offset + texture.stride());
     }
 }
 
@@ -280,10 +284,15 @@ Ground::Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
       grain_places_{Places(width_), Places(width_)},
       row_(static_cast<std::size_t>(width_) * kChannels + 2) {}
 
-void Ground::sample(Bytes out, const Sight &sight) {
+void Ground::sample(Bytes out, const Sight &sight, const Whole &hidden) {
     require(out.ndim() == 3 && out.shape(0) == height_ && out.shape(1) == width_ &&
                 out.shape(2) == kChannels && sight.height() == height_ && sight.width() == width_,
             "picture, sight and dither are of one size");
+    require(hidden.size() == height_ && std::all_of(hidden.data(), hidden.data() + height_,
+                                                    [this](std::int32_t columns) {
+                                                        return 0 <= columns && columns <= width_;
+                                                    }),
+            "so many columns are hidden in each row, no more than it has");
     const View view{sight.fall(),
                     sight.density(0, ruler_.along.texel_m),
                     sight.density(1, ruler_.across.texel_m),
@@ -301,18 +310,22 @@ void Ground::sample(Bytes out, const Sight &sight) {
         if (v < height_) {
             Places &ground = ground_places_[v % 2], &grain = grain_places_[v % 2];
             const bool grained = v >= first_grain_row;
-            find_places(view, ruler_, v, width_, dither + static_cast<std::size_t>(v) * width_,
-                        grained, atlas_, grain_, ground, grain);
+            const int first = hidden.data()[v];
+            find_places(view, ruler_, v, first, width_,
+                        dither + static_cast<std::size_t>(v) * width_, grained, atlas_, grain_,
+                        ground, grain);
             if (grained) {
-                ask_for(grain_, grain);
+                ask_for(grain_, grain, first);
             }
         }
         if (v > 0) {
             const Layer ground{&atlas_, &ground_places_[(v - 1) % 2], {}};
             const Layer grain{v > first_grain_row ? &grain_ : nullptr, &grain_places_[(v - 1) % 2],
                               neutral_};
-            read_row(ground, grain, scale_, width_, row_.data());
-            std::memcpy(target + (v - 1) * stride, row_.data(), stride);
+            const int first = hidden.data()[v - 1], skipped = first * kChannels;
+            read_row(ground, grain, scale_, first, width_, row_.data());
+            std::memcpy(target + (v - 1) * stride + skipped, row_.data() + skipped,
+                        stride - skipped);
         }
     }
 }

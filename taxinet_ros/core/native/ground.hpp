@@ -88,8 +88,9 @@ class Ground {
     Ground(Bytes atlas, Bytes grain, Floats dither, const Ruler &ruler,
            const std::array<int, 3> &neutral, float scale);
 
-    // Fills a picture with the ground as one pose sees it.
-    void sample(Bytes out, const Sight &sight);
+    // Fills a picture with the ground as one pose sees it, but for so many columns at the left of
+    // each row.
+    void sample(Bytes out, const Sight &sight, const Whole &hidden);
 
   private:
     Texture atlas_, grain_;

@@ -5,6 +5,11 @@
 #include <cstring>
 #include <vector>
 
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
+#define WITH_AVX512_VBMI
+#include <immintrin.h>
+#endif
+
 namespace pixels {
 namespace {
 
@@ -61,25 +66,40 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
     }
 }
 
-// A picture, or a part of one: rows of three bytes a pixel, side by side.
-struct Rows {
-    std::uint8_t *first;
-    std::ptrdiff_t stride;
-    int count, width;
+#if defined(WITH_AVX512_VBMI)
 
-    explicit Rows(Picture &picture) {
-        require(picture.ndim() == 3 && picture.shape(2) == kChannels && picture.strides(2) == 1 &&
-                    picture.strides(1) == kChannels,
-                "a picture is (rows, columns, 3), its pixels side by side");
-        first = picture.mutable_data();
-        stride = picture.strides(0);
-        count = static_cast<int>(picture.shape(0));
-        width = static_cast<int>(picture.shape(1));
+// A whole register of codes at a time: two halves of the table are looked up at once, and the
+// highest bit chooses.
+__attribute__((target("avx512vbmi,avx512bw"))) void look_up_many(const std::uint8_t *table,
+                                                                 const std::uint8_t *codes,
+                                                                 int bytes, std::uint8_t *out) {
+    const __m512i first = _mm512_loadu_si512(table), second = _mm512_loadu_si512(table + 64),
+                  third = _mm512_loadu_si512(table + 128), fourth = _mm512_loadu_si512(table + 192);
+    for (int i = 0; i < bytes; i += 64) {
+        const int left = bytes - i;
+        const __mmask64 some = left < 64 ? (1ULL << left) - 1 : ~0ULL;
+        const __m512i code = _mm512_maskz_loadu_epi8(some, codes + i);
+        const __m512i lower = _mm512_permutex2var_epi8(first, code, second);
+        const __m512i upper = _mm512_permutex2var_epi8(third, code, fourth);
+        const __m512i found = _mm512_mask_blend_epi8(_mm512_movepi8_mask(code), lower, upper);
+        _mm512_mask_storeu_epi8(out + i, some, found);
     }
+}
 
-    std::uint8_t *at(int row) const { return first + row * stride; }
-    int bytes() const { return width * kChannels; }
-};
+#endif
+
+void look_up(const std::uint8_t *table, const std::uint8_t *codes, int bytes, std::uint8_t *out) {
+#if defined(WITH_AVX512_VBMI)
+    static const bool at_once = __builtin_cpu_supports("avx512vbmi");
+    if (at_once) {
+        look_up_many(table, codes, bytes, out);
+        return;
+    }
+#endif
+    for (int i = 0; i < bytes; ++i) {
+        out[i] = table[codes[i]];
+    }
+}
 
 }  // namespace
 
@@ -129,11 +149,8 @@ void develop(Picture ground, const Bytes &curve, const Doubles &kept, const Doub
     const int bytes = to.bytes();
     std::vector<std::uint8_t> share(bytes), more(bytes);
     for (int v = 0; v < to.count; ++v) {
-        const std::uint8_t *code = from.at(v);
         std::uint8_t *out = to.at(v);
-        for (int i = 0; i < bytes; ++i) {
-            out[i] = table[code[i]];
-        }
+        look_up(table, from.at(v), bytes, out);
         if (v < veiled) {
             std::fill(share.begin(), share.end(), exact_code_of(kept.data()[v]));
             fill_row(codes_of(added.data(v)), more);

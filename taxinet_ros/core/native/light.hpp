@@ -5,11 +5,9 @@
 #include <array>
 
 #include "common.hpp"
+#include "picture.hpp"
 
 namespace pixels {
-
-// Colours or parts of a picture: rows of it may lie apart, the pixels of a row may not.
-using Picture = py::array_t<std::uint8_t>;
 
 // Each row keeps a share, by channel: (rows, 3).
 void tint_rows(Picture picture, const Doubles &shares);

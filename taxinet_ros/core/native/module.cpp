@@ -3,6 +3,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "air.hpp"
 #include "ground.hpp"
 #include "light.hpp"
 #include "outline.hpp"
@@ -72,12 +73,29 @@ PYBIND11_MODULE(pixels, module) {
         .def(py::init<Bytes, Bytes, Floats, const Ruler &, const std::array<int, 3> &, float>(),
              py::arg("atlas").noconvert(), py::arg("grain").noconvert(), py::arg("dither"),
              py::arg("ruler"), py::arg("neutral"), py::arg("scale"))
-        .def("sample", &Ground::sample, py::arg("out").noconvert(), py::arg("sight"));
+        .def("sample", &Ground::sample, py::arg("out").noconvert(), py::arg("sight"),
+             py::arg("hidden"));
+    py::class_<Air>(module, "Air")
+        .def(py::init([](double visibility_m, double film, double spray,
+                         const std::array<double, kChannels> &sky_low,
+                         const std::array<double, kChannels> &sky_high, double glare,
+                         double sun_yaw_rad, double glare_width_rad) {
+                 return Air{visibility_m, film,        spray,          sky_low, sky_high,
+                            glare,        sun_yaw_rad, glare_width_rad};
+             }),
+             py::kw_only(), py::arg("visibility_m"), py::arg("film"), py::arg("spray"),
+             py::arg("sky_low"), py::arg("sky_high"), py::arg("glare"), py::arg("sun_yaw_rad"),
+             py::arg("glare_width_rad"))
+        .def("veil", &Air::veil)
+        .def("shine", &Air::shine);
+    py::class_<Panorama>(module, "Panorama")
+        .def(py::init<Bytes, double, double, double, int>(), py::arg("codes").noconvert(),
+             py::arg("lowest_rad"), py::arg("step_rad"), py::arg("end_tan"), py::arg("spacing_px"))
+        .def("lay_over", &Panorama::lay_over, py::arg("picture").noconvert(), py::arg("rays"));
     py::class_<Reduction>(module, "Reduction")
         .def(py::init<int, int, std::vector<std::pair<int, int>>, int>())
         .def("reduce", &Reduction::reduce);
     module.def("outlines", &outlines);
-    module.def("on_panorama", &on_panorama);
     // What is written to must not be a converted copy, nor must large things be copied unsaid.
     module.def("tint_rows", &tint_rows, py::arg("picture").noconvert(), py::arg("shares"));
     module.def("tint_masked", &tint_masked, py::arg("picture").noconvert(),

@@ -21,15 +21,9 @@ std::vector<float> density_along(double slope, double start, double scale, int c
 }  // namespace
 
 Sight::Sight(const Doubles &rays, const Doubles &camera, int height, int width)
-    : height_(height), width_(width) {
-    require(rays.ndim() == 2 && rays.shape(0) == 3 && rays.shape(1) == 3 && camera.size() == 3,
-            "a sight is of rays (3, 3) and a camera (3,)");
-    for (int i = 0; i < 3; ++i) {
-        camera_[i] = camera.data()[i];
-        for (int j = 0; j < 3; ++j) {
-            rays_[i][j] = rays.at(i, j);
-        }
-    }
+    : rays_(rays_of(rays)), height_(height), width_(width) {
+    require(camera.size() == 3, "a camera is at a place (3,)");
+    std::copy_n(camera.data(), 3, camera_.begin());
 }
 
 Parts Sight::fall() const {

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "common.hpp"
+#include "rays.hpp"
 
 namespace pixels {
 
@@ -48,7 +49,7 @@ class Sight {
     int width() const { return width_; }
 
   private:
-    std::array<std::array<double, 3>, 3> rays_;
+    Rays rays_;
     std::array<double, 3> camera_;
     int height_, width_;
 };

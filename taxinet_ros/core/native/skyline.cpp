@@ -3,36 +3,115 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <utility>
 
 namespace pixels {
+namespace {
 
-std::pair<Floats, Floats> on_panorama(const Doubles &rays, const Doubles &columns, int rows,
-                                      const std::array<double, 4> &measures) {
-    require(rays.ndim() == 2 && rays.shape(0) == 3 && rays.shape(1) == 3 && columns.size() > 0 &&
-                rows > 0,
-            "directions are of rays (3, 3), some columns and some rows");
-    const auto [per_radian, lowest_rad, step_rad, count] = measures;
-    const auto along = [&rays](int axis, double u, double v) {
-        return rays.at(axis, 0) * u + rays.at(axis, 1) * v + rays.at(axis, 2);
-    };
-    // Measured from the view's middle, yaw has no jump inside the picture.
-    const py::ssize_t width = columns.size();
-    const double middle = columns.data()[width / 2];
-    const double cos = along(0, middle, 0), sin = along(1, middle, 0);
-    const double north = std::atan2(sin, cos) + std::numbers::pi;
-    Floats across({static_cast<py::ssize_t>(rows), width});
-    Floats up({static_cast<py::ssize_t>(rows), width});
+// A column less than once round beside the panorama.
+INLINE int wrapped(int column, int count) {
+    column += column < 0 ? count : 0;
+    return column < count ? column : column - count;
+}
+
+// Rows of a picture from the top in which some ray falls by less than a tangent.
+int rows_above(const Rays &rays, double end_tan, const Rows &picture) {
+    const auto &[f0, f1, f2] = rays[2];
+    const double left = (-end_tan - f2) / f1;
+    const double right = (-end_tan - (f0 * (picture.width - 1) + f2)) / f1;
+    const double last = std::floor(std::max(left, right));
+    return static_cast<int>(std::clamp(last + 1, 0.0, static_cast<double>(picture.count)));
+}
+
+}  // namespace
+
+Panorama::Panorama(Bytes codes, double lowest_rad, double step_rad, double end_tan, int spacing_px)
+    : codes_(std::move(codes)),
+      rows_(0),
+      columns_(0),
+      texels_(nullptr),
+      stride_(0),
+      lowest_rad_(lowest_rad),
+      step_rad_(step_rad),
+      end_tan_(end_tan),
+      spacing_(spacing_px),
+      first_column_(-(spacing_px + 1) / 2) {
+    require(codes_.ndim() == 3 && codes_.shape(2) == kChannels && codes_.size() > 0,
+            "a panorama is (rows, columns, 3)");
+    require(spacing_ > 0 && spacing_ % 2 == 1, "directions are an odd number of columns apart");
+    rows_ = static_cast<int>(codes_.shape(0));
+    columns_ = static_cast<int>(codes_.shape(1));
+    texels_ = codes_.data();
+    stride_ = static_cast<std::ptrdiff_t>(columns_) * kChannels;
+}
+
+void Panorama::lay_over(Picture picture, const Doubles &directions) const {
+    const Rows target(picture);
+    const Rays rays = rays_of(directions);
+    require(target.width % spacing_ == 0, "the distance of directions divides a picture's width");
+    // One column more on both sides: all of the picture lies between two.
+    std::vector<Place> places(target.width / spacing_ + 2);
+    const int middle_column = first_column_ + static_cast<int>(places.size()) / 2 * spacing_;
+    const Ray middle = ray_of(rays, middle_column, 0);
+    const auto lowest = static_cast<float>((-std::atan(end_tan_) - lowest_rad_) / step_rad_);
+    const std::vector<Between> columns = columns_between(target.width);
+    const int rows = rows_above(rays, end_tan_, target);
     for (int v = 0; v < rows; ++v) {
-        for (py::ssize_t i = 0; i < width; ++i) {
-            const double u = columns.data()[i];
-            const double x = along(0, u, v), y = along(1, u, v), z = along(2, u, v);
-            const double aside = std::atan2(cos * y - sin * x, cos * x + sin * y);
-            const double row = (std::atan2(z, std::hypot(x, y)) - lowest_rad) / step_rad;
-            *across.mutable_data(v, i) = static_cast<float>((north + aside) * per_radian);
-            *up.mutable_data(v, i) = static_cast<float>(std::clamp(row, 0.0, count - 1));
+        find_places(rays, middle, v, places);
+        std::uint8_t *colour = target.at(v);
+        for (const auto &[left, share] : columns) {
+            const Place place = between(places[left], places[left + 1], share);
+            if (place.up > lowest) {
+                look_up(place, colour);
+            }
+            colour += kChannels;
         }
     }
-    return {across, up};
+}
+
+std::vector<Panorama::Between> Panorama::columns_between(int width) const {
+    std::vector<Between> columns(width);
+    for (int u = 0; u < width; ++u) {
+        const int from_first = u - first_column_;
+        const double share = from_first % spacing_ / static_cast<double>(spacing_);
+        columns[u] = {from_first / spacing_, static_cast<float>(share)};
+    }
+    return columns;
+}
+
+INLINE Panorama::Place Panorama::between(const Place &a, const Place &b, float share) {
+    return {__builtin_fmaf(b.across - a.across, share, a.across),
+            __builtin_fmaf(b.up - a.up, share, a.up)};
+}
+
+void Panorama::find_places(const Rays &rays, const Ray &middle, int v,
+                           std::vector<Place> &places) const {
+    // Measured from the view's middle, yaw has no jump inside the picture.
+    const double cos = middle[0], sin = middle[1];
+    const double north = std::atan2(sin, cos) + std::numbers::pi;
+    const double per_radian = columns_ / (2 * std::numbers::pi);
+    for (std::size_t i = 0; i < places.size(); ++i) {
+        const auto [x, y, z] = ray_of(rays, first_column_ + static_cast<int>(i) * spacing_, v);
+        const double aside = std::atan2(cos * y - sin * x, cos * x + sin * y);
+        const double row = (std::atan2(z, std::hypot(x, y)) - lowest_rad_) / step_rad_;
+        places[i] = {static_cast<float>((north + aside) * per_radian),
+                     static_cast<float>(std::clamp(row, 0.0, rows_ - 1.0))};
+    }
+}
+
+INLINE void Panorama::look_up(const Place &place, std::uint8_t *colour) const {
+    const std::int32_t x = rounded(place.across * kSteps), y = rounded(place.up * kSteps);
+    const int left = wrapped(x >> kStepBits, columns_), right = wrapped(left + 1, columns_);
+    const int low = y >> kStepBits, high = lesser(low + 1, rows_ - 1);
+    const int of_right = x & (kSteps - 1), of_high = y & (kSteps - 1);
+    const std::uint8_t *lower = texels_ + low * stride_, *upper = texels_ + high * stride_;
+    for (int c = 0; c < kChannels; ++c) {
+        const int l = kChannels * left + c, r = kChannels * right + c;
+        const int below = lower[l] * (kSteps - of_right) + lower[r] * of_right;
+        const int above = upper[l] * (kSteps - of_right) + upper[r] * of_right;
+        const int sum = below * (kSteps - of_high) + above * of_high;
+        colour[c] = static_cast<std::uint8_t>((sum + kWhole / 2) / kWhole);
+    }
 }
 
 }  // namespace pixels

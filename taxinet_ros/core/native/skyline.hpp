@@ -1,18 +1,49 @@
-// Where the panorama of the sky is looked up: what atmosphere.py asks for.
+// What stands above the ground at the horizon, looked up in a panorama: what atmosphere.py asks for.
 
 #pragma once
 
-#include <array>
-#include <utility>
+#include <vector>
 
 #include "common.hpp"
+#include "picture.hpp"
+#include "rays.hpp"
 
 namespace pixels {
 
-// Column and row of a panorama, (rows, n) each, that the rays of some columns (n,) of the upper
-// rows of a picture meet. The panorama's measures are its columns per radian, counted from yaw -pi,
-// the elevation of its row 0 and the step between its rows [rad], and the number of rows.
-std::pair<Floats, Floats> on_panorama(const Doubles &rays, const Doubles &columns, int rows,
-                                      const std::array<double, 4> &measures);
+class Panorama {
+  public:
+    // Codes (rows, columns, 3); columns are counted from yaw -pi and go round, rows upwards from an
+    // elevation [rad]. It begins where a ray falls by less than that tangent. Directions are
+    // computed for columns of the picture that are `spacing_px` apart, and interpolated between.
+    Panorama(Bytes codes, double lowest_rad, double step_rad, double end_tan, int spacing_px);
+
+    // Replaces what lies above the end of the ground. Directions (3, 3): see rays_of.
+    void lay_over(Picture picture, const Doubles &directions) const;
+
+  private:
+    // In columns and rows of the panorama; columns may go on beyond its end.
+    struct Place {
+        float across, up;
+    };
+
+    // Which direction a column of the picture is next to on its right, and what share of the way to
+    // the following one.
+    struct Between {
+        int left;
+        float share;
+    };
+
+    std::vector<Between> columns_between(int width) const;
+    static Place between(const Place &a, const Place &b, float share);
+    void find_places(const Rays &rays, const Ray &middle, int v, std::vector<Place> &places) const;
+    void look_up(const Place &place, std::uint8_t *colour) const;
+
+    Bytes codes_;
+    int rows_, columns_;
+    const std::uint8_t *texels_;
+    std::ptrdiff_t stride_;
+    double lowest_rad_, step_rad_, end_tan_;
+    int spacing_, first_column_;
+};
 
 }  // namespace pixels

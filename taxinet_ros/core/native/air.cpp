@@ -1,0 +1,87 @@
+#include "air.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+namespace pixels {
+namespace {
+
+// Less of the veil is not seen.
+constexpr double kVisibleShare = 1.0 / 400;
+
+// Half a picture from the horizon down: the row in whose columns the sun's direction is measured.
+constexpr double kRowOfYaw = 60.0;
+
+// Beyond so many half widths there is nothing of a glare.
+constexpr double kGlareReach = 3.0;
+
+const double kSineOf15Deg = std::sin(std::numbers::pi / 12);
+
+// Of the angle at which the rays of a row's middle go down; more than nothing.
+std::vector<double> sines(const Rays &rays, int height, int width) {
+    std::vector<double> found(height);
+    for (int v = 0; v < height; ++v) {
+        const auto [x, y, z] = ray_of(rays, (width - 1) / 2.0, v);
+        found[v] = std::clamp(-z / std::sqrt(x * x + y * y + z * z), 1e-4, 1.0);
+    }
+    return found;
+}
+
+// Schlick's form of Fresnel's law, for water.
+double reflected(double sine) {
+    const double rest = 1 - sine, square = rest * rest;
+    return 0.02 + 0.98 * square * square * rest;
+}
+
+}  // namespace
+
+std::pair<Doubles, Doubles> Air::veil(const Doubles &directions, double height_m, int height,
+                                      int width) const {
+    const std::vector<double> sine = sines(rays_of(directions), height, width);
+    std::vector<double> haze(height), mirror(height), share(height);
+    int rows = 0;
+    for (int v = 0; v < height; ++v) {
+        haze[v] = 1 - std::exp(-height_m / sine[v] / visibility_m);
+        mirror[v] = film * reflected(sine[v]) + spray;
+        share[v] = 1 - (1 - haze[v]) * (1 - mirror[v]);
+        rows = share[v] > kVisibleShare ? v + 1 : rows;
+    }
+    Doubles kept(rows), added({rows, kChannels});
+    for (int v = 0; v < rows; ++v) {
+        *kept.mutable_data(v) = 255 * (1 - share[v]);
+        const double rise = std::sqrt(std::min(sine[v] / kSineOf15Deg, 1.0));
+        for (int c = 0; c < kChannels; ++c) {
+            const double mirrored = 0.92 * (sky_low[c] + (sky_high[c] - sky_low[c]) * rise);
+            *added.mutable_data(v, c) =
+                haze[v] * sky_low[c] + (1 - haze[v]) * mirror[v] * mirrored;
+        }
+    }
+    return {kept, added};
+}
+
+std::optional<std::pair<Floats, Floats>> Air::shine(const Doubles &directions, int height,
+                                                    int width) const {
+    const Rays rays = rays_of(directions);
+    Floats by_row(height), by_column(width);
+    double nearest = kGlareReach;
+    for (int u = 0; u < width; ++u) {
+        const auto [x, y, z] = ray_of(rays, u, kRowOfYaw);
+        const double turn = std::remainder(std::atan2(y, x) - sun_yaw_rad, 2 * std::numbers::pi);
+        const double away = std::abs(turn) / glare_width_rad;
+        nearest = std::min(nearest, away);
+        *by_column.mutable_data(u) = static_cast<float>(std::exp(-0.5 * away * away));
+    }
+    if (nearest >= kGlareReach) {
+        return std::nullopt;
+    }
+    const std::vector<double> sine = sines(rays, height, width);
+    for (int v = 0; v < height; ++v) {
+        // Strongest at grazing angles.
+        *by_row.mutable_data(v) = static_cast<float>(glare * (std::exp(-sine[v] / 0.10) + 0.12));
+    }
+    return std::pair{by_row, by_column};
+}
+
+}  // namespace pixels
