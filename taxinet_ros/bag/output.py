@@ -53,7 +53,7 @@ class Output:
         if self._failure is not None:
             message, errno = self._failure
             raise BagWriteError(message, path=self.path, errno=errno)
-        if not self.open:
+        if self._descriptor < 0:
             raise BagError(f'{self.path}: the bag is closed; nothing can be added', path=self.path)
 
     def put(self, data: bytes) -> None:

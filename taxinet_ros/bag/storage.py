@@ -74,13 +74,14 @@ class StorageFile:
     def add_message(self, topic: str, data: bytes, stamp_ns: int) -> None:
         """Append one message; its stamp is both log and publish time."""
         self.output.check()
-        if not self._chunk.empty and len(self._chunk.data) + len(data) > CHUNK_BYTES:
+        if len(self._chunk.data) + len(data) > CHUNK_BYTES and not self._chunk.empty:
             self.finish_chunk()
         number = self.counts[topic]
         self._chunk.add(self._channels[topic].id, number, data, stamp_ns)
-        self.start_ns = min(self.start_ns, stamp_ns) if self._started else stamp_ns
-        self._started = True
-        self.end_ns = max(self.end_ns, stamp_ns)
+        if stamp_ns < self.start_ns or not self._started:
+            self.start_ns, self._started = stamp_ns, True
+        if stamp_ns > self.end_ns:
+            self.end_ns = stamp_ns
         self.counts[topic] = number + 1
         if len(self._chunk.data) > CHUNK_BYTES:
             self.finish_chunk()

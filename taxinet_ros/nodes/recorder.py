@@ -144,8 +144,10 @@ class Recorder(Participant):
                 f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
                 'is no control step; does a second simulator publish?'
             )
-        self._held += self._steps.add(topic.name, seq, cdr)
-        self._write_steps()
+        whole = self._steps.add(topic.name, seq, cdr)
+        if whole:
+            self._held += whole
+            self._write_steps()
 
     def _on_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, NodeStatus)

@@ -16,8 +16,7 @@ class StepCollector:
         """``expected``: topic name to number of messages per step."""
         self._expected = dict(expected)
         self._total = sum(expected.values())
-        self._pending: dict[int, dict[str, list[Any]]] = {}
-        self._counts: dict[int, int] = {}
+        self._pending: dict[int, _Pending] = {}
         self._next = 0
         self.repeated = 0
 
@@ -30,22 +29,37 @@ class StepCollector:
         if seq < self._next:
             self.repeated += 1
             return ()
-        messages = self._pending.setdefault(seq, {}).setdefault(topic, [])
+        step = self._pending.get(seq)
+        if step is None:
+            step = self._pending[seq] = _Pending(self._total)
+        messages = step.messages.get(topic)
+        if messages is None:
+            messages = step.messages[topic] = []
         if len(messages) == self._expected[topic]:
             self.repeated += 1
             return ()
         messages.append(message)
-        count = self._counts[seq] = self._counts.get(seq, 0) + 1
-        return self._whole() if count == self._total and seq == self._next else ()
+        step.missing -= 1
+        return () if step.missing or seq != self._next else self._whole()
 
     def _whole(self) -> list[Step]:
         whole = []
-        while self._counts.get(self._next) == self._total:
-            del self._counts[self._next]
-            whole.append((self._next, self._pending.pop(self._next)))
+        while (step := self._pending.get(self._next)) is not None and not step.missing:
+            del self._pending[self._next]
+            whole.append((self._next, step.messages))
             self._next += 1
         return whole
 
     def torn(self) -> list[Step]:
         """Steps begun and not whole, oldest first: what an aborted run left behind."""
-        return sorted(self._pending.items())
+        return sorted((seq, step.messages) for seq, step in self._pending.items())
+
+
+class _Pending:
+    """Messages of a step by topic, and how many are still to come."""
+
+    __slots__ = ('messages', 'missing')
+
+    def __init__(self, missing: int) -> None:
+        self.messages: dict[str, list[Any]] = {}
+        self.missing = missing
