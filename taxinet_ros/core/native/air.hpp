@@ -1,4 +1,4 @@
-// What air, water and a low sun add to the rows and columns of a picture: what atmosphere.py asks for.
+// What air, water and a low sun add to rows and columns of a picture: what atmosphere.py asks for.
 
 #pragma once
 

@@ -7,36 +7,9 @@
 
 #include "common.hpp"
 #include "sight.hpp"
+#include "texture.hpp"
 
 namespace pixels {
-
-// A picture of three channels that is looked up.
-struct Texture {
-    Bytes owner;
-    const std::uint8_t *texels;
-    int rows, columns;
-
-    explicit Texture(Bytes array) : owner(std::move(array)), texels(nullptr), rows(0), columns(0) {
-        require(owner.ndim() == 3 && owner.shape(2) == kChannels && owner.shape(0) > 1 &&
-                    owner.shape(1) > 1,
-                "a texture is (rows, columns, 3), two of each at least");
-        texels = owner.data();
-        rows = static_cast<int>(owner.shape(0));
-        columns = static_cast<int>(owner.shape(1));
-    }
-
-    // Bytes from one row to the next.
-    std::ptrdiff_t stride() const { return static_cast<std::ptrdiff_t>(columns) * kChannels; }
-};
-
-// Where the pixels of one row of the picture fall between four texels of a texture: the offset of
-// the upper left one; the weights of left and right, a byte each, twice; and those of above and
-// below, half a word each. Each two add up to 32.
-struct Places {
-    std::vector<std::int32_t> offset, across, down;
-
-    explicit Places(int width) : offset(width), across(width), down(width) {}
-};
 
 // One axis of the ground's texture.
 struct Axis {

@@ -129,10 +129,18 @@ void tint_masked(Picture picture, const Picture &mask, const std::array<float, 3
     std::vector<std::uint8_t> share(rows.bytes() + 1);
     for (int v = 0; v < rows.count; ++v) {
         const std::uint8_t *code = mask.data(v);
-        for (int u = 0; u < rows.width; ++u) {
+        int first = 0, end = rows.width;
+        while (first < end && code[first] == 0) {
+            ++first;
+        }
+        while (end > first && code[end - 1] == 0) {
+            --end;
+        }
+        for (int u = first; u < end; ++u) {
             std::memcpy(&share[kChannels * u], left[code[u]].data(), kChannels + 1);
         }
-        keep_shares(rows.at(v), share.data(), rows.bytes());
+        keep_shares(rows.at(v) + kChannels * first, share.data() + kChannels * first,
+                    kChannels * (end - first));
     }
 }
 

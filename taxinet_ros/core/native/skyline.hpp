@@ -1,4 +1,4 @@
-// What stands above the ground at the horizon, looked up in a panorama: what atmosphere.py asks for.
+// What stands at the horizon, looked up in a panorama: what atmosphere.py asks for.
 
 #pragma once
 
