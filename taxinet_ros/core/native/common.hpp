@@ -2,7 +2,8 @@
 //
 // Equal input gives equal bytes on every processor: each operation is one IEEE 754 single precision
 // operation or one on whole numbers; where two are fused it says fma, and the compiler may fuse no
-// others (-ffp-contract=off in setup.py).
+// others (-ffp-contract=off in setup.py). Angles and exponentials, in double precision, are the C
+// library's, whose last bit is rounded away unless it decides a tie.
 
 #pragma once
 
