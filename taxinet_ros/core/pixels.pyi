@@ -1,9 +1,9 @@
 """What the camera and the network's input do once per pixel: compiled from ``native/``.
 
 Equal arguments give equal bytes on every processor; only angles and exponentials, once per row or
-column, are the C library's, whose last bit may differ. What is given is not copied in secret: arrays
-are of the types and shapes that are said, in C order, or a ``ValueError`` or ``TypeError`` tells
-which is not.
+column, are the C library's, whose last bit may differ. What is given is not copied in secret:
+arrays are of the types and shapes that are said, in C order, or a ``ValueError`` or ``TypeError``
+tells which is not.
 """
 
 from collections.abc import Sequence

@@ -54,13 +54,16 @@ void Panorama::lay_over(Picture picture, const Doubles &directions) const {
     const int middle_column = first_column_ + static_cast<int>(places.size()) / 2 * spacing_;
     const Ray middle = ray_of(rays, middle_column, 0);
     const auto lowest = static_cast<float>((-std::atan(end_tan_) - lowest_rad_) / step_rad_);
-    const std::vector<Between> columns = columns_between(target.width);
     const int rows = rows_above(rays, end_tan_, target);
+    const bool alone = rows == 1;
+    const std::vector<Between> columns = columns_between(target.width, alone);
     for (int v = 0; v < rows; ++v) {
         find_places(rays, middle, v, places);
         std::uint8_t *colour = target.at(v);
-        for (const auto &[left, share] : columns) {
-            const Place place = between(places[left], places[left + 1], share);
+        for (const Between &column : columns) {
+            const Place &left = places[column.left], &right = places[column.left + 1];
+            const Place place = alone ? between_alone(left, right, column.share)
+                                      : between(left, right, column.share);
             if (place.up > lowest) {
                 look_up(place, colour);
             }
@@ -69,12 +72,16 @@ void Panorama::lay_over(Picture picture, const Doubles &directions) const {
     }
 }
 
-std::vector<Panorama::Between> Panorama::columns_between(int width) const {
+std::vector<Panorama::Between> Panorama::columns_between(int width, bool alone) const {
     std::vector<Between> columns(width);
     for (int u = 0; u < width; ++u) {
         const int from_first = u - first_column_;
         const double share = from_first % spacing_ / static_cast<double>(spacing_);
         columns[u] = {from_first / spacing_, static_cast<float>(share)};
+        if (alone) {
+            const double place = (u + spacing_ + 0.5) * (1.0 / spacing_) - 0.5;
+            columns[u].share = static_cast<float>(place) - static_cast<float>(columns[u].left);
+        }
     }
     return columns;
 }
@@ -82,6 +89,10 @@ std::vector<Panorama::Between> Panorama::columns_between(int width) const {
 INLINE Panorama::Place Panorama::between(const Place &a, const Place &b, float share) {
     return {__builtin_fmaf(b.across - a.across, share, a.across),
             __builtin_fmaf(b.up - a.up, share, a.up)};
+}
+
+INLINE Panorama::Place Panorama::between_alone(const Place &a, const Place &b, float share) {
+    return {a.across * (1 - share) + b.across * share, a.up * (1 - share) + b.up * share};
 }
 
 void Panorama::find_places(const Rays &rays, const Ray &middle, int v,

@@ -33,8 +33,11 @@ class Panorama {
         float share;
     };
 
-    std::vector<Between> columns_between(int width) const;
+    // OpenCV's cv::resize, which interpolated at first, has an arithmetic of its own for a row that
+    // is alone. Bags from then shall give the same bytes when they are rendered.
+    std::vector<Between> columns_between(int width, bool alone) const;
     static Place between(const Place &a, const Place &b, float share);
+    static Place between_alone(const Place &a, const Place &b, float share);
     void find_places(const Rays &rays, const Ray &middle, int v, std::vector<Place> &places) const;
     void look_up(const Place &place, std::uint8_t *colour) const;
 
