@@ -111,15 +111,14 @@ def test_given_a_view_when_laid_over_then_it_is_what_opencv_made_of_it_to_the_by
     assert (found == wanted).mean() > 0.999
 
 
-@pytest.mark.parametrize('yaw_deg', range(-180, 180, 20))
-def test_given_one_row_above_the_ground_when_laid_over_then_it_is_opencvs_to_the_byte(
-    yaw_deg: float,
-) -> None:
+def test_given_one_row_above_the_ground_when_laid_over_then_it_is_opencvs_to_the_byte() -> None:
+    # It interpolates one row otherwise than several: of 100,000 pixels it decides some.
     pitch = next(p for p in np.arange(0.19, 0.1, -0.0005) if rows_of(rays_of(0.0, p)) == 1)
-    rays = rays_of(math.radians(yaw_deg), pitch)
-    assert rows_of(rays) == 1
-    assert laid(rays).any()
-    np.testing.assert_array_equal(laid(rays)[:1], by_opencv(rays, 1))
+    for yaw in np.random.default_rng(8).uniform(-math.pi, math.pi, 5000):
+        rays = rays_of(yaw, pitch)
+        found = laid(rays)[:1]
+        assert found.any()
+        np.testing.assert_array_equal(found, by_opencv(rays, 1))
 
 
 @given(YAWS, PITCHES)

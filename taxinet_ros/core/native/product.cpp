@@ -2,6 +2,10 @@
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
 #define WITH_VECTORS
+#if !defined(__clang__)
+// GCC 12 warns of what its own header does on purpose (its bug 105593).
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#endif
 #include <immintrin.h>
 #endif
 
