@@ -4,6 +4,20 @@ import numpy as np
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
+from taxinet_ros.bag.definitions import describe_topic
+
+# Gaps that depend on texts, gaps that do not, and numbers that touch.
+TYPES = [
+    'nav_msgs/msg/Odometry', 'taxinet_msgs/msg/TrackingError', 'taxinet_msgs/msg/Robustness',
+    'taxinet_msgs/msg/NodeStatus', 'sensor_msgs/msg/BatteryState', 'sensor_msgs/msg/CameraInfo',
+    'rosgraph_msgs/msg/Clock',
+]
+
+
+def topic_of(name):
+    """A topic whose messages are of a type that is installed."""
+    return describe_topic(name='/told', type_name=name, qos='')
+
 
 def messages_of(store, name):
     """Objects of the type ``name`` that ``store`` knows."""

@@ -4,26 +4,14 @@ import math
 from operator import attrgetter
 
 import pytest
-from any_messages import fields_in, messages_of
+from any_messages import TYPES, fields_in, messages_of, topic_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.bag.cdr_gaps import MOST_KNOWN
 from taxinet_ros.bag.decode import typestore
-from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.message_fields import FieldReader
-
-TYPES = [
-    'nav_msgs/msg/Odometry', 'taxinet_msgs/msg/TrackingError', 'taxinet_msgs/msg/Robustness',
-    'taxinet_msgs/msg/NodeStatus', 'sensor_msgs/msg/BatteryState', 'sensor_msgs/msg/CameraInfo',
-    'rosgraph_msgs/msg/Clock',
-]
-
-
-def topic_of(name):
-    return describe_topic(name='/told', type_name=name, qos='')
-
 
 STATUS = topic_of('taxinet_msgs/msg/NodeStatus')
 

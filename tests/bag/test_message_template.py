@@ -4,25 +4,14 @@ import struct
 from operator import attrgetter
 
 import pytest
-from any_messages import fields_in, messages_of
+from any_messages import TYPES, fields_in, messages_of, topic_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.bag.decode import typestore
-from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.message_template import MessageTemplate
 
-# Gaps that depend on texts, gaps that do not, and numbers that touch.
-TYPES = [
-    'nav_msgs/msg/Odometry', 'taxinet_msgs/msg/TrackingError', 'taxinet_msgs/msg/Robustness',
-    'taxinet_msgs/msg/NodeStatus', 'sensor_msgs/msg/BatteryState', 'sensor_msgs/msg/CameraInfo',
-    'rosgraph_msgs/msg/Clock',
-]
-ERROR = describe_topic(name='/told', type_name='taxinet_msgs/msg/TrackingError', qos='')
-
-
-def topic_of(name):
-    return describe_topic(name='/told', type_name=name, qos='')
+ERROR = topic_of('taxinet_msgs/msg/TrackingError')
 
 
 def put(message, path, value):

@@ -11,7 +11,7 @@ namespace {
 // Less of the veil is not seen.
 constexpr double kVisibleShare = 1.0 / 400;
 
-// Half a picture from the horizon down: the row in whose columns the sun's direction is measured.
+// The row along which the sun's direction is measured.
 constexpr double kRowOfYaw = 60.0;
 
 // Beyond so many half widths there is nothing of a glare.
