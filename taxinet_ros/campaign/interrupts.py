@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
+from typing import Any
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
+
+_AGAIN_S = 0.01
 
 _newest: int = signal.SIGINT
 
@@ -57,6 +62,31 @@ def handled(
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+@contextlib.contextmanager
+def heard_again() -> Iterator[None]:
+    """Within the ``with``, have an interrupt come again that Python could not raise.
+
+    In a destructor, or in a callback of the import system, it would be printed and forgotten.
+    """
+    before = sys.unraisablehook
+
+    def hook(what: Any) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):
+            before(what)
+            return
+        # At once, it would be raised right here.
+        who = threading.main_thread().ident
+        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, _newest))
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def end_now(number: int, frame: FrameType | None) -> None:

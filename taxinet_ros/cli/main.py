@@ -19,7 +19,13 @@ from typer.exceptions import TyperException
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
-from taxinet_ros.campaign.interrupts import INTERRUPTED, end_now, handled, told_apart
+from taxinet_ros.campaign.interrupts import (
+    INTERRUPTED,
+    end_now,
+    handled,
+    heard_again,
+    told_apart,
+)
 from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
@@ -132,7 +138,9 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    with outlived_terminal(), handled(end_now, (signal.SIGTERM, signal.SIGHUP)):
+    with (
+        outlived_terminal(), heard_again(), handled(end_now, (signal.SIGTERM, signal.SIGHUP))
+    ):
         code = _exit_code(lambda: app(standalone_mode=False))
     sys.exit(told_apart(code))
 

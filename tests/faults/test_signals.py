@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import threading
 
 import pytest
 from command_process import ended, taxinet, taxinet_on_terminal
@@ -11,7 +13,14 @@ from fault_runs import steps_in, wait_for
 from process_table import children, gone
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts, told_apart
+from taxinet_ros.campaign.interrupts import (
+    INTERRUPTED,
+    end_now,
+    handled,
+    heard_again,
+    interrupts,
+    told_apart,
+)
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.table import read_table
 
@@ -115,6 +124,36 @@ def test_given_nohup_then_a_closed_terminal_ends_nothing():
     finally:
         signal.signal(signal.SIGHUP, before)
     assert heard == []
+
+
+@SIGNALS
+def test_given_a_signal_in_a_callback_that_may_not_raise_then_it_comes_again(number, code, capfd):
+    class Forgotten:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), number)
+
+    def forget() -> None:
+        Forgotten()
+        threading.Event().wait(60)
+
+    with handled(end_now), heard_again(), pytest.raises(KeyboardInterrupt):
+        forget()
+    assert told_apart(INTERRUPTED) == code
+    assert capfd.readouterr().err == ''
+
+
+def test_given_another_error_in_a_callback_then_it_is_told_as_ever(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, 'unraisablehook', lambda what: told.append(what.exc_type))
+
+    class Broken:
+        def __del__(self) -> None:
+            raise ValueError
+
+    with heard_again():
+        Broken()
+    Broken()
+    assert told == [ValueError, ValueError]
 
 
 @SIGNALS
