@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from rosbags.interfaces import Nodetype
 
@@ -32,6 +32,9 @@ _MAX_TAIL = 3
 
 MOST_KNOWN = 16
 """Layouts that are remembered of the messages of one type."""
+
+
+T = TypeVar('T')
 
 
 class Trail:
@@ -111,7 +114,7 @@ class _Repeated:
         return at
 
 
-class Layout:
+class _Layout:
     """How a message of a type is laid out: its counts decide that, and nothing else does."""
 
     def __init__(self, cdr: bytes, trail: Trail) -> None:
@@ -130,13 +133,34 @@ class Layout:
         return int.from_bytes(cdr[:self._size], 'little') & self._mask == self._values
 
 
+class Layouts(Generic[T]):
+    """What was found out about messages of one type, by how they are laid out."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self._known: dict[int, list[tuple[_Layout, T]]] = {}  # by length
+
+    def find(self, cdr: bytes) -> T | None:
+        """What was found out about one that is laid out like ``cdr``; None where none was seen."""
+        for layout, what in self._known.get(len(cdr), ()):
+            if layout.has(cdr):
+                return what
+        return None
+
+    def learn(self, cdr: bytes, trail: Trail, what: T) -> None:
+        """Remember ``what`` of those like ``cdr``, through which ``trail`` leads."""
+        if sum(map(len, self._known.values())) == MOST_KNOWN:
+            self._known.clear()
+        self._known.setdefault(len(cdr), []).append((_Layout(cdr, trail), what))
+
+
 class Walk:
     """The way through the messages of one type."""
 
     def __init__(self, steps: Iterable[Any]) -> None:
         """Run together what can be; ``steps`` come from :func:`walk_of`."""
         self._steps = tuple(_joined(steps))
-        self._known: dict[int, Layout] = {}
+        self._sound = Layouts[bool]()
 
     def without_gaps(self, cdr: bytes) -> bytes:
         """The message with zeros in its gaps, cut after its last field.
@@ -145,8 +169,7 @@ class Walk:
             ValueError, struct.error: the bytes are no message of the type.
         """
         # Most messages are as they should be, and laid out like the one before them.
-        known = self._known.get(len(cdr))
-        if known is not None and known.has(cdr):
+        if self._sound.find(cdr):
             return cdr
         at = BODY
         trail = Trail()
@@ -156,17 +179,12 @@ class Walk:
             raise ValueError(f'fields end at byte {at}')
         wrong = [(start, end) for start, end in trail.gaps if any(cdr[start:end])]
         if not wrong and len(cdr) == at:
-            self._learn(cdr, trail)
+            self._sound.learn(cdr, trail, True)
             return cdr
         mended = bytearray(cdr[:at])
         for start, end in wrong:
             mended[start:end] = bytes(end - start)
         return bytes(mended)
-
-    def _learn(self, cdr: bytes, trail: Trail) -> None:
-        if len(self._known) == MOST_KNOWN:
-            self._known.clear()
-        self._known[len(cdr)] = Layout(cdr, trail)
 
 
 def walk_of(store: Any, type_name: str) -> Walk:

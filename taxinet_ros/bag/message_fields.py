@@ -11,7 +11,7 @@ from operator import attrgetter
 from typing import Any
 
 from taxinet_ros.bag.canonical import LITTLE_ENDIAN
-from taxinet_ros.bag.cdr_gaps import MOST_KNOWN, Layout, Trail
+from taxinet_ros.bag.cdr_gaps import Layouts, Trail
 from taxinet_ros.bag.decode import decoder, typestore
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.message_places import parts_of, places_of
@@ -35,7 +35,7 @@ class FieldReader:
         self._topic = topic
         self._numbers, self._texts = tuple(numbers), tuple(texts)
         self._decode = decoder(topic)
-        self._known: dict[int, list[_Places]] = {}  # by length
+        self._places = Layouts[_Places]()
 
     def __call__(self, cdr: bytes) -> list[Any]:
         """The values of the numbers, then of the texts, in the order in which they were named.
@@ -44,12 +44,15 @@ class FieldReader:
             BagCorrupt: the bytes are no message of the topic's type.
             AttributeError, KeyError: the type has no such field, or it is of another kind.
         """
-        for places in self._known.get(len(cdr), ()):
-            if places.hold(cdr):
-                return self._values(places, cdr)
+        little = cdr[:2] == LITTLE_ENDIAN
+        if little and (places := self._places.find(cdr)) is not None:
+            return self._values(places, cdr)
         message = self._decode(cdr)
         values = [attrgetter(name)(message) for name in (*self._numbers, *self._texts)]
-        self._learn(cdr)
+        if little:
+            trail = Trail()
+            places = _Places(self._topic, cdr, trail, self._numbers, self._texts)
+            self._places.learn(cdr, trail, places)
         return values
 
     def _values(self, places: _Places, cdr: bytes) -> list[Any]:
@@ -59,31 +62,18 @@ class FieldReader:
             text = f'topic {self._topic.name}: not a {self._topic.type}: {error}'
             raise BagCorrupt(text) from error
 
-    def _learn(self, cdr: bytes) -> None:
-        if cdr[:2] != LITTLE_ENDIAN:
-            return
-        if sum(map(len, self._known.values())) == MOST_KNOWN:
-            self._known.clear()
-        places = _Places(self._topic, cdr, self._numbers, self._texts)
-        self._known.setdefault(len(cdr), []).append(places)
-
 
 class _Places:
     """Where the fields lie in messages that are laid out like one of them."""
 
     def __init__(
-        self, topic: TopicInfo, cdr: bytes, numbers: Sequence[str], texts: Sequence[str]
+        self, topic: TopicInfo, cdr: bytes, trail: Trail, numbers: Sequence[str],
+        texts: Sequence[str],
     ) -> None:
-        trail = Trail()
         places = places_of(typestore(topic), topic.type, cdr, trail)
         parts = parts_of([places.numbers[name] for name in numbers], trail)
         self._parts = tuple((part.layout.unpack_from, part.at) for part in parts)
         self._texts = tuple(places.texts[name] for name in texts)
-        self._layout = Layout(cdr, trail)
-
-    def hold(self, cdr: bytes) -> bool:
-        """Whether they do in a message of the same length."""
-        return cdr[:2] == LITTLE_ENDIAN and self._layout.has(cdr)
 
     def values(self, cdr: bytes) -> list[Any]:
         found: list[Any] = []

@@ -67,6 +67,13 @@ def _drawing() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @cache
+def _albedo() -> NDArray[np.float64]:
+    """Share of the light that the parts send back, (HEIGHT, WIDTH, 3)."""
+    colour, _ = _drawing()
+    return np.asarray((colour / 255) ** GAMMA, np.float64)
+
+
+@cache
 def _behind() -> NDArray[np.uint8]:
     """Share of what is behind that is seen, (HEIGHT, WIDTH, 3), in 255ths."""
     _, opacity = _drawing()
@@ -138,8 +145,7 @@ class AirframeView:
     def __init__(self, light: Light) -> None:
         """Keep the light; the parts are lit when a heading first asks for them."""
         self._light = light
-        colour, self._opacity = _drawing()
-        self._albedo = (colour / 255) ** GAMMA
+        _, self._opacity = _drawing()
         self._lit: dict[int, NDArray[np.uint8]] = {}
 
     def lay_over(self, picture: NDArray[np.uint8], yaw_rad: float) -> None:
@@ -164,5 +170,5 @@ class AirframeView:
             facing = max(0.0, float(light.sun @ (cos * x - sin * y, sin * x + cos * y, z)))
             beam = light.direct * min(facing / max(float(light.sun[2]), 0.12), 1.6)
         shine = 0.78 * (0.92 * light.diffuse + 0.55 * beam + 0.45 * light.direct)
-        lit = display_code(self._albedo * shine)
+        lit = display_code(_albedo() * shine)
         return np.rint(lit * self._opacity).astype(np.uint8)

@@ -47,25 +47,22 @@ class Motion(NamedTuple):
 
 
 def _error(
-    sec: int, nanosec: int, seq: int, cte_m: float, he_rad: float, valid: bool, run_id: str
+    stamp_ns: int, seq: int, cte_m: float, he_rad: float, valid: bool, run_id: str
 ) -> Said:
-    error = TrackingError(cte_m=cte_m, he_rad=he_rad, valid=valid)
-    return Said(sec * NS_PER_S + nanosec, error, run_id, seq)
+    return Said(stamp_ns, TrackingError(cte_m=cte_m, he_rad=he_rad, valid=valid), run_id, seq)
 
 
-def _command(
-    sec: int, nanosec: int, seq: int, steering_rad: float, speed_mps: float, run_id: str
-) -> Said:
+def _command(stamp_ns: int, seq: int, steering_rad: float, speed_mps: float, run_id: str) -> Said:
     command = TaxiCommand(steering_rad=steering_rad, speed_mps=speed_mps)
-    return Said(sec * NS_PER_S + nanosec, command, run_id, seq)
+    return Said(stamp_ns, command, run_id, seq)
 
 
-def _motion(sec: int, nanosec: int, x_m: float, speed_mps: float) -> Said:
-    return Said(sec * NS_PER_S + nanosec, Motion(x_m, speed_mps))
+def _motion(stamp_ns: int, x_m: float, speed_mps: float) -> Said:
+    return Said(stamp_ns, Motion(x_m, speed_mps))
 
 
-def _progress(sec: int, nanosec: int, seq: int, run_id: str, node: str) -> Said:
-    return Said(sec * NS_PER_S + nanosec, node, run_id, seq)
+def _progress(stamp_ns: int, seq: int, run_id: str, node: str) -> Said:
+    return Said(stamp_ns, node, run_id, seq)
 
 
 _STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
@@ -97,7 +94,12 @@ def reader_of(topic: Topic) -> Callable[[Any], Any]:
     numbers, texts, said = _READ[topic.name]
     described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
     fields = FieldReader(described, (*_STAMP, *numbers), texts)
-    return lambda cdr: said(*fields(cdr))
+
+    def read(cdr: bytes) -> Said:
+        sec, nanosec, *rest = fields(cdr)
+        return said(sec * NS_PER_S + nanosec, *rest)
+
+    return read
 
 
 def _as_it_is(message: Any) -> Any:

@@ -76,9 +76,9 @@ INLINE std::uint8_t code_of(float number) {
 }
 
 // Raises ValueError in Python.
-inline void require(bool holds, const char *what) {
+inline void require(bool holds, const char *what, const char *more = "") {
     if (!holds) {
-        throw std::invalid_argument(std::string("pixels: ") + what);
+        throw std::invalid_argument(std::string("pixels: ") + what + more);
     }
 }
 

@@ -5,10 +5,7 @@
 #include <cstring>
 #include <vector>
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
-#define WITH_AVX512_VBMI
-#include <immintrin.h>
-#endif
+#include "vectors.hpp"
 
 namespace pixels {
 namespace {
@@ -66,13 +63,12 @@ FOR_EACH_PROCESSOR void shine_row(std::uint8_t *__restrict codes, float strength
     }
 }
 
-#if defined(WITH_AVX512_VBMI)
+#if defined(WITH_VECTORS)
 
 // A whole register of codes at a time: two halves of the table are looked up at once, and the
 // highest bit chooses.
-__attribute__((target("avx512vbmi,avx512bw"))) void look_up_many(const std::uint8_t *table,
-                                                                 const std::uint8_t *codes,
-                                                                 int bytes, std::uint8_t *out) {
+AVX512_VBMI void look_up_many(const std::uint8_t *table, const std::uint8_t *codes, int bytes,
+                              std::uint8_t *out) {
     const __m512i first = _mm512_loadu_si512(table), second = _mm512_loadu_si512(table + 64),
                   third = _mm512_loadu_si512(table + 128), fourth = _mm512_loadu_si512(table + 192);
     for (int i = 0; i < bytes; i += 64) {
@@ -89,7 +85,7 @@ __attribute__((target("avx512vbmi,avx512bw"))) void look_up_many(const std::uint
 #endif
 
 void look_up(const std::uint8_t *table, const std::uint8_t *codes, int bytes, std::uint8_t *out) {
-#if defined(WITH_AVX512_VBMI)
+#if defined(WITH_VECTORS)
     static const bool at_once = __builtin_cpu_supports("avx512vbmi");
     if (at_once) {
         look_up_many(table, codes, bytes, out);

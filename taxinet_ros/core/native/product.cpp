@@ -1,13 +1,6 @@
 #include "product.hpp"
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(PLAIN)
-#define WITH_VECTORS
-#if !defined(__clang__)
-// GCC 12 warns of what its own header does on purpose (its bug 105593).
-#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
-#endif
-#include <immintrin.h>
-#endif
+#include "vectors.hpp"
 
 namespace pixels {
 namespace {
@@ -19,13 +12,10 @@ Colour colour_at(const Layer &layer, int u) {
     const Places &places = *layer.places;
     const std::uint8_t *upper = layer.texture->texels + places.offset[u];
     const std::uint8_t *lower = upper + layer.texture->stride();
-    const int left = places.across[u] & 0xFF, right = places.across[u] >> 8 & 0xFF;
-    const int above = places.down[u] & 0xFFFF, below = places.down[u] >> 16;
+    const int of_right = places.across[u] >> 8 & 0xFF, of_lower = places.down[u] >> 16;
     Colour colour;
     for (int c = 0; c < kChannels; ++c) {
-        const int high = upper[c] * left + upper[c + kChannels] * right;
-        const int low = lower[c] * left + lower[c + kChannels] * right;
-        colour[c] = (high * above + low * below + kWhole / 2) / kWhole;
+        colour[c] = blended(upper, lower, c, c + kChannels, of_right, of_lower);
     }
     return colour;
 }
@@ -42,9 +32,6 @@ void multiply(const Layer &ground, const Layer &grain, float scale, int first, i
 }
 
 #if defined(WITH_VECTORS)
-
-#define AVX2 __attribute__((target("avx2")))
-#define AVX512 __attribute__((target("avx512bw")))
 
 // The largest of some numbers, none of them negative.
 FOR_EACH_PROCESSOR std::int32_t greatest(const std::int32_t *numbers, int count) {

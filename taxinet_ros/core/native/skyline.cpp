@@ -26,23 +26,13 @@ int rows_above(const Rays &rays, double end_tan, const Rows &picture) {
 }  // namespace
 
 Panorama::Panorama(Bytes codes, double lowest_rad, double step_rad, double end_tan, int spacing_px)
-    : codes_(std::move(codes)),
-      rows_(0),
-      columns_(0),
-      texels_(nullptr),
-      stride_(0),
+    : codes_(std::move(codes), "a panorama"),
       lowest_rad_(lowest_rad),
       step_rad_(step_rad),
       end_tan_(end_tan),
       spacing_(spacing_px),
       first_column_(-(spacing_px + 1) / 2) {
-    require(codes_.ndim() == 3 && codes_.shape(2) == kChannels && codes_.size() > 0,
-            "a panorama is (rows, columns, 3)");
     require(spacing_ > 0 && spacing_ % 2 == 1, "directions are an odd number of columns apart");
-    rows_ = static_cast<int>(codes_.shape(0));
-    columns_ = static_cast<int>(codes_.shape(1));
-    texels_ = codes_.data();
-    stride_ = static_cast<std::ptrdiff_t>(columns_) * kChannels;
 }
 
 void Panorama::lay_over(Picture picture, const Doubles &directions) const {
@@ -100,28 +90,27 @@ void Panorama::find_places(const Rays &rays, const Ray &middle, int v,
     // Measured from the view's middle, yaw has no jump inside the picture.
     const double cos = middle[0], sin = middle[1];
     const double north = std::atan2(sin, cos) + std::numbers::pi;
-    const double per_radian = columns_ / (2 * std::numbers::pi);
+    const double per_radian = codes_.columns / (2 * std::numbers::pi);
     for (std::size_t i = 0; i < places.size(); ++i) {
         const auto [x, y, z] = ray_of(rays, first_column_ + static_cast<int>(i) * spacing_, v);
         const double aside = std::atan2(cos * y - sin * x, cos * x + sin * y);
         const double row = (std::atan2(z, std::hypot(x, y)) - lowest_rad_) / step_rad_;
         places[i] = {static_cast<float>((north + aside) * per_radian),
-                     static_cast<float>(std::clamp(row, 0.0, rows_ - 1.0))};
+                     static_cast<float>(std::clamp(row, 0.0, codes_.rows - 1.0))};
     }
 }
 
 INLINE void Panorama::look_up(const Place &place, std::uint8_t *colour) const {
     const std::int32_t x = rounded(place.across * kSteps), y = rounded(place.up * kSteps);
-    const int left = wrapped(x >> kStepBits, columns_), right = wrapped(left + 1, columns_);
-    const int low = y >> kStepBits, high = lesser(low + 1, rows_ - 1);
-    const int of_right = x & (kSteps - 1), of_high = y & (kSteps - 1);
-    const std::uint8_t *lower = texels_ + low * stride_, *upper = texels_ + high * stride_;
+    const int columns = codes_.columns;
+    const int left = wrapped(x >> kStepBits, columns), right = wrapped(left + 1, columns);
+    const int row = y >> kStepBits, next = lesser(row + 1, codes_.rows - 1);
+    const std::uint8_t *first = codes_.texels + row * codes_.stride();
+    const std::uint8_t *second = codes_.texels + next * codes_.stride();
     for (int c = 0; c < kChannels; ++c) {
-        const int l = kChannels * left + c, r = kChannels * right + c;
-        const int below = lower[l] * (kSteps - of_right) + lower[r] * of_right;
-        const int above = upper[l] * (kSteps - of_right) + upper[r] * of_right;
-        const int sum = below * (kSteps - of_high) + above * of_high;
-        colour[c] = static_cast<std::uint8_t>((sum + kWhole / 2) / kWhole);
+        colour[c] = static_cast<std::uint8_t>(
+            blended(first, second, kChannels * left + c, kChannels * right + c,
+                    x & (kSteps - 1), y & (kSteps - 1)));
     }
 }
 

@@ -7,6 +7,7 @@
 #include "common.hpp"
 #include "picture.hpp"
 #include "rays.hpp"
+#include "texture.hpp"
 
 namespace pixels {
 
@@ -41,10 +42,7 @@ class Panorama {
     void find_places(const Rays &rays, const Ray &middle, int v, std::vector<Place> &places) const;
     void look_up(const Place &place, std::uint8_t *colour) const;
 
-    Bytes codes_;
-    int rows_, columns_;
-    const std::uint8_t *texels_;
-    std::ptrdiff_t stride_;
+    Texture codes_;
     double lowest_rad_, step_rad_, end_tan_;
     int spacing_, first_column_;
 };

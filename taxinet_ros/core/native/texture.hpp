@@ -15,10 +15,11 @@ struct Texture {
     const std::uint8_t *texels;
     int rows, columns;
 
-    explicit Texture(Bytes array) : owner(std::move(array)), texels(nullptr), rows(0), columns(0) {
+    explicit Texture(Bytes array, const char *what = "a texture")
+        : owner(std::move(array)), texels(nullptr), rows(0), columns(0) {
         require(owner.ndim() == 3 && owner.shape(2) == kChannels && owner.shape(0) > 1 &&
                     owner.shape(1) > 1,
-                "a texture is (rows, columns, 3), two of each at least");
+                what, " is (rows, columns, 3), two of each at least");
         texels = owner.data();
         rows = static_cast<int>(owner.shape(0));
         columns = static_cast<int>(owner.shape(1));
@@ -36,5 +37,13 @@ struct Places {
 
     explicit Places(int width) : offset(width), across(width), down(width) {}
 };
+
+// One channel between four texels, of which the right and the lower ones have so many of 32 steps.
+INLINE std::int32_t blended(const std::uint8_t *upper, const std::uint8_t *lower, int left,
+                            int right, int of_right, int of_lower) {
+    const int high = upper[left] * (kSteps - of_right) + upper[right] * of_right;
+    const int low = lower[left] * (kSteps - of_right) + lower[right] * of_right;
+    return (high * (kSteps - of_lower) + low * of_lower + kWhole / 2) / kWhole;
+}
 
 }  // namespace pixels
