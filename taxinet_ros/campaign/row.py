@@ -23,6 +23,8 @@ class RunRow:
         sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
         point: the quantile that it chose for each dimension, by name.
         weight: density of the program's distribution over that of the sampler's, if known.
+        drawn: whether the scene was drawn from the program itself, whatever the results before it:
+            what rates rest on. None in a row from before that was written down.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
@@ -56,6 +58,7 @@ class RunRow:
     sampler: str = ''
     point: Mapping[str, float] = field(default_factory=dict)
     weight: float | None = None
+    drawn: bool | None = None
     perception_fingerprint: str = ''
     cross_track: float | None = None
     distance: float | None = None
@@ -163,11 +166,12 @@ class RunRow:
         )
 
     def chosen(
-        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int
+        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
+        drawn: bool = False,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
-            self, sampler=sampler, point=point, weight=weight, retries=retries
+            self, sampler=sampler, point=point, weight=weight, retries=retries, drawn=drawn
         )
 
     def to_json(self) -> dict[str, Any]:

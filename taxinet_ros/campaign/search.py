@@ -237,7 +237,8 @@ class Search:
         row = row.chosen(
             sampler=self.options.sampler,
             point=dict(zip(names, self._points[row.index], strict=True)),
-            weight=self._sampler.weight(row.index), retries=retries,
+            weight=self._sampler.weight(row.index), drawn=self._sampler.drawn(row.index),
+            retries=retries,
         )
         self._ledger.result(row)
         self._remember(row)

@@ -13,9 +13,12 @@ BELOW_ONE = math.nextafter(1.0, 0.0)
 """The largest quantile."""
 
 
-def generator(seed: int, index: int) -> np.random.Generator:
-    """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more)."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+def generator(seed: int, index: int, *stream: int) -> np.random.Generator:
+    """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more).
+
+    Another ``stream`` of the same run is independent of the first.
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, *stream)))
 
 
 def as_point(coordinates: Iterable[float]) -> Point:

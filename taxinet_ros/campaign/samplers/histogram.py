@@ -31,12 +31,14 @@ class HistogramSampler(ABC):
         self._floor = floor
         self._bins: list[tuple[int, ...]] = []
         self._weights: list[float] = []
+        self._drawn: list[bool] = []
 
     def ask(self) -> Point:
         """The next point."""
         *uniform, mixing = generator(self._seed, len(self._bins)).random(len(self._space) + 1)
         proposal = self._proposal()
-        point = as_point(uniform) if mixing < self._floor else proposal.point(uniform)
+        self._drawn.append(bool(mixing < self._floor))
+        point = as_point(uniform) if self._drawn[-1] else proposal.point(uniform)
         bins = tuple(
             dimension.bin(quantile)
             for dimension, quantile in zip(self._space, point, strict=True)
@@ -54,6 +56,10 @@ class HistogramSampler(ABC):
     def weight(self, index: int) -> float:
         """Density of the prior over that of the proposal as it was when asked."""
         return self._weights[index]
+
+    def drawn(self, index: int) -> bool:
+        """Whether the run is of the prior's share."""
+        return self._drawn[index]
 
     def learned(self) -> Probabilities:
         """The histograms, without the prior's share."""

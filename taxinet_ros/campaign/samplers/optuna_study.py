@@ -38,11 +38,13 @@ class StudySampler:
         self._distributions = _unit_distributions(space)
         with quiet():
             self._study = new_study(sampler)
+        self._trials: list[int] = []
 
     def ask(self) -> Point:
         """The next point."""
         with quiet():
             trial = self._study.ask(self._distributions)
+        self._trials.append(trial.number)
         return as_point(trial.params[name] for name in self._distributions)
 
     def tell(self, index: int, rho: float | None) -> None:
@@ -51,12 +53,19 @@ class StudySampler:
 
         with quiet():
             if rho is None:
-                self._study.tell(index, state=TrialState.FAIL)
+                self._study.tell(self._trials[index], state=TrialState.FAIL)
             else:
-                self._study.tell(index, rho)
+                self._study.tell(self._trials[index], rho)
 
-    def weight(self, index: int) -> None:
-        """Unknown."""
+    def add(self, point: Point, rho: float) -> None:
+        """Take in the result of a point that was not asked for. CMA-ES makes nothing of it."""
+        from optuna.trial import create_trial
+
+        with quiet():
+            self._study.add_trial(create_trial(
+                value=rho, params=dict(zip(self._distributions, point, strict=True)),
+                distributions=self._distributions,
+            ))
 
     def learned(self) -> Probabilities:
         """Nothing that could be shown."""

@@ -1,0 +1,91 @@
+"""A fixed share of plain draws beside whatever a sampler does: what a rate can rest on."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from taxinet_ros.campaign.samplers.draws import as_point, generator
+from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.space import Point
+
+_STREAM = 1
+"""Keeps these random numbers apart from those that the sampler itself draws for a run."""
+
+
+class Proposer(Protocol):
+    """A sampler whose own points say nothing of a rate; its runs are numbered by themselves."""
+
+    def ask(self) -> Point:
+        """The point of its next run."""
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Take the result of a run that it has asked for, in order; as a sampler does."""
+
+    def learned(self) -> Probabilities:
+        """Where failures are; empty where it has no idea of it."""
+
+
+@runtime_checkable
+class Listener(Protocol):
+    """A proposer that learns from points which it has not asked for, too."""
+
+    def add(self, point: Point, rho: float) -> None:
+        """Take in the result of a point that was not asked for."""
+
+
+class WithDrawn:
+    """Has some runs drawn from the program itself, and a sampler choose the others.
+
+    Which ones is a matter of seed and index, so the draws are independent of each other and of all
+    results, whatever the sampler makes of them: a stratum of plain Monte Carlo.
+    """
+
+    def __init__(self, sampler: Proposer, dimensions: int, seed: int, share: float) -> None:
+        """Wrap a sampler that has not been asked yet.
+
+        Args:
+            sampler: chooses the other runs.
+            dimensions: of the space.
+            seed: of the campaign.
+            share: of the runs to draw, 0..1.
+        """
+        self._sampler = sampler
+        self._dimensions = dimensions
+        self._seed = seed
+        self._share = share
+        self._points: list[Point | None] = []
+        self._own: list[int] = []
+        self._chosen = 0
+
+    def ask(self) -> Point:
+        """The next point."""
+        *uniform, mixing = generator(
+            self._seed, len(self._points), _STREAM
+        ).random(self._dimensions + 1)
+        self._own.append(self._chosen)
+        if mixing < self._share:
+            point = as_point(uniform)
+            self._points.append(point)
+            return point
+        self._points.append(None)
+        self._chosen += 1
+        return self._sampler.ask()
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Pass a result on, under the sampler's own number."""
+        point = self._points[index]
+        if point is None:
+            self._sampler.tell(self._own[index], rho)
+        elif rho is not None and isinstance(self._sampler, Listener):
+            self._sampler.add(point, rho)
+
+    def weight(self, index: int) -> None:
+        """Unknown: the sampler's density is."""
+
+    def drawn(self, index: int) -> bool:
+        """Whether the run was drawn."""
+        return self._points[index] is not None
+
+    def learned(self) -> Probabilities:
+        """What the sampler has learned."""
+        return self._sampler.learned()
