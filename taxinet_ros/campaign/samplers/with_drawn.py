@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from taxinet_ros.campaign.samplers.draws import as_point, generator
+from taxinet_ros.campaign.samplers.draws import generator
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Point
+from taxinet_ros.campaign.samplers.space import Point, Space
 
 _STREAM = 1
 """Keeps these random numbers apart from those that the sampler itself draws for a run."""
@@ -17,6 +17,9 @@ class Proposer(Protocol):
 
     def ask(self) -> Point:
         """The point of its next run."""
+
+    def again(self) -> Point:
+        """Another point for the run that was asked for last; as a sampler does."""
 
     def tell(self, index: int, rho: float | None) -> None:
         """Take the result of a run that it has asked for, in order; as a sampler does."""
@@ -40,36 +43,46 @@ class WithDrawn:
     results, whatever the sampler makes of them: a stratum of plain Monte Carlo.
     """
 
-    def __init__(self, sampler: Proposer, dimensions: int, seed: int, share: float) -> None:
+    def __init__(self, sampler: Proposer, space: Space, seed: int, share: float) -> None:
         """Wrap a sampler that has not been asked yet.
 
         Args:
             sampler: chooses the other runs.
-            dimensions: of the space.
+            space: what is searched.
             seed: of the campaign.
             share: of the runs to draw, 0..1.
         """
         self._sampler = sampler
-        self._dimensions = dimensions
+        self._space = space
         self._seed = seed
         self._share = share
         self._points: list[Point | None] = []
         self._own: list[int] = []
         self._chosen = 0
+        self._attempt = 0
 
     def ask(self) -> Point:
         """The next point."""
-        *uniform, mixing = generator(
-            self._seed, len(self._points), _STREAM
-        ).random(self._dimensions + 1)
+        chance = generator(self._seed, len(self._points), stream=_STREAM)
+        *uniform, mixing = chance.random(len(self._space) + 1)
+        self._attempt = 0
         self._own.append(self._chosen)
         if mixing < self._share:
-            point = as_point(uniform)
+            point = self._space.point(uniform)
             self._points.append(point)
             return point
         self._points.append(None)
         self._chosen += 1
         return self._sampler.ask()
+
+    def again(self) -> Point:
+        """Another point for the same run, drawn again or chosen again."""
+        if self._points[-1] is None:
+            return self._sampler.again()
+        self._attempt += 1
+        chance = generator(self._seed, len(self._points) - 1, self._attempt, stream=_STREAM)
+        self._points[-1] = self._space.point(chance.random(len(self._space)))
+        return self._points[-1]
 
     def tell(self, index: int, rho: float | None) -> None:
         """Pass a result on, under the sampler's own number."""
