@@ -12,6 +12,9 @@ from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
+SIMPLY_DRAWN = ('', 'random')
+"""Samplers of which every run is an independent draw from the program; '' is none at all."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunRow:
@@ -136,6 +139,14 @@ class RunRow:
         """
         lower, upper = self.interval(spec) or (math.nan, math.nan)
         return upper if upper <= 0 else lower if lower > 0 else None
+
+    @property
+    def from_program(self) -> bool:
+        """Whether the program itself drew the scene; where that is not on record, by the sampler.
+
+        What Halton, Sobol and the grid lay out are no independent draws.
+        """
+        return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
 
     @property
     def headline(self) -> tuple[float, float] | None:

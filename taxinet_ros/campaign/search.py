@@ -24,7 +24,7 @@ from taxinet_ros.campaign.put_aside import put_aside
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource
@@ -104,7 +104,7 @@ class Search:
             try:
                 self._earlier = read_earlier(out, facts)
                 self._attempts.update(self._earlier.attempts)
-                self._record({**facts, **self._earlier.perception})
+                self._record({**facts, **self._earlier.facts})
             except BaseException:
                 self._ledger.__exit__(None, None, None)
                 raise
@@ -137,7 +137,7 @@ class Search:
         """
         if self._again and not self.interrupted:
             return self._again.pop()
-        while self._more() and self._sampler.ready:
+        while self._sampler.ready and self._more():
             index, point = self._sampler.next()
             self._asked, self._points[index] = index + 1, point
             if self._replayed(index):
@@ -172,6 +172,11 @@ class Search:
         return str(self._facts['perception'])
 
     @property
+    def first_planned(self) -> int:
+        """Number of runs that were planned before the first of them; only within the ``with``."""
+        return int(self._facts['first_runs'])
+
+    @property
     def facts(self) -> dict[str, Any]:
         """What ``campaign.json`` says of the search; only within the ``with``."""
         return dict(self._facts)
@@ -194,7 +199,9 @@ class Search:
         options = self.options
         if self._broken >= PATIENCE:
             return f'{self._broken} runs in a row were broken by the bench'
-        if options.stop is not None and options.stop.met(self.rows):
+        # By the results that the next run depends on, so workers make no difference.
+        known = [row for row in self.rows if row.index < self._sampler.due]
+        if options.stop is not None and options.stop.met(known):
             return f'{options.stop} reached'
         if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
             return f'the budget of {options.budget_s / 60:g} min is spent'
@@ -259,13 +266,13 @@ class Search:
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names
         )
-        if options.stop is not None and options.stop.kind == HALF_WIDTH:
-            trial = make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
-            if trial.weight(trial.next()[0]) is None:
-                raise UsageError(
-                    f'--until {options.stop}: with {options.sampler} no rate is known; '
-                    'use failures=K'
-                )
+        if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
+            options.sampler, options.sampler_options
+        ):
+            raise UsageError(
+                f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
+                'all of its runs; add --sampler-option floor=0.3, or use failures=K'
+            )
         with contextlib.suppress(Rejected):
             last_step(self._source.scene(0))
 
@@ -279,6 +286,7 @@ class Search:
         word = campaign.perception
         return {
             **campaign_facts(campaign, self._source.program),
+            'first_runs': campaign.runs,
             'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),

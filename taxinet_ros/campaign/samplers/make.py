@@ -193,6 +193,11 @@ def make_sampler(
     return Lagged(SAMPLERS[name].make(make_space(dimensions), seed, runs, values))
 
 
+def drawn_share(name: str, options: Mapping[str, str | float]) -> float:
+    """Share of a sampler's runs that the program itself draws: those that a rate can rest on."""
+    return check_sampler(name, options).get('floor', 1.0)
+
+
 def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
     """The value of every option of a sampler, the given ones and the defaults.
 
