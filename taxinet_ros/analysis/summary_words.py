@@ -26,7 +26,8 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
     rate, off = runs.rate(), runs.off_runway()
     unit = 'run' if rate.runs == 1 else 'runs'
     count = f'{rate.runs:,} {unit} of {runs.program} with {runs.label}'
-    left = '' if off is None or math.isnan(off.low) else f'; the aircraft leaves the runway in {off.words()}'
+    known = off is not None and not math.isnan(off.low)
+    left = f'; the aircraft leaves the runway in {off.words()}' if off and known else ''
     match runs.weighting:
         case Weighting.DRAWN:
             first = f'{count}: {rate.words()} violate {runs.spec}{left}.{_anytime(runs)}'

@@ -178,7 +178,7 @@ class RunRow:
 
     def chosen(
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
-        drawn: bool = False,
+        drawn: bool | None = None,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
