@@ -70,21 +70,22 @@ def _print(found: dict[str, Any]) -> None:
         f'after {runs} runs', soft_wrap=True,
     )
     table = Table(box=None, pad_edge=False)
-    for heading in ('sampler', 'fail'):
-        table.add_column(heading, no_wrap=True)
-    for heading in ('drawn', '95 % interval covers [%]', 'width [points]', 'gate passes [%]',
-                    'watched: covers', 'passes'):
-        table.add_column(heading, justify='right')
+    table.add_column('sampler', no_wrap=True)
+    for heading in ('fail', 'runs', 'drawn', 'covers', 'width', 'gate', 'watched', 'gate, watched'):
+        table.add_column(heading, justify='right', no_wrap=True)
     for one in found['intervals']:
-        table.add_row(
-            one['sampler'], f'{100 * one["rate"]:g} %',
-            ' / '.join(f'{number:.0f}' for number in one['drawn']),
-            *(' / '.join(f'{100 * share:.1f}' for share in one[name])
-              for name in ('covers', 'width', 'passes')),
-            f'{100 * one["watched_covers"]:.1f}', f'{100 * one["watched_passes"]:.1f}',
-        )
+        for number, runs_made in enumerate(found['runs']):
+            last = number + 1 == len(found['runs'])
+            table.add_row(
+                one['sampler'], f'{100 * one["rate"]:g} %', f'{runs_made:,}',
+                f'{one["drawn"][number]:.0f}',
+                *(f'{100 * one[name][number]:.1f} %' for name in ('covers', 'width', 'passes')),
+                *(f'{100 * one[name]:.1f} %' if last else ''
+                  for name in ('watched_covers', 'watched_passes')),
+            )
     console.print(table)
     console.print(
-        'gate passes: when asked for the very rate, so at most 5 %. watched: by somebody who looks '
-        f'every {found["look"]} runs and may stop at any look', style='dim', soft_wrap=True,
+        'covers: the 95 % interval holds the rate, and has that width in the median. gate: passes '
+        'when asked for the very rate, so at most 5 %. watched: the same by somebody who looks '
+        f'every {found["look"]} runs and stops when it suits', style='dim', soft_wrap=True,
     )
