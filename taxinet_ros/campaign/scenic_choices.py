@@ -28,7 +28,7 @@ from scenic.core.distributions import (
 )
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
-from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
+from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range, random_keys
 from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
 
 MAX_CATEGORIES = 100
@@ -73,12 +73,14 @@ class Choices:
             else:
                 searched.append(choice)
         self._choices = _conditional(searched, found)
+        self._drawn = random_keys(scenario)
+        self._soft = any(requirement.prob < 1 for requirement in scenario.userRequirements)
 
     def describe(self) -> dict[str, Any]:
         """The search space, for JSON."""
         return {
             'choices': [choice.describe() for choice in self._choices],
-            'unsearched': self._unsearched,
+            'unsearched': self._unsearched, 'drawn': self._drawn, 'soft': self._soft,
         }
 
     @contextlib.contextmanager

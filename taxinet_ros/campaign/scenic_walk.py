@@ -90,6 +90,16 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     return found, [*walk.others, *soft]
 
 
+def random_keys(scenario: Any) -> list[str]:
+    """Keys of the scenario whose values are not the same in every scene."""
+    ego = scenario.egoObject
+    moved = set(EGO_VALUES) if isinstance(ego, Constructible) and _draws(ego) else set()
+    return sorted(moved | {
+        key for key, values in _entries(scenario).items()
+        if key != REQUIREMENTS and any(needsSampling(value) for value in values)
+    })
+
+
 @dataclass(kw_only=True, slots=True)
 class _Walk:
     """Depth first, every node once."""

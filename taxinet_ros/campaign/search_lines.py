@@ -71,7 +71,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:
-        lines.append(f'ended before its {campaign.runs} runs: {why}; {resuming} continues it')
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
     return lines
 
 

@@ -148,11 +148,15 @@ class SearchSpace:
         choices: all that have quantiles, in the program's order.
         fixed: names of those among them that overrides leave without effect.
         unsearched: what else is drawn at random, as names with a word of why.
+        drawn: keys of the scenario that are not the same in every scene.
+        soft: whether a requirement has to hold in a share of the scenes only.
     """
 
     choices: tuple[Choice, ...]
     fixed: frozenset[str] = frozenset()
     unsearched: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+    soft: bool = False
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
@@ -164,7 +168,7 @@ class SearchSpace:
         unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
         return cls(
             choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
-            unsearched=unsearched,
+            unsearched=unsearched, drawn=frozenset(answer['drawn']), soft=answer['soft'],
         )
 
     @property
