@@ -52,9 +52,9 @@ class ToySource:
         x, y = point or (0.5, 0.5)
         assert x is not None
         assert y is not None
-        if min(x, y) > 0.7:
+        if min(x, y) > 0.6:
             raise Refused(f'toy: scene {index}: the point does not meet the requirements', 1)
-        if x < 0.05:
+        if x < 0.15:
             raise Rejected(f'toy: scene {index}: cross_track_m is -16')
         return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
 
