@@ -271,8 +271,9 @@ class Search:
         self.rows.append(row)
         if row.outcome is Outcome.INTERRUPTED:
             return
-        infra = row.outcome is Outcome.INFRA_ERROR
-        self._broken = self._broken + 1 if infra else 0
+        if row.outcome is not Outcome.REJECTED:  # the bench had no part in that
+            infra = row.outcome is Outcome.INFRA_ERROR
+            self._broken = self._broken + 1 if infra else 0
         self._sampler.tell(row.index, row.told(self._specs[0].name))
 
     # Beginning ---------------------------------------------------------------------------------

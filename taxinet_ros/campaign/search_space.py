@@ -168,7 +168,8 @@ class SearchSpace:
         unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
         return cls(
             choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
-            unsearched=unsearched, drawn=frozenset(answer['drawn']), soft=answer['soft'],
+            unsearched=unsearched, drawn=frozenset(answer['drawn']) - set(overridden),
+            soft=answer['soft'],
         )
 
     @property
@@ -180,12 +181,13 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> Space:
-        """The space as samplers take it.
+        """The space as samplers take it; empty where nothing that is drawn can be searched.
 
         Raises:
-            UsageError: nothing is left to search.
+            UsageError: nothing is drawn at all.
         """
-        return make_space(choice.dimension for choice in self.searched)
+        dimensions = [choice.dimension for choice in self.searched]
+        return Space(dimensions) if self.drawn else make_space(dimensions)
 
     def spread(self, point: Point) -> list[float | None]:
         """A point with None put in for the choices that are not searched, for the Scenic child.

@@ -97,8 +97,8 @@ PROGRAMS = {
     'starred': 'param rain = Uniform(*Uniform([1, 2], [3, 4, 5, 6]))\n' + EGO,
     'verifai': 'param rain = VerifaiRange(0, 90, weights=[3, 1, 1])\n'
                'param clouds = VerifaiOptions({"clear": 3, "broken": 1})\n' + EGO,
-    'partly marked': 'param rain = VerifaiRange(0, 90)\nparam time_of_day = Range(6, 18)\n'
-                     + EGO + 'require globalParameters.time_of_day > 15\n',
+    'partly marked': 't = Range(6, 18)\nparam rain = VerifaiRange(0, 90)\nparam time_of_day = t\n'
+                     + EGO + 'require t > 15\n',
 }
 """Programs after ``model runway_world``, by name."""
 

@@ -30,7 +30,7 @@ SPACE = SearchSpace(choices=tuple(
 class ToySource:
     """Scenes of a program with two dimensions; points with both quantiles high are refused.
 
-    Where the first is low the program draws what is no scenario.
+    Where the second is high the program draws what is no scenario.
     """
 
     def __init__(self, program: str, **others: Any) -> None:
@@ -54,8 +54,8 @@ class ToySource:
         assert y is not None
         if min(x, y) > 0.6:
             raise Refused(f'toy: scene {index}: the point does not meet the requirements', 1)
-        if x < 0.15:
-            raise Rejected(f'toy: scene {index}: cross_track_m is -16')
+        if y > 0.88:
+            raise Rejected(f'toy: scene {index}: distance_m is 2601')
         return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
 
 

@@ -50,7 +50,7 @@ def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_ch
 def test_s9_given_refused_points_then_they_use_up_no_run_and_are_counted(whole):
     """A point in six is refused, and none of the 20 runs is lost to one."""
     table = read_table(whole)
-    assert table['refused'].sum() >= 2
+    assert table['refused'].sum() >= 1
     assert not (table[['u_x', 'u_y']].min(axis=1) > 0.6).any()
     assert table['detail'].str.contains('requirements').sum() == 0
     events = map(json.loads, (whole / 'ledger.jsonl').read_text().splitlines())
@@ -63,9 +63,9 @@ def test_s6_given_draws_that_are_no_scenario_then_they_are_rejected_with_the_rea
     table = read_table(whole)
     rejected = table[table['outcome'] == 'REJECTED']
     assert 1 <= len(rejected) <= 8
-    assert (rejected['u_x'] < 0.15).all()
+    assert (rejected['u_y'] > 0.88).all()
     assert list(rejected['detail']) == [
-        f'toy: scene {index}: cross_track_m is -16' for index in rejected['index']
+        f'toy: scene {index}: distance_m is 2601' for index in rejected['index']
     ]
     assert rejected['rho'].isna().all()
 
