@@ -60,9 +60,11 @@ class Programs:
         """``shipped``: the folder where a program that lies elsewhere finds the world model."""
         import scenic
 
-        from taxinet_ros.campaign import scenic_choices, search_words
+        from taxinet_ros.campaign import scenic_choices, scenic_constructs, search_words
 
         search_words.install()
+        self._constructs = scenic_constructs.Constructs()
+        self._constructs.install()
         sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
         self._compile = scenic.scenarioFromFile
         self._find_choices = scenic_choices.Choices
@@ -74,7 +76,9 @@ class Programs:
         """Compile ``program``; nothing is drawn yet."""
         self._reseed(0)  # a program may draw while it is compiled
         self._choices = None
+        self._constructs.begin(Path(program))
         self._scenario = self._compile(program)
+        self._constructs.check(self._scenario)
         if self._scenario.externalSampler is not None:
             raise ProgramError(
                 'external parameters of its own making cannot be searched; mark choices with '
