@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
+from taxinet_ros.campaign.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Space
 from taxinet_ros.campaign.search_space import SearchSpace
@@ -66,6 +67,10 @@ class SceneSource:
     Scene ``i`` depends on the program's text, the seed, ``i`` and the point, if any, only: any
     number of workers, in any order, after any interruption, draw the same scenes. Not for use by
     several threads at once.
+
+    Attributes:
+        sampler: what the program asks for by ``verifaiSamplerType``; None where it asks for none.
+        notes: lines on what it may mean otherwise than it says.
     """
 
     def __init__(
@@ -101,6 +106,8 @@ class SceneSource:
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
         self._space: SearchSpace | None = None
+        self.sampler: ProgramSampler | None = None
+        self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
         """Start the child, compile, and look ahead for overrides that contradict the program.
@@ -113,6 +120,7 @@ class SceneSource:
             self._meanwhile()
             self._receive(START_TIMEOUT_S)
             self._ask({'op': 'compile', 'program': str(self.program)})
+            self._read_asked(**self._ask({'op': 'asked'}))
             self._probe_weather()
         except BaseException:
             self._stop()
@@ -125,6 +133,20 @@ class SceneSource:
     ) -> None:
         """End the child."""
         self._stop()
+
+    def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
+        places = {name: _at(*place) for name, place in sampler['places'].items()}
+        self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
+        self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    @property
+    def drawn_notes(self) -> tuple[str, ...]:
+        """The notes, and that a sampler is not used, where scenes are drawn without one."""
+        if self.sampler is None or self.sampler.word == 'random':
+            return self.notes
+        said, place = self.sampler.said, self.sampler.place
+        return (*self.notes, f'scenes are drawn as the program has them, without a sampler: {said} '
+                             f'of {place} is for taxinet falsify')
 
     def search_space(self) -> SearchSpace:
         """The program's random choices, and which of them a point decides.
@@ -254,8 +276,7 @@ class SceneSource:
         return f'ended with status {status}; a program must not end it'
 
     def _error_line(self, *, file: str, line: int, message: str) -> str:
-        place = _shown(Path(file) if file else self.program)
-        return f'{place}:{line}: {message}' if line else f'{place}: {message}'
+        return f'{_at(file or str(self.program), line)}: {message}'
 
 
 def sample_scenarios(
@@ -268,6 +289,11 @@ def sample_scenarios(
     """
     with SceneSource(program, seed=seed, overrides=overrides) as source:
         return [source.scene(index) for index in range(n)]
+
+
+def _at(file: str, line: int) -> str:
+    shown = _shown(Path(file))
+    return f'{shown}:{line}' if line else shown
 
 
 def _shown(path: Path) -> str:

@@ -32,7 +32,10 @@ class ProgramError(Exception):
 
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(message)
-        self.filename, self.lineno = place or (None, None)
+        self.filename: str | None = None
+        self.lineno: int | None = None
+        if place is not None:
+            self.filename, self.lineno = place
 
 
 def of_scenario(params: dict[str, Any]) -> dict[str, Any]:

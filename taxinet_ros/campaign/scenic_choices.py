@@ -28,7 +28,7 @@ from scenic.core.distributions import (
 
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
-from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
+from taxinet_ros.campaign.search_words import buckets_of, default_buckets, pieces_of, place_of
 
 MAX_CATEGORIES = 100
 """More whole numbers than this are a continuous dimension."""
@@ -100,7 +100,7 @@ class Choices:
 
 def _dimension(found: Found) -> Dimension:
     node = found.node
-    buckets = buckets_of(node) or Dimension(name='').buckets
+    buckets = buckets_of(node) or default_buckets()
     weights = _weights(node)
     low, high = _shown_range(node)
     return Dimension(name=found.name, weights=weights, low=low, high=high, buckets=buckets)

@@ -13,6 +13,7 @@ Only the Scenic child may import this module.
 from __future__ import annotations
 
 import ast
+import contextlib
 import difflib
 import functools
 import sys
@@ -23,7 +24,7 @@ from types import FrameType
 from typing import Any
 
 import scenic
-from scenic.core.distributions import needsSampling
+from scenic.core.distributions import Samplable, needsSampling
 from scenic.core.object_types import Object
 from scenic.core.regions import AllRegion
 from scenic.core.vectors import Vector
@@ -115,6 +116,9 @@ _USES: Mapping[str, tuple[type, ...]] = {
     ),
 }
 
+_DRAWS = 64
+"""Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
+
 _KEPT = frozenset({'name', 'allowCollisions', 'requireVisible', 'occluding'})
 """Properties whose word is kept though nothing changes: a label, and an aircraft that is alone."""
 
@@ -169,6 +173,18 @@ class Constructs:
         for memory in (self.params, self._depths, self._made, self._uses):
             memory.clear()
 
+    def notes(self, scenario: Any) -> list[list[Any]]:
+        """File, line and text of what a program may mean otherwise than it says."""
+        values = _drawn(scenario.params.get('rain', 0))
+        if not values or not 0 < max(values) <= 1:
+            return []
+        shown = ' to '.join(dict.fromkeys(f'{end:.2g}' for end in (min(values), max(values))))
+        text = (
+            f'param rain is {shown}, and rain is in percent: less than anybody sees; if fractions '
+            'are meant, write 100 times as much'
+        )
+        return [[*self.params.get('rain', (self._program, 0)), text]]
+
     def check(self, scenario: Any) -> None:
         """Refuse what a compiled program says in vain.
 
@@ -189,7 +205,7 @@ class Constructs:
     def _watching_text(self, compile_text: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(compile_text)
         def watched(tree: Any, filename: str = '<unknown>', **others: Any) -> Any:
-            nodes = sorted(_below(tree), key=lambda node: getattr(node, 'lineno', 0))
+            nodes = sorted(_below(tree), key=_line)
             for use, kinds in _USES.items():
                 if any(isinstance(node, kinds) for node in nodes):
                     self._uses.add(use)
@@ -311,6 +327,15 @@ class Constructs:
             )
 
 
+def _drawn(value: Any) -> list[float]:
+    """Numbers that a parameter takes in some draws; none where it takes others."""
+    values: list[float] = []
+    with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
+        values = [float(Samplable.sampleAll([value])[value]) if needsSampling(value)
+                  else float(value) for _ in range(_DRAWS)]
+    return values
+
+
 def _sentence(word: str, why: str) -> str:
     return f'{word} has no effect here: {why}; leave it out'
 
@@ -393,13 +418,17 @@ def _below(tree: ast.AST) -> Iterator[ast.AST]:
                 yield from _below(node)
 
 
+def _line(node: ast.AST) -> int:
+    return int(getattr(node, 'lineno', 0))
+
+
 def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
     for node in nodes:
         word, why = _DEFINITIONS.get(type(node), ('', ''))
         if isinstance(node, syntax.ScenarioDef) and node.compose:
             node, (word, why) = node.compose[0], _COMPOSE
         if word:
-            raise ProgramError(_sentence(word, why), (filename, node.lineno))
+            raise ProgramError(_sentence(word, why), (filename, _line(node)))
 
 
 def _of_classes(kind: type) -> dict[str, Place]:
@@ -408,9 +437,10 @@ def _of_classes(kind: type) -> dict[str, Place]:
     for base in reversed(kind.__mro__):
         for name, default in vars(base).get('_scenic_properties', {}).items():
             code = getattr(getattr(default, 'value', None), '__code__', None)
-            file = code.co_filename if code else _SCENIC
-            if not file.startswith(_SCENIC) and Path(file).stem != MODEL:
-                found[name] = file, code.co_firstlineno
+            if code is None or code.co_filename.startswith(_SCENIC):
+                continue
+            if Path(code.co_filename).stem != MODEL:
+                found[name] = code.co_filename, code.co_firstlineno
     return found
 
 

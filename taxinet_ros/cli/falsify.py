@@ -43,7 +43,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
     with Search(options, PARTICIPANTS, show) as search:
         if not quiet:
-            console.print(search_heading(options), soft_wrap=True)
+            lines = [search_heading(search.options), *search.notes]
+            console.print('\n'.join(lines), soft_wrap=True, markup=False)
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

@@ -6,6 +6,7 @@ A picture is kept as the network gets it, 12 KiB instead of 211.
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +79,8 @@ def draw_scenes(
     scenes: list[Scenario] = []
     rejected = 0
     with SceneSource(program, seed=seed) as source:
+        for note in source.drawn_notes if sampler == 'random' else source.notes:
+            print(note, file=sys.stderr)
         points = _points(source, sampler, seed, images)
         while len(scenes) < images:
             try:

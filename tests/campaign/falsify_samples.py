@@ -30,6 +30,8 @@ SPACE = SearchSpace(choices=tuple(
 class ToySource:
     """Scenes of a program with two dimensions; those with both quantiles high are rejected."""
 
+    sampler, notes = None, ()
+
     def __init__(self, program: str, **others: Any) -> None:
         self.program = find_program(program)
 
