@@ -65,7 +65,7 @@ _DEFINITIONS = {
     syntax.Invariant: ('invariant', 'what a run has to fulfil is a formula of --spec'),
 }
 
-_COMPOSE = ('compose', 'each run is one scene; write a program for each scenario')
+_COMPOSE = ('compose', 'each run is one scene')
 
 _MOTION = 'a run begins at the taxiing speed of its aircraft'
 _LOOK = 'the look of the aircraft is the same in all runs'
@@ -161,6 +161,7 @@ class Constructs:
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
             setattr(veneer, name, functools.partial(_refuse_here, statement, why))
+        translator.constructScenarioFrom = _choosing(translator.constructScenarioFrom)
         veneer.require = _watching_require(veneer.require)
         veneer.param = self._watching_param(veneer.param)
         veneer.mutate = _watching_mutate(veneer.mutate)
@@ -368,6 +369,17 @@ def _watching_require(require: Callable[..., Any]) -> Callable[..., Any]:
     return watched
 
 
+def _choosing(construct: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(construct)
+    def chosen(namespace: Mapping[str, Any], scenario: str | None = None) -> Any:
+        names = [kind.__name__ for kind in namespace['_scenarios']]
+        if len(names) > 1 and 'Main' not in namespace:
+            raise ProgramError(f'scenario {", ".join(names)}: call the one to be run Main')
+        return construct(namespace, scenario)
+
+    return chosen
+
+
 def _watching_mutate(mutate: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(mutate)
     def watched(*things: Any, **kwargs: Any) -> Any:
@@ -401,9 +413,12 @@ def _keep_lines() -> None:
 def _with_line(translate: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(translate)
     def translated(self: Any, node: Any) -> Any:
+        placed = None
+        if isinstance(node, syntax.AST):  # some have no line of their own, but parts that have
+            placed = next((part for part in _below(node) if _line(part)), None)
         made = translate(self, node)
-        if isinstance(made, ast.AST) and hasattr(node, 'lineno') and not hasattr(made, 'lineno'):
-            ast.copy_location(made, node)
+        if placed is not None and isinstance(made, ast.AST) and not _line(made):
+            ast.copy_location(made, placed)
         return made
 
     return translated
