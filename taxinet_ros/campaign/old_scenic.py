@@ -1,8 +1,8 @@
 """What a line of Scenic 1 or 2, as the paper's programs have them, is in Scenic 3.
 
-Scenic 3 makes objects with ``new``, draws between two numbers with ``Range``, and its parser says of
-the older words no more than "invalid syntax". These are the places where a program of this project
-differs; the text is not parsed, for it cannot be.
+Scenic 3 makes objects with ``new``, draws between two numbers with ``Range``, and its parser says
+of the older words no more than "invalid syntax". These are the places where a program of this
+project differs; the text is not parsed, for it cannot be.
 """
 
 from __future__ import annotations
@@ -38,21 +38,25 @@ _LIKELY = (
 )
 """A pair that is an interval where others are; alone it may be a tuple."""
 
+_PAIRS = re.compile(r'\b(?:tuple|sequence)\b')
 _NAMES = re.compile(r"'(?:Plane|CLOUDS|RAIN_CLOUDS)' is not defined")
 _KNOWS_MODEL = re.compile(rf'^\s*(?:model|from|import)\s+{MODEL}\b', re.MULTILINE)
 _MOST_LINES = 8
 
 
-def newer(text: str) -> dict[int, str]:
-    """The lines that Scenic 3 writes otherwise, by their number from 1."""
+def newer(text: str, *, pairs: bool = False) -> dict[int, str]:
+    """The lines that Scenic 3 writes otherwise, by their number from 1.
+
+    Args:
+        text: of the program.
+        pairs: whether it is known that a pair of numbers stands where a number has to.
+    """
     lines = [line.partition('#')[0].rstrip() for line in text.splitlines()]
     changed = {number: _newer(line) for number, line in enumerate(lines, 1)}
-    sure = {number for number, line in changed.items() if line != lines[number - 1]}
-    if not sure:
-        return {}
-    for number, line in changed.items():
-        for pattern in _LIKELY:
-            changed[number] = line = pattern.sub(_range, line)
+    if pairs or any(line != lines[number - 1] for number, line in changed.items()):
+        for number, line in changed.items():
+            for pattern in _LIKELY:
+                changed[number] = line = pattern.sub(_range, line)
     return {number: line for number, line in changed.items() if line != lines[number - 1]}
 
 
@@ -63,8 +67,9 @@ def hint(text: str, message: str) -> str:
         text: of the program.
         message: what Scenic says.
     """
-    lines = newer(text)
-    model = '' if _KNOWS_MODEL.search(text) or _is_model(lines) else f'"model {MODEL}" as first line'
+    lines = newer(text, pairs=bool(_PAIRS.search(message)))
+    known = _KNOWS_MODEL.search(text) or f'model {MODEL}' in lines.values()
+    model = '' if known else f'"model {MODEL}" as first line'
     if not lines:
         return f'write {model}' if model and _NAMES.search(message) else ''
     said = [f'line {number} "{line.strip()}"' for number, line in sorted(lines.items())]
@@ -86,7 +91,3 @@ def _range(found: re.Match[str]) -> str:
     name = found.groupdict().get('name') or ''
     low, high = found.groups()[-2:]
     return f'{name}Range({low}, {high})'
-
-
-def _is_model(lines: dict[int, str]) -> bool:
-    return any(line == f'model {MODEL}' for line in lines.values())

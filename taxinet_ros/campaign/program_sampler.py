@@ -98,7 +98,9 @@ def program_sampler(
     """
     if kind is None:
         if PARAMS in places:
-            raise UsageError(f'{places[PARAMS]}: {PARAMS}: of which sampler? add "param {TYPE} = …"')
+            raise UsageError(
+                f'{places[PARAMS]}: {PARAMS}: of which sampler? add "param {TYPE} = …"'
+            )
         return None
     place = places[TYPE]
     if kind in _NOT_HERE:

@@ -73,7 +73,7 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
         if name in values:
             raise ProgramError(f'parameter {name!r} belongs to the plane: place the ego there')
         values[name] = value
-    return {name: _plain(name, value) for name, value in values.items()}
+    return {name: plain_value(name, value) for name, value in values.items()}
 
 
 def check_level(plane: Any, place: Place | None = None) -> None:
@@ -98,7 +98,12 @@ def check_level(plane: Any, place: Place | None = None) -> None:
             )
 
 
-def _plain(name: str, value: Any) -> float | str | bool:
+def plain_value(name: str, value: Any, place: Place | None = None) -> float | str | bool:
+    """A value that Scenic drew as a number, a word or a switch.
+
+    Raises:
+        ProgramError: it is none of these.
+    """
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, str):
@@ -107,5 +112,7 @@ def _plain(name: str, value: Any) -> float | str | bool:
         return float(value)
     hint = ''
     if isinstance(value, (tuple, list)) and len(value) == 2:
-        hint = f'; for one between two write Range({value[0]}, {value[1]})'
-    raise ProgramError(f'{name} is a {type(value).__name__}; it has to be a number or a word{hint}')
+        hint = f'; for a number between two write Range({value[0]}, {value[1]})'
+    raise ProgramError(
+        f'{name} is a {type(value).__name__}; it has to be a number or a word{hint}', place
+    )

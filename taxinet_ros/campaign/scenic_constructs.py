@@ -38,6 +38,7 @@ from taxinet_ros.campaign.scene_values import (
     ProgramError,
     check_level,
     of_scenario,
+    plain_value,
 )
 from taxinet_ros.core.scenario import HUMAN_KEYS
 
@@ -176,8 +177,8 @@ class Constructs:
 
     def notes(self, scenario: Any) -> list[list[Any]]:
         """File, line and text of what a program may mean otherwise than it says."""
-        values = _drawn(scenario.params.get('rain', 0))
-        if not values or not 0 < max(values) <= 1:
+        values = [float(value) for value in _drawn(scenario.params.get('rain', 0))]
+        if not 0 < max(values, default=0) <= 1:
             return []
         shown = ' to '.join(dict.fromkeys(f'{end:.2g}' for end in (min(values), max(values))))
         text = (
@@ -193,8 +194,8 @@ class Constructs:
             ProgramError: the first such word, its place, and what to do.
         """
         self._check_scenario(scenario.dynamicScenario)
-        for name in of_scenario(scenario.params):
-            self._check_param(name)
+        for name, value in of_scenario(scenario.params).items():
+            self._check_param(name, value)
         for thing in scenario.objects:
             if thing is not scenario.egoObject:
                 self._refuse_object(thing)
@@ -267,7 +268,7 @@ class Constructs:
             code = chosen._compose.__code__
             raise ProgramError(_sentence(*_COMPOSE), (code.co_filename, code.co_firstlineno))
 
-    def _check_param(self, name: str) -> None:
+    def _check_param(self, name: str, value: Any) -> None:
         place = self.params.get(name)
         word = name.rpartition('/')[2].removesuffix('[0]')
         if name in EGO_VALUES:
@@ -282,6 +283,8 @@ class Constructs:
                 f'param {name}: unknown, so it has no effect{_meant(name, known)}; '
                 f'known: {", ".join(known)}', place,
             )
+        for drawn in _drawn(value):
+            plain_value(name, drawn, place)
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))
@@ -303,9 +306,12 @@ class Constructs:
                 'mutationScale: has no effect here; write "mutate ego by SCALE"',
                 given.get('mutationScale', place),
             )
-        position = ego.position
-        if type(position) is Vector and needsSampling(position.z):
-            raise ProgramError(_sentence('a random altitude', _LEVEL), place)
+        if type(ego.position) is Vector:
+            if needsSampling(ego.position.z):
+                raise ProgramError(_sentence('a random altitude', _LEVEL), place)
+            for axis, value in zip('xy', ego.position.coordinates, strict=False):
+                for drawn in _drawn(value):
+                    plain_value(axis, drawn, place)
         if not needsSampling(ego):
             check_level(ego, place)
 
@@ -328,12 +334,13 @@ class Constructs:
             )
 
 
-def _drawn(value: Any) -> list[float]:
-    """Numbers that a parameter takes in some draws; none where it takes others."""
-    values: list[float] = []
+def _drawn(value: Any) -> list[Any]:
+    """What a parameter is in some draws, or for ever."""
+    if not needsSampling(value):
+        return [value]
+    values: list[Any] = []
     with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
-        values = [float(Samplable.sampleAll([value])[value]) if needsSampling(value)
-                  else float(value) for _ in range(_DRAWS)]
+        values += (Samplable.sampleAll([value])[value] for _ in range(_DRAWS))
     return values
 
 

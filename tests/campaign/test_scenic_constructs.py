@@ -172,7 +172,8 @@ REFUSED = {
                            'externalSamplerRejectionFeedback has no effect here'),
     'several scenarios': (
         MODEL + 'scenario A():\n    setup:\n        ego = new Plane at (0, 4)\nscenario B():\n'
-        '    setup:\n        ego = new Plane at (0, 5)\n', 0, 'scenario A, B: call the one to be run Main'),
+        '    setup:\n        ego = new Plane at (0, 5)\n', 0,
+        'scenario A, B: call the one to be run Main'),
 }
 """Program, line and beginning of what is said."""
 
@@ -225,8 +226,9 @@ WORKS = {
     'neutral words': (AT + ', with speed 0, with velocity (0, 0, 0), with pitch 0,'
                       ' with behavior None,'
                       ' with color None\n', {'distance': 400}),
-    'words that are kept': (AT + ', with name "c", with allowCollisions True,'
-                            ' with requireVisible True\n', {'distance': 400}),
+    'words that are kept': (
+        AT + ', with name "c", with allowCollisions True, with requireVisible True\n',
+        {'distance': 400}),
     'parent orientation': (AT + ', with parentOrientation 9 deg, with yaw 1 deg\n', {'heading': 10}),
     'facing toward': (MODEL + 'ego = new Plane at (0, 400), facing toward (0, 900)\n',
                       {'heading': 0}),
