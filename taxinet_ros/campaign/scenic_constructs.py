@@ -40,7 +40,7 @@ from taxinet_ros.campaign.scene_values import (
     of_scenario,
     plain_value,
 )
-from taxinet_ros.core.scenario import HUMAN_KEYS
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS, HUMAN_KEYS
 
 _SCENIC = str(Path(scenic.__file__).parent)
 
@@ -116,6 +116,9 @@ _USES: Mapping[str, tuple[type, ...]] = {
         syntax.VisibleFromOp, syntax.NotVisibleFromOp, syntax.CanSeeOp,
     ),
 }
+
+_WORDS = {'clouds': CLOUDS, 'aircraft': AIRCRAFT}
+"""Parameters that are words."""
 
 _DRAWS = 64
 """Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
@@ -194,8 +197,11 @@ class Constructs:
             ProgramError: the first such word, its place, and what to do.
         """
         self._check_scenario(scenario.dynamicScenario)
-        for name, value in of_scenario(scenario.params).items():
-            self._check_param(name, value)
+        params = of_scenario(scenario.params)
+        for name in params:
+            self._check_name(name)
+        for name, value in params.items():
+            self._check_value(name, value)
         for thing in scenario.objects:
             if thing is not scenario.egoObject:
                 self._refuse_object(thing)
@@ -268,7 +274,7 @@ class Constructs:
             code = chosen._compose.__code__
             raise ProgramError(_sentence(*_COMPOSE), (code.co_filename, code.co_firstlineno))
 
-    def _check_param(self, name: str, value: Any) -> None:
+    def _check_name(self, name: str) -> None:
         place = self.params.get(name)
         word = name.rpartition('/')[2].removesuffix('[0]')
         if name in EGO_VALUES:
@@ -283,8 +289,13 @@ class Constructs:
                 f'param {name}: unknown, so it has no effect{_meant(name, known)}; '
                 f'known: {", ".join(known)}', place,
             )
+
+    def _check_value(self, name: str, value: Any) -> None:
+        place, words = self.params.get(name), _WORDS.get(name)
         for drawn in _drawn(value):
-            plain_value(name, drawn, place)
+            plain = plain_value(name, drawn, place)
+            if words and plain not in words:
+                raise ProgramError(f'{name} is {plain!r}, not one of {", ".join(words)}', place)
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))

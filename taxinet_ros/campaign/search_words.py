@@ -104,7 +104,7 @@ def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in values.items():
         if name.startswith('_'):
-            continue  # Scenic looks for attributes of its own, and a DotMap makes what is looked for
+            continue  # Scenic looks for attributes of its own, and a DotMap makes them
         if isinstance(value, Mapping):
             found[name] = _plain(value, place)
         elif value is None or isinstance(value, (bool, int, float, str)):

@@ -160,6 +160,9 @@ REFUSED = {
     'param of a sampler with a typo': (PLANE + 'param verifaiSamplerTyp = "ce"\n', 3,
                                        'param verifaiSamplerTyp: unknown'),
     'param of a library': (PLANE + 'import library2\n', 1, 'param fog: unknown'),
+    'clouds that are none': (PLANE + 'param clouds = Uniform("clear", "foggy")\n', 3,
+                             "clouds is 'foggy', not one of clear, cirrus"),
+    'unknown aircraft': (PLANE + 'param aircraft = "a380"\n', 3, "aircraft is 'a380', not one of"),
     'param twice': (PLANE + 'param rain = 0\nparam clouds = "clear", rain = 5\n', 4,
                     'param rain is set twice, so line 3 has no effect; leave one out'),
     'param of libraries': (MODEL + 'param duration = 5\nimport library3\n', 1,
@@ -227,9 +230,10 @@ WORKS = {
                       ' with behavior None,'
                       ' with color None\n', {'distance': 400}),
     'words that are kept': (
-        AT + ', with name "c", with allowCollisions True, with requireVisible True\n',
+        AT + ', with name "c", with allowCollisions True, with occluding False\n',
         {'distance': 400}),
-    'parent orientation': (AT + ', with parentOrientation 9 deg, with yaw 1 deg\n', {'heading': 10}),
+    'parent orientation': (AT + ', with parentOrientation 9 deg, with yaw 1 deg\n',
+                           {'heading': 10}),
     'facing toward': (MODEL + 'ego = new Plane at (0, 400), facing toward (0, 900)\n',
                       {'heading': 0}),
     'offset by': (MODEL + 'spot = new OrientedPoint at (1, 300), facing 90 deg\n'
