@@ -16,6 +16,7 @@ import ast
 import contextlib
 import difflib
 import functools
+import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -40,9 +41,9 @@ from taxinet_ros.campaign.scene_values import (
     of_scenario,
     plain_value,
 )
-from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS, HUMAN_KEYS
+from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
 
-_SCENIC = str(Path(scenic.__file__).parent)
+_SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
 
 _STATEMENTS = {
     'record': ('record', 'the bag of a run holds all of it'),
@@ -117,9 +118,6 @@ _USES: Mapping[str, tuple[type, ...]] = {
     ),
 }
 
-_WORDS = {'clouds': CLOUDS, 'aircraft': AIRCRAFT}
-"""Parameters that are words."""
-
 _DRAWS = 64
 """Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
 
@@ -158,6 +156,7 @@ class Constructs:
     _depths: dict[str, int] = field(default_factory=dict)
     _made: dict[int, _Made] = field(default_factory=dict)
     _uses: set[str] = field(default_factory=set)
+    _read: set[str] = field(default_factory=set)
 
     def install(self) -> None:
         """Put a watch on Scenic's statements, and have what it compiles keep its lines."""
@@ -175,7 +174,7 @@ class Constructs:
     def begin(self, program: Path) -> None:
         """Forget the program before, and watch this one."""
         self._program = str(program.resolve())
-        for memory in (self.params, self._depths, self._made, self._uses):
+        for memory in (self.params, self._depths, self._made, self._uses, self._read):
             memory.clear()
 
     def notes(self, scenario: Any) -> list[list[Any]]:
@@ -217,6 +216,7 @@ class Constructs:
             for use, kinds in _USES.items():
                 if any(isinstance(node, kinds) for node in nodes):
                     self._uses.add(use)
+            self._read |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
             if filename == self._program:
                 _check_definitions(nodes, filename)
             return compile_text(tree, filename=filename, **others)
@@ -291,11 +291,11 @@ class Constructs:
             )
 
     def _check_value(self, name: str, value: Any) -> None:
-        place, words = self.params.get(name), _WORDS.get(name)
+        place = self.params.get(name)
         for drawn in _drawn(value):
             plain = plain_value(name, drawn, place)
-            if words and plain not in words:
-                raise ProgramError(f'{name} is {plain!r}, not one of {", ".join(words)}', place)
+            if name == 'clouds' and not isinstance(plain, str):
+                raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))
@@ -337,7 +337,7 @@ class Constructs:
             uses = {*self._uses, *_uses_of(scenario, ego)}
             if use not in uses:
                 raise ProgramError(f'{name} has no effect here: {why}', place)
-        elif name not in type(ego)._defaults and name not in _KEPT:
+        elif name not in {*type(ego)._defaults, *self._read, *_KEPT}:
             known = sorted({*Object._defaults, *type(ego)._defaults})
             raise ProgramError(
                 f'with {name}: no property of {type(ego).__name__}, so it has no effect'
@@ -365,7 +365,13 @@ def _meant(name: str, known: list[str]) -> str:
 
 
 def _place(frame: FrameType) -> Place:
-    return frame.f_code.co_filename, frame.f_lineno
+    """Where a program's own text stands that is executed here, behind what Scenic brings along."""
+    place, step = (frame.f_code.co_filename, frame.f_lineno), frame
+    while step.f_code.co_filename.startswith((_SCENIC, '<', _IMPORTLIB)):
+        if step.f_back is None:
+            return place
+        step = step.f_back
+    return step.f_code.co_filename, step.f_lineno
 
 
 def _refuse_here(statement: str, why: str, *_: Any, **__: Any) -> None:

@@ -261,7 +261,7 @@ class Search:
         space = self._source.space()
         left = ', '.join(self.space.unsearched)
         self.notes = tuple(line for line in (
-            *self._source.notes, whose, f'drawn at random, not searched: {left}' if left else '',
+            *self._source.notes, whose, f'not searched: {left}' if left else '',
         ) if line)
         names: dict[str, Any] = dict(options.sampler_options)
         self._sampler = make_sampler(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.campaign.samplers.make import SAMPLERS
+from taxinet_ros.campaign.scene_source import SceneSource
 from taxinet_ros.campaign.search_options import DEFAULT_SAMPLER
 from taxinet_ros.core.errors import UsageError
 
@@ -217,3 +219,30 @@ def test_s4_the_external_sampler_that_scenic_has_itself_may_be_named(
         'param externalSampler = VerifaiSampler\n'
     )
     assert compiled(client, tmp_path, PLANE + text + EGO) == {}
+
+
+def test_s4_scenes_without_a_sampler_say_so(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path('mine.scenic').write_text(PLANE + CE + 'param rain = 0.5\n' + EGO)
+    with SceneSource('mine.scenic', seed=1) as source:
+        assert source.sampler == ProgramSampler(
+            word='ce-verifai', options={'alpha': '0.9'}, said="verifaiSamplerType = 'ce'",
+            place='mine.scenic:3',
+        )
+        assert len(source.notes) == 1
+        assert source.notes[0].startswith('mine.scenic:4: param rain is 0.5, and rain is in')
+        assert source.drawn_notes == (
+            *source.notes, 'scenes are drawn as the program has them, without a sampler: '
+            "verifaiSamplerType = 'ce' of mine.scenic:3 is for taxinet falsify",
+        )
+
+
+def test_s4_choices_that_are_not_searched_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = dataclasses.replace(toy.SPACE, unsearched=('rain (Normal)', 'z (without effect)'))
+    monkeypatch.setattr(toy.ToySource, 'search_space', lambda source: left)
+    search = chosen(tmp_path, monkeypatch, None, sampler='random')
+    assert search.notes == (
+        'not searched: rain (Normal), z (without effect)',
+    )

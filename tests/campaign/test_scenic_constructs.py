@@ -93,6 +93,9 @@ REFUSED = {
     'terminate after': (PLANE + 'terminate after 5 seconds\n', 3,
                         'terminate after has no effect here: write "param duration = SECONDS"'),
     'simulator': (PLANE + 'simulator None\n', 3, 'simulator has no effect here: the graph'),
+    'simulator of a model': (
+        'model scenic.simulators.newtonian.model\nego = new Object at (0, 400)\n', 1,
+        'simulator has no effect here: the graph'),
     'override': (PLANE + 'override ego with speed 3\n', 3, 'override has no effect here'),
     'do': (PLANE + 'do Drive()\n', 3, 'Cannot use "Do"'),
     'take': (PLANE + 'take 3\n', 3, 'Cannot use "Take"'),
@@ -160,9 +163,8 @@ REFUSED = {
     'param of a sampler with a typo': (PLANE + 'param verifaiSamplerTyp = "ce"\n', 3,
                                        'param verifaiSamplerTyp: unknown'),
     'param of a library': (PLANE + 'import library2\n', 1, 'param fog: unknown'),
-    'clouds that are none': (PLANE + 'param clouds = Uniform("clear", "foggy")\n', 3,
-                             "clouds is 'foggy', not one of clear, cirrus"),
-    'unknown aircraft': (PLANE + 'param aircraft = "a380"\n', 3, "aircraft is 'a380', not one of"),
+    'clouds of X-Plane': (PLANE + 'param clouds = Uniform("clear", 3)\n', 3,
+                          'clouds is 3, not one of clear, cirrus, scattered'),
     'param twice': (PLANE + 'param rain = 0\nparam clouds = "clear", rain = 5\n', 4,
                     'param rain is set twice, so line 3 has no effect; leave one out'),
     'param of libraries': (MODEL + 'param duration = 5\nimport library3\n', 1,
@@ -262,6 +264,7 @@ WORKS = {
         MODEL + 'eye = new OrientedPoint at (0, 400), with visibleDistance 20\n'
         'ego = new Plane at (Range(-9, 9), 400), with viewAngle 60 deg\n'
         'require eye can see ego\n', {}),
+    'property that is read': (AT + ', with limit 3\nrequire ego.position.x < ego.limit\n', {}),
     'class': (MODEL + 'class Late(Plane):\n    delay: 3\n    position: (0, 400 + self.delay)\n'
               'ego = new Late with delay 5\n', {'distance': 405}),
     'class with words that are kept': (

@@ -249,7 +249,7 @@ def test_given_words_of_verifai_when_searched_then_only_they_are_dimensions(
     assert space.unsearched == ('time_of_day (not marked for search)',)
     dimensions = space.dimensions
     assert dimensions[0].prior == (0.75, 0.25)
-    assert [dimension.buckets for dimension in dimensions] == [10, 4, 10, 5, 3], 'VerifAI has 5'
+    assert [dimension.buckets for dimension in dimensions] == [5, 4, 5, 5, 3], 'VerifAI has 5'
     values = at(client, 0.8, 0.5, 0.9, 0.75, 0.25)
     assert values.pop('time_of_day') == pytest.approx(at(client, *[0.1] * 5)['time_of_day'])
     assert values == pytest.approx({'clouds': 'overcast', 'rain': 50, 'duration': 3,
