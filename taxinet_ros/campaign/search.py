@@ -48,7 +48,7 @@ class Search:
 
     Attributes:
         options: what to do; within the ``with``, with the sampler that the program asks for.
-        notes: lines on what is not as it may seem: whose sampler it is, what is not searched.
+        notes: lines on what is not as it may seem: whose sampler it is, what the program may not mean.
         rows: one row per run that is done, in the order in which they were.
         stopped: which rule ended the search before all its runs were done; '' where none did.
         interrupted: whether :meth:`interrupt` was called.
@@ -259,10 +259,7 @@ class Search:
         self.options, whose = with_sampler(self.options, self._source.sampler)
         options, campaign = self.options, self._campaign
         space = self._source.space()
-        left = ', '.join(self.space.unsearched)
-        self.notes = tuple(line for line in (
-            *self._source.notes, whose, f'not searched: {left}' if left else '',
-        ) if line)
+        self.notes = (*self._source.notes, *([whose] if whose else []))
         names: dict[str, Any] = dict(options.sampler_options)
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -235,14 +234,3 @@ def test_s4_scenes_without_a_sampler_say_so(tmp_path: Path, monkeypatch: Any) ->
             *source.notes, 'scenes are drawn as the program has them, without a sampler: '
             "verifaiSamplerType = 'ce' of mine.scenic:3 is for taxinet falsify",
         )
-
-
-def test_s4_choices_that_are_not_searched_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    left = dataclasses.replace(toy.SPACE, unsearched=('rain (Normal)', 'z (without effect)'))
-    monkeypatch.setattr(toy.ToySource, 'search_space', lambda source: left)
-    search = chosen(tmp_path, monkeypatch, None, sampler='random')
-    assert search.notes == (
-        'not searched: rain (Normal), z (without effect)',
-    )

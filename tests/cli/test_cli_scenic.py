@@ -19,8 +19,8 @@ def test_s5_a_refused_program_leaves_no_folder_behind(words, taxinet, tmp_path):
     assert out == ''
     (line,) = err.splitlines()
     assert line == (
-        'taxinet: error: mine.scenic:3: record has no effect here: the bag of a run holds all of it; '
-        'leave it out'
+        'taxinet: error: mine.scenic:3: record has no effect here: the bag of a run holds all of '
+        'it; leave it out'
     )
     assert [path.name for path in tmp_path.iterdir()] == ['mine.scenic']
 
