@@ -21,12 +21,11 @@ DEGREES_PER_RADIAN = 57.29577951308232
 
 
 class Plane(Object):
-    # The programs' ranges already keep the plane on the runway, and it is alone there: the
-    # geometric tests of Scenic would cost time and could only reject good scenes.
-    regionContainedIn: everywhere
+    # It is alone on the runway: geometric tests of Scenic would cost time and reject nothing.
     allowCollisions: True
     requireVisible: False
-    # What the test bench reads. 0 - x, because -x turns a zero into a minus zero.
-    cross_track: 0 - self.position.x
-    distance: self.position.y
-    heading_deg: self.heading * DEGREES_PER_RADIAN
+    # For requirements to refer to. Dynamic: `mutate` moves them too; final: only where the plane
+    # stands says what they are. 0 - x, because -x turns a zero into a minus zero.
+    cross_track[dynamic, final]: 0 - self.position.x
+    distance[dynamic, final]: self.position.y
+    heading_deg[dynamic, final]: self.heading * DEGREES_PER_RADIAN

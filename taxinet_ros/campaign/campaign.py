@@ -33,6 +33,7 @@ class Campaign:
 
     Attributes:
         rows: one row per run taken, in order.
+        notes: lines on what the program may mean otherwise than it is run; within the ``with``.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Campaign:
         """
         self.options = options
         self.rows: list[RunRow] = []
+        self.notes: tuple[str, ...] = ()
         self._participants = participants
         self._on_row = on_row
         self._source = SceneSource(
@@ -71,6 +73,7 @@ class Campaign:
         self._source.__enter__()
         try:
             self._first_scene()
+            self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
             make_folder(self.options.out, facts)
             self._ledger = Ledger(self.options.out / LEDGER_NAME)

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -23,6 +23,7 @@ from taxinet_ros.campaign.overrides import (
     check_overrides,
     impossible_keys,
 )
+from taxinet_ros.campaign.program_sampler import ProgramSampler, program_sampler
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenic_child import MAX_ITERATIONS
@@ -78,6 +79,8 @@ class SceneSource:
 
     Attributes:
         refused: draws of the last scene without a point that the requirements refused before it.
+        sampler: what the program asks for by ``verifaiSamplerType``; None where it asks for none.
+        notes: lines on what it may mean otherwise than it says.
     """
 
     def __init__(
@@ -114,6 +117,8 @@ class SceneSource:
         self._unread = b''
         self._space: SearchSpace | None = None
         self.refused = 0
+        self.sampler: ProgramSampler | None = None
+        self.notes: tuple[str, ...] = ()
 
     def __enter__(self) -> Self:
         """Start the child, compile, and look ahead for overrides that contradict the program.
@@ -126,6 +131,7 @@ class SceneSource:
             self._meanwhile()
             self._receive(START_TIMEOUT_S)
             self._ask({'op': 'compile', 'program': str(self.program)})
+            self._read_asked(**self._ask({'op': 'asked'}))
             self._probe_weather()
         except BaseException:
             self._stop()
@@ -138,6 +144,20 @@ class SceneSource:
     ) -> None:
         """End the child."""
         self._stop()
+
+    def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
+        places = {name: _at(*place) for name, place in sampler['places'].items()}
+        self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
+        self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    @property
+    def drawn_notes(self) -> tuple[str, ...]:
+        """The notes, and that a sampler is not used, where scenes are drawn without one."""
+        if self.sampler is None or self.sampler.word == 'random':
+            return self.notes
+        said, place = self.sampler.said, self.sampler.place
+        return (*self.notes, f'scenes are drawn as the program has them, without a sampler: {said} '
+                             f'of {place} is for taxinet falsify')
 
     def search_space(self) -> SearchSpace:
         """The program's random choices, and which of them a point decides.
@@ -300,8 +320,7 @@ class SceneSource:
         return f'ended with status {status}; a program must not end it'
 
     def _error_line(self, *, file: str, line: int, message: str) -> str:
-        place = _shown(Path(file) if file else self.program)
-        return f'{place}:{line}: {message}' if line else f'{place}: {message}'
+        return f'{_at(file or str(self.program), line)}: {message}'
 
 
 def accepted_scene(
@@ -345,6 +364,11 @@ def sample_scenarios(
     """
     with SceneSource(program, seed=seed, overrides=overrides) as source:
         return [source.scene(index) for index in range(n)]
+
+
+def _at(file: str, line: int) -> str:
+    shown = _shown(Path(file))
+    return f'{shown}:{line}' if line else shown
 
 
 def _shown(path: Path) -> str:

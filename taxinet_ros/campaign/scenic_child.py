@@ -10,6 +10,7 @@ imported. Then each request has one answer:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{}``
+``{"op": "asked"}``                          ``{"sampler": {...}, "notes": [...]}``
 ``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
 ``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
                                              ``n`` others, or ``{"rejected": n}``
@@ -37,11 +38,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, NoReturn
 
 import numpy as np
 
+from taxinet_ros.campaign.old_scenic import hint
+from taxinet_ros.campaign.programs import MODEL
 from taxinet_ros.campaign.scene_values import ProgramError, scene_values
 
 MAX_ITERATIONS = 2000
@@ -63,27 +66,40 @@ class Programs:
         """``shipped``: the folder where a program that lies elsewhere finds the world model."""
         import scenic
 
-        from taxinet_ros.campaign import scenic_choices, search_words
+        from taxinet_ros.campaign import scenic_choices, scenic_constructs, search_words
 
         search_words.install()
+        self._words = search_words
+        self._constructs = scenic_constructs.Constructs()
+        self._constructs.install()
         sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
         self._compile = scenic.scenarioFromFile
         self._find_choices = scenic_choices.Choices
         self._seed = seed
         self._scenario: Any = None
+        self._sampler: dict[str, Any] = {}
         self._choices: Any = None
 
     def compile(self, program: str) -> dict[str, Any]:
-        """Compile ``program``; nothing is drawn yet."""
+        """Compile ``program``, and refuse what it says in vain; no scene is drawn yet."""
         self._reseed(0)  # a program may draw while it is compiled
-        self._choices = None
-        self._scenario = self._compile(program)
-        if self._scenario.externalSampler is not None:
+        self._choices = self._scenario = None
+        self._constructs.begin(Path(program))
+        self._words.begin()
+        scenario = self._compile(program)
+        self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
+        self._constructs.check(scenario)
+        if scenario.externalSampler is not None:
             raise ProgramError(
                 'external parameters of its own making cannot be searched; mark choices with '
                 'VerifaiRange or VerifaiOptions instead'
             )
+        self._scenario = scenario
         return {}
+
+    def asked(self) -> dict[str, Any]:
+        """What the program asks of samplers, and what it may mean otherwise than it says."""
+        return {'sampler': self._sampler, 'notes': self._constructs.notes(self._scenario)}
 
     def space(self) -> dict[str, Any]:
         """The random choices of the program that can be put at a quantile."""
@@ -152,7 +168,17 @@ def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[No
 def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
     """Say in one line what went wrong, and in which line of which file (0 where unknown)."""
     file, line = _place(error, Path(program))
-    return {'file': file, 'line': line, 'message': _message(error, allowed_s)}
+    message = _message(error, allowed_s)
+    if isinstance(error, Exception) and (more := _newer_scenic(program, message)):
+        message = f'{message}; {more}'
+    return {'file': file, 'line': line, 'message': message}
+
+
+def _newer_scenic(program: str, message: str) -> str:
+    try:
+        return hint(Path(program).read_text(encoding='utf-8'), message)
+    except (OSError, UnicodeDecodeError):
+        return ''  # what is wrong with it has been said
 
 
 def _message(error: BaseException, allowed_s: float) -> str:
@@ -171,8 +197,7 @@ def _message(error: BaseException, allowed_s: float) -> str:
 def _place(error: BaseException, program: Path) -> tuple[str, int]:
     location = getattr(error, '_scenic_location', None)
     if location is not None:
-        # Scenic puts what it has no line for on line 1; better no line than a wrong one.
-        return location.filename, location.lineno if location.lineno > 1 else 0
+        return location.filename, location.lineno
     file, line = getattr(error, 'filename', None), getattr(error, 'lineno', None)
     if isinstance(line, int):  # of a syntax error
         return str(file or program), line
@@ -181,26 +206,15 @@ def _place(error: BaseException, program: Path) -> tuple[str, int]:
     while step is not None:
         name = step.tb_frame.f_code.co_filename
         if _is_users(Path(name), program):
-            place = (name, _line(step))
+            place = (name, step.tb_lineno)
         step = step.tb_next
     return place
 
 
 def _is_users(file: Path, program: Path) -> bool:
+    if file.stem == MODEL:  # what is wrong there was put in by a program
+        return False
     return file.suffix == '.scenic' or file.parent == program.resolve().parent
-
-
-def _line(step: TracebackType) -> int:
-    """The line reached, from the last instruction that has a place in the source.
-
-    The code that Scenic makes of ``new`` and its specifiers has none (it claims line 1, no width),
-    but the values that the user wrote into them, loaded just before, have theirs.
-    """
-    positions = list(step.tb_frame.f_code.co_positions())[: step.tb_lasti // 2 + 1]
-    for line, _, column, end_column in reversed(positions):
-        if line and column != end_column:
-            return line
-    return 0
 
 
 def _alarm(_signal: int, _frame: FrameType | None) -> NoReturn:
@@ -246,7 +260,8 @@ def _serve(
     programs: Programs, requests: queue.SimpleQueue[bytes], args: argparse.Namespace
 ) -> None:
     operations: dict[str, Callable[..., dict[str, Any]]] = {
-        'compile': programs.compile, 'space': programs.space, 'scene': programs.scene,
+        'compile': programs.compile, 'asked': programs.asked, 'space': programs.space,
+        'scene': programs.scene,
     }
     program = ''
     while True:

@@ -31,7 +31,7 @@ from scenic.core.regions import PointInRegionDistribution
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenic_regions import ends, point_at
 from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range, random_keys
-from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
+from taxinet_ros.campaign.search_words import buckets_of, default_buckets, pieces_of, place_of
 
 MAX_CATEGORIES = 100
 """More whole numbers than this are a continuous dimension."""
@@ -154,7 +154,7 @@ def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choi
 
 def _dimension(found: Found) -> Dimension:
     node = found.node
-    buckets = buckets_of(node) or Dimension(name='').buckets
+    buckets = buckets_of(node) or default_buckets()
     weights = _weights(node)
     if found.options is not None and not weights:
         weights = (1.0,) * len(found.options)

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Point
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource, accepted_scene
-from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.search_options import SearchOptions, with_sampler
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
 from taxinet_ros.campaign.table import write_tables
@@ -46,7 +46,8 @@ class Search:
     """Asks for runs and takes their answers. A context manager that owns the Scenic child.
 
     Attributes:
-        options: what to do.
+        options: what to do; within the ``with``, with the sampler that the program asks for.
+        notes: lines on what is not as it may seem: whose sampler it is, what a program may mean.
         rows: one row per run that is done, in the order in which they were.
         stopped: which rule ended the search before all its runs were done; '' where none did.
         exhausted: whether that was for want of other points.
@@ -65,6 +66,7 @@ class Search:
             on_row: called with each new row as soon as it is on disk; not with those of before.
         """
         self.options = options
+        self.notes: tuple[str, ...] = ()
         self.rows: list[RunRow] = []
         self.stopped = ''
         self.exhausted = False
@@ -287,8 +289,10 @@ class Search:
     # Beginning ---------------------------------------------------------------------------------
 
     def _prepare(self) -> None:
+        self.options, whose = with_sampler(self.options, self._source.sampler)
         options, campaign = self.options, self._campaign
         space = self._source.space()
+        self.notes = (*self._source.notes, *([whose] if whose else []))
         names: dict[str, Any] = dict(options.sampler_options)
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names

@@ -5,8 +5,8 @@ A program marks them with ``VerifaiRange``, ``VerifaiDiscreteRange``, ``VerifaiO
 last version (2.2.0) wants pandas < 3 and cannot be installed beside this one. So the Scenic child
 puts functions in their place, whether or not VerifAI is there: each makes an ordinary choice with
 the same prior, and marks it. Programs written for VerifAI compile unchanged, keep the weights of
-their options under every sampler, and are searched by the samplers here; the parameters
-``verifaiSamplerType`` and ``verifaiSamplerParams`` are not looked at.
+their options under every sampler, and are searched by the samplers here. What a program asks of
+Scenic's samplers by its global parameters is read by :func:`sampler_request`.
 
 The child also notes where in a program's text each choice is made (:func:`place_of`), for the
 search to write a learned distribution back. Only the Scenic child may import this module.
@@ -27,11 +27,20 @@ import scenic
 from scenic.core import distributions, external_params
 from scenic.syntax import veneer
 
+from taxinet_ros.campaign.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
 from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.campaign.scene_values import Place, ProgramError
 
 _MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
 _NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
-_DEFAULT_BUCKETS = Dimension(name='').buckets
+
+
+class _Buckets:
+    """Into how many parts the program at hand has ranges cut that do not say so themselves."""
+
+    number = Dimension(name='').buckets
+    some_say = False
+
 
 
 def install() -> None:
@@ -47,10 +56,93 @@ def install() -> None:
         kind.__init__ = _remembering(kind.__init__)
 
 
+def begin() -> None:
+    """Forget the program before."""
+    _Buckets.number, _Buckets.some_say = Dimension(name='').buckets, False
+
+
+def sampler_request(
+    params: Mapping[str, Any], places: Mapping[str, Place]
+) -> dict[str, Any]:
+    """What a compiled program asks for by its global parameters, in plain values.
+
+    Args:
+        params: the program's global parameters.
+        places: where each of them is set.
+
+    Raises:
+        ProgramError: a sampler of the program's own, or parameters that are no plain values.
+    """
+    own = params.get('externalSampler', external_params.VerifaiSampler)
+    if own is not external_params.VerifaiSampler:
+        raise ProgramError(
+            "externalSampler: a sampler of the program's own cannot be used; name one by "
+            f'"param {TYPE} = …" or by --sampler', places.get('externalSampler'),
+        )
+    if 'externalSamplerRejectionFeedback' in params:
+        raise ProgramError(
+            'externalSamplerRejectionFeedback has no effect here: samplers are never told of '
+            'rejected scenes; leave it out', places.get('externalSamplerRejectionFeedback'),
+        )
+    kind, given = params.get(TYPE), params.get(PARAMS) or {}
+    if not isinstance(kind, (str, type(None))):
+        raise ProgramError(f'{TYPE} is a {type(kind).__name__}; it has to be a word',
+                           places.get(TYPE))
+    if not isinstance(given, Mapping):
+        raise ProgramError(f'{PARAMS} is a {type(given).__name__}; it has to be a DotMap or a dict',
+                           places.get(PARAMS))
+    plain = _plain(given, places.get(PARAMS))
+    if kind in BUCKETED:
+        _cut_ranges(plain, places.get(PARAMS))
+    return {
+        'kind': kind, 'params': plain,
+        'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
+    }
+
+
+def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if name.startswith('_'):
+            continue  # Scenic looks for attributes of its own, and a DotMap makes them
+        if isinstance(value, Mapping):
+            found[name] = _plain(value, place)
+        elif value is None or isinstance(value, (bool, int, float, str)):
+            found[name] = value
+        elif isinstance(value, (list, tuple, np.ndarray)):
+            found[name] = str(value)  # only to be shown: no sampler here takes one
+        else:
+            raise ProgramError(f'{PARAMS}.{name} is a {type(value).__name__}; it has to be a '
+                               'plain number', place)
+    return found
+
+
+def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
+    """Cut ranges that do not say so themselves as the sampler does that a program asks for."""
+    of_ranges = params.get('cont')
+    if not isinstance(of_ranges, Mapping) or 'buckets' not in of_ranges:
+        _Buckets.number = VERIFAI_BUCKETS
+        return
+    asked, where = of_ranges['buckets'], f'{PARAMS}.cont.buckets'
+    if type(asked) is not int or asked < 1:
+        raise ProgramError(f'{where} is {asked}; it has to be a whole number above 0; where ranges '
+                           'differ write VerifaiRange(low, high, buckets=…)', place)
+    if _Buckets.some_say:
+        raise ProgramError(f'{where}: a VerifaiRange has buckets of its own, too; leave one of '
+                           'them out', place)
+    _Buckets.number = asked
+
+
 def buckets_of(choice: Any) -> int | None:
     """Buckets of a choice that is marked for search; None for any other."""
-    buckets: int | None = vars(choice).get(_MARK)
-    return buckets
+    if _MARK not in vars(choice):
+        return None
+    return vars(choice)[_MARK] or _Buckets.number
+
+
+def default_buckets() -> int:
+    """Buckets of a choice that is not marked, where none is."""
+    return _Buckets.number
 
 
 def pieces_of(choice: Any) -> list[list[float]]:
@@ -119,7 +211,8 @@ def _is_options(prior: Any) -> bool:
 
 
 def _marked(choice: Any, buckets: int | None) -> Any:
-    setattr(choice, _MARK, buckets or _DEFAULT_BUCKETS)
+    setattr(choice, _MARK, buckets)
+    _Buckets.some_say |= buckets is not None
     return choice
 
 

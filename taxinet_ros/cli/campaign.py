@@ -60,7 +60,8 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             Campaign(options, PARTICIPANTS, show, graphs.make_ahead) as campaign,
             interrupts(at_hand.interrupt, at_hand.give_up),
         ):
-            progress.console.print(heading(options), soft_wrap=True)
+            lines = [heading(options), *campaign.notes]
+            progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:

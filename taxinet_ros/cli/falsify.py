@@ -43,9 +43,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
     with Search(options, PARTICIPANTS, show) as search:
         if not quiet:
-            console.print(
-                '\n'.join([search_heading(options), *space_lines(search.space)]), soft_wrap=True
-            )
+            lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+            console.print('\n'.join(lines), soft_wrap=True, markup=False)
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

@@ -94,10 +94,10 @@ MostRunsOption = Annotated[
     int, typer.Option(min=1, help='most runs; with --resume, those of before included')
 ]
 SamplerOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         help='how scenes are chosen: random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe '
-        'or cmaes'
+        "or cmaes; by default as the program's verifaiSamplerType says, else ce"
     ),
 ]
 SamplerSettingOption = Annotated[

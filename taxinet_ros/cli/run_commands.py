@@ -95,7 +95,7 @@ def _run_from(context: typer.Context, bag: Path) -> int:
 def falsify(
     scenario: ScenarioArgument,
     runs: MostRunsOption = 100,
-    sampler: SamplerOption = 'ce',
+    sampler: SamplerOption = None,
     sampler_option: SamplerSettingOption = None,
     workers: WorkersOption = 1,
     out: OutOption = None,

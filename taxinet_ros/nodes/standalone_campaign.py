@@ -43,7 +43,7 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """The scenes that the program draws, as ``taxinet run`` has them."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
     with interrupts(node.interrupt, node.give_up), campaign:
-        node.get_logger().info(heading(node.campaign))
+        _say(node, [heading(node.campaign), *campaign.notes])
         answers = _Answers(node, campaign.take)
         _drive(node, executor, campaign.requests(), answers)
     if campaign.rows:
@@ -69,7 +69,8 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
-        _say(node, [search_heading(options), *space_lines(search.space)])
+        heading = search_heading(search.options)
+        _say(node, [heading, *space_lines(search.space), *search.notes])
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)
         learned = write_learned(search)

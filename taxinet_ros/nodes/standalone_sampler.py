@@ -20,6 +20,9 @@ from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
 
+_PROGRAMS = 'program'
+"""In place of a sampler's word: the one that the program names, else the default."""
+
 _RUNS, _RUNS_OF_A_SEARCH = 1, 100
 """Numbers of runs where none is given: those of ``taxinet run`` and ``taxinet falsify``."""
 
@@ -61,7 +64,8 @@ class StandaloneSampler(ScenarioSampler):
                     'already; gains are parameters of its own'
                 )
             self.search: SearchOptions | None = make_search_options(
-                self.campaign, sampler=sampler, workers=1, resume=how['resume'],
+                self.campaign, sampler=None if sampler == _PROGRAMS else sampler, workers=1,
+                resume=how['resume'],
                 sampler_options=how['sampler_options'], until=how['until'] or None,
                 budget_min=how['budget'] or None,
             ) if sampler else None
@@ -110,7 +114,10 @@ class StandaloneSampler(ScenarioSampler):
         }
 
     def _declare_search(self) -> tuple[str, dict[str, Any]]:
-        text = 'how scenes are chosen: ce, random, … as in taxinet falsify; empty: as taxinet run'
+        text = (
+            'how scenes are chosen: ce, random, … as in taxinet falsify, or program for the one '
+            'that the program names; empty: as taxinet run'
+        )
         sampler = declare(self, 'sampler', '', text)
         return sampler, {
             'sampler_options': self._texts('sampler_options', 'of the sampler, key=value'),

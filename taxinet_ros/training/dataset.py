@@ -5,6 +5,7 @@ A picture is kept as the network gets it, 12 KiB instead of 211.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,6 +78,8 @@ def draw_scenes(
     scenes: list[Scenario] = []
     rejected = 0
     with SceneSource(program, seed=seed) as source:
+        for note in source.drawn_notes if sampler == 'random' else source.notes:
+            print(note, file=sys.stderr)
         scene = _sampled(source, sampler, seed, images)
         while len(scenes) < images:
             try:

@@ -112,31 +112,38 @@ def write_dataset(options: DatasetOptions, progress: Progress = silent) -> int:
         InfraError: a worker process died, or the simulator failed.
     """
     request = options.request()
-    _claim(options, request)
-    if (options.out / FACTS).exists():
-        return 0
+    if not options.resume:
+        _check_new(options.out)
+    else:
+        _check_request(options.out, request)
+        if (options.out / FACTS).exists():
+            return 0
+    scenes = draw_scenes(
+        options.program, seed=options.seed, images=options.count, sampler=options.sampler,
+        progress=progress,
+    )
+    if not options.resume:  # not before: a program that is refused leaves no folder behind
+        _begin(options.out, request)
     with FinishedImages(options.out / FINISHED) as finished:
-        scenes = draw_scenes(
-            options.program, seed=options.seed, images=options.count, sampler=options.sampler,
-            progress=progress,
-        )
         rendered = _render(options, scenes, finished, progress)
         _complete(options.out, request, scenes, finished)
     (options.out / FINISHED).unlink()
     return rendered
 
 
-def _claim(options: DatasetOptions, request: Mapping[str, Any]) -> None:
-    """See that the folder may be written to, and write down there what for."""
-    out = options.out
-    if options.resume:
-        _check_request(out, request)
-        return
+def _check_new(out: Path) -> None:
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             begun = (out / REQUEST).is_file()
             mend = 'say --resume, or name another' if begun else 'name another'
             raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
+    except OSError as error:
+        raise _unwritable(out, error) from error
+
+
+def _begin(out: Path, request: Mapping[str, Any]) -> None:
+    """Make the folder, and write down there what for."""
+    try:
         out.mkdir(parents=True, exist_ok=True)
         _put(out / REQUEST, _json(request))
         (out / IMAGES).mkdir()

@@ -33,6 +33,8 @@ class ToySource:
     Where the second is high the program draws what is no scenario.
     """
 
+    sampler, notes = None, ()
+
     def __init__(self, program: str, **others: Any) -> None:
         self.program = find_program(program)
 

@@ -42,7 +42,7 @@ def test_given_scenes_when_drawn_in_another_order_and_process_then_they_are_the_
     ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', ':3: invalid syntax'),
     ('import os\nmodel runway_world\nprint("{}")\nos._exit(3)\n',
      ': the Scenic process ended with status 3'),
-    (PLANE + 'param wind = 3\n', ": scene 0: unknown key 'wind'; known: cross_track"),
+    (PLANE + 'param wind = 3\n', ':3: param wind: unknown, so it has no effect; known: clouds'),
     (PLANE + 'param rain = 30\n', ': scene 0: rain needs clouds'),
 ], ids=lambda cause: cause[1][:30])
 def test_given_a_bad_program_when_used_then_one_line_says_what_and_where(

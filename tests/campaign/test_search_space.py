@@ -213,7 +213,7 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
     space = compiled(
         WORLD + 'param rain = Range(0, 9)\nunused = Range(0, 1)\n'
         'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 10, 4)), '
-        'with lane unused\nrequire[0.9] ego.position.y > 100\n'
+        'with name unused\nrequire[0.9] ego.position.y > 100\n'
     )
     assert names(space) == ['rain', 'unused']
     assert space.choices[1].feeds == {'requirements'}, 'it hangs on the ego, which is judged'
@@ -230,9 +230,9 @@ def test_given_choices_without_effect_when_searched_then_they_are_no_dimensions(
     compiled: Compile,
 ) -> None:
     space = compiled(WORLD + 'param rain = Range(0, 9)\n'
-                             'ego = new Plane at (0, 400), with lane Range(0, 1)\n')
+                             'ego = new Plane at (0, 400), with name Range(0, 1)\n')
     assert names(space) == ['rain']
-    assert space.unsearched == ('ego.lane (without effect)',)
+    assert space.unsearched == ('ego.name (without effect)',)
 
 
 def test_given_no_choice_when_the_space_is_asked_then_there_is_nothing_to_search(
@@ -257,7 +257,7 @@ def test_given_words_of_verifai_when_searched_then_only_they_are_dimensions(
     assert space.unsearched == ('time_of_day (not marked for search)',)
     dimensions = space.dimensions
     assert dimensions[0].prior == (0.75, 0.25)
-    assert [dimension.buckets for dimension in dimensions] == [10, 4, 10, 10, 3]
+    assert [dimension.buckets for dimension in dimensions] == [5, 4, 5, 5, 3], 'VerifAI has 5'
     values = at(client, 0.8, 0.5, 0.9, 0.75, 0.25)
     assert values.pop('time_of_day') == pytest.approx(at(client, *[0.1] * 5)['time_of_day'])
     assert values == pytest.approx({'clouds': 'overcast', 'rain': 50, 'duration': 3,
