@@ -91,6 +91,9 @@ class Bayes:
         self._points.append(point)
         self._results[len(self._points) - 1] = rho
 
+    def weight(self, index: int) -> None:
+        """Unknown."""
+
     def learned(self) -> Probabilities:
         """Nothing that could be shown."""
         return {}

@@ -17,10 +17,14 @@ BLOCK = 256
 
 
 class FromPrior:
-    """What is the same for all of them: results change nothing."""
+    """What is the same for all of them: every weight is 1, and results change nothing."""
 
     def tell(self, index: int, rho: float | None) -> None:
         """Nothing is learned."""
+
+    def weight(self, index: int) -> float:
+        """1: the point is distributed as the prior says."""
+        return 1.0
 
     def learned(self) -> Probabilities:
         """Nothing."""
@@ -29,10 +33,6 @@ class FromPrior:
 
 class Random(FromPrior):
     """Independent draws: run i's point depends on the seed and i only."""
-
-    def weight(self, index: int) -> float:
-        """1: the point is distributed as the prior says."""
-        return 1.0
 
     def drawn(self, index: int) -> bool:
         """True: every one."""

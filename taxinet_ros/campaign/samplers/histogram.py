@@ -18,17 +18,20 @@ class HistogramSampler(ABC):
     Hesterberg, Technometrics 37, 1995).
     """
 
-    def __init__(self, space: Space, seed: int, floor: float) -> None:
+    def __init__(self, space: Space, seed: int, floor: float, *, blind: int = 0) -> None:
         """Know nothing yet.
 
         Args:
             space: what to search.
             seed: of the campaign.
             floor: share of the runs drawn from the prior, 0..1.
+            blind: number of runs, from run 0 on, that come too early for anything to be learned,
+                and so are all drawn from the prior.
         """
         self._space = space
         self._seed = seed
         self._floor = floor
+        self._blind = blind
         self._bins: list[tuple[int, ...]] = []
         self._weights: list[float] = []
         self._of_prior: list[bool] = []
@@ -51,7 +54,8 @@ class HistogramSampler(ABC):
         *uniform, mixing = chance.random(len(self._space) + 1)
         proposal = self._proposal()
         if not self._attempt:  # settled once: refusals must not favour either
-            self._of_prior.append(bool(mixing < self._floor))
+            blind = len(self._of_prior) < self._blind
+            self._of_prior.append(blind or bool(mixing < self._floor))
         point = (self._space if self._of_prior[-1] else proposal).point(uniform)
         self._bins[-1] = self._space.bins(point)
         density = self._floor + (1 - self._floor) * proposal.density(self._bins[-1])
@@ -68,7 +72,7 @@ class HistogramSampler(ABC):
         return self._weights[index]
 
     def drawn(self, index: int) -> bool:
-        """Whether the run is of the prior's share."""
+        """Whether the run is of the prior's share, or came before anything was learned."""
         return self._of_prior[index]
 
     def learned(self) -> Probabilities:

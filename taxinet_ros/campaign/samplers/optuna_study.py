@@ -104,6 +104,9 @@ class StudySampler:
                 value=rho, params=known, distributions=dict.fromkeys(known, unit),
             ))
 
+    def weight(self, index: int) -> None:
+        """Unknown."""
+
     def learned(self) -> Probabilities:
         """Nothing that could be shown."""
         return {}

@@ -24,6 +24,9 @@ class Proposer(Protocol):
     def tell(self, index: int, rho: float | None) -> None:
         """Take the result of a run that it has asked for, in order; as a sampler does."""
 
+    def weight(self, index: int) -> float | None:
+        """Density of the prior over that of its proposal; None where it is unknown."""
+
     def learned(self) -> Probabilities:
         """Where failures are; empty where it has no idea of it."""
 
@@ -92,8 +95,9 @@ class WithDrawn:
         elif rho is not None and isinstance(self._sampler, Listener):
             self._sampler.add(point, rho)
 
-    def weight(self, index: int) -> None:
-        """Unknown: the sampler's density is."""
+    def weight(self, index: int) -> float | None:
+        """As of the sampler where it chooses all runs; that of a mixture is unknown."""
+        return None if self._share else self._sampler.weight(index)
 
     def drawn(self, index: int) -> bool:
         """Whether the run was drawn."""
