@@ -1,23 +1,20 @@
 """Synthetic robustness over a search space, with failure regions that are known beforehand.
 
-A search is measured on them without a simulator: how often it finds a rare region, how many of
-several it finds, how different its failures are. Distances are of quantiles, so the share of a
-region in the unit cube is its probability under the program.
+In place of a simulator stands a formula for ρ. Lengths are of quantiles, so the volume of a region
+in the unit cube is its probability under the program.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 
-Centre = tuple[float, float]
-
 APART = 0.15
-"""Two failures are distinct where a coordinate differs by more [quantiles], or a category."""
+"""Two failures are distinct if a coordinate differs by more than this [quantiles]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,52 +22,57 @@ class Landscape:
     """Robustness by point.
 
     Attributes:
-        name: of its row in the table.
-        meaning: what it is, in a line.
+        meaning: what is hard about it, in a line.
         space: what is searched.
-        rho: robustness of a point; 0 or less is a failure.
-        regions: number of separate failure regions.
-        region: number of the region, 0 or more, that a failure belongs to.
-        rate: probability of a failure under the program.
+        parts: of a point, the robustness that each failure region would give it alone.
+        shape: of the least of them, and the point, its robustness; 0 or less, a failure, where that
+            is 0 or less.
     """
 
-    name: str
     meaning: str
     space: Space
-    rho: Callable[[Point], float]
-    regions: int
-    region: Callable[[Point], int]
-    rate: float
+    parts: Callable[[Point], Sequence[float]]
+    shape: Callable[[float, Point], float] = lambda least, point: least
+
+    def rho(self, point: Point) -> float:
+        """Robustness of a point; 0 or less is a failure."""
+        return self.shape(min(self.parts(point)), point)
+
+    def region(self, point: Point) -> int:
+        """Number of the region, from 0, that a failure belongs to."""
+        parts = self.parts(point)
+        return min(range(len(parts)), key=parts.__getitem__)
+
+    @property
+    def regions(self) -> int:
+        """Number of separate failure regions."""
+        return len(self.parts(self.space.point([0.5] * len(self.space))))
 
 
 def count_distinct(space: Space, failures: Sequence[Point]) -> int:
-    """Number of failures that lie apart: a greedy cover in the order in which they were found.
+    """Number of failures that lie apart: a greedy cover, in the order in which they were found.
 
-    A failure counts where it differs from each one counted before in a category, or by more than
-    :data:`APART` in some coordinate.
+    One counts where it differs from each that was counted before: in a category, in whether a
+    dimension is idle, or by more than :data:`APART` in some coordinate.
     """
     counted: list[Point] = []
     for point in failures:
-        if all(_apart(space, point, other) for other in counted):
+        if not any(_alike(space, point, other) for other in counted):
             counted.append(point)
     return len(counted)
 
 
-def _apart(space: Space, one: Point, other: Point) -> bool:
+def _alike(space: Space, one: Point, other: Point) -> bool:
     for dimension, mine, its in zip(space, one, other, strict=True):
         if mine is None or its is None:
-            if mine is not its:
-                return True
+            same = mine is its
         elif dimension.discrete:
-            if dimension.bin(mine) != dimension.bin(its):
-                return True
-        elif abs(mine - its) > APART:
-            return True
-    return False
-
-
-def _continuous(number: int) -> Space:
-    return Space(Dimension(name=f'x{each}') for each in range(number))
+            same = dimension.bin(mine) == dimension.bin(its)
+        else:
+            same = abs(mine - its) <= APART
+        if not same:
+            return False
+    return True
 
 
 def _radius(share: float) -> float:
@@ -78,109 +80,149 @@ def _radius(share: float) -> float:
     return math.sqrt(share / math.pi)
 
 
-def _discs(point: Point, centres: Sequence[Centre], shares: Sequence[float]) -> list[float]:
-    """Signed distance to each disc in the plane of the first two coordinates."""
-    return [
-        math.dist(point[:2], centre) - _radius(share)
-        for centre, share in zip(centres, shares, strict=True)
-    ]
+def _continuous(dimensions: int) -> Space:
+    return Space(Dimension(name=f'x{number}') for number in range(dimensions))
 
 
-def _of_discs(
-    name: str, meaning: str, space: Space, centres: Sequence[Centre], shares: Sequence[float],
-    shape: Callable[[float], float] = lambda distance: distance,
+def _at(point: Point, first: int) -> tuple[float, float]:
+    """Two neighbouring coordinates of dimensions that are never idle."""
+    return point[first] or 0.0, point[first + 1] or 0.0
+
+
+_TWO = {(0.21, 0.72): 0.0075, (0.76, 0.27): 0.0075}
+_FOUR = {(0.17, 0.22): 0.005, (0.71, 0.13): 0.006, (0.34, 0.81): 0.008, (0.86, 0.66): 0.01}
+_EIGHT = {
+    (0.5 + 0.38 * math.cos(angle), 0.5 + 0.38 * math.sin(angle)): 0.005
+    for angle in (number * math.pi / 4 for number in range(8))
+}
+
+
+def _discs(
+    meaning: str, dimensions: int, shares: Mapping[tuple[float, float], float],
+    shape: Callable[[float, Point], float] = lambda least, point: least,
 ) -> Landscape:
-    def nearest(point: Point) -> tuple[float, int]:
-        distances = _discs(point, centres, shares)
-        return min((distance, number) for number, distance in enumerate(distances))
+    """Signed distance to discs in the plane of the first two dimensions; others do not matter.
 
-    return Landscape(
-        name=name, meaning=meaning, space=space, regions=len(centres), rate=sum(shares),
-        rho=lambda point: shape(nearest(point)[0]), region=lambda point: nearest(point)[1],
-    )
+    Args:
+        meaning: of the landscape.
+        dimensions: of its space, all continuous.
+        shares: by centre of a disc, its share of the square.
+        shape: of the landscape.
+    """
+    def parts(point: Point) -> list[float]:
+        at = _at(point, 0)
+        return [math.dist(at, centre) - _radius(share) for centre, share in shares.items()]
 
-
-_TWO = ((0.21, 0.72), (0.76, 0.27))
-_FOUR = ((0.17, 0.22), (0.71, 0.13), (0.34, 0.81), (0.86, 0.66))
-_SHARES_FOUR = (0.005, 0.006, 0.008, 0.01)
+    return Landscape(meaning=meaning, space=_continuous(dimensions), parts=parts, shape=shape)
 
 
 def _corner(dimensions: int) -> Landscape:
     side = math.sqrt(0.001)
     return Landscape(
-        name=f'corner-{dimensions}', meaning=f'a 0.1 % corner of two dimensions of {dimensions}',
-        space=_continuous(dimensions), regions=1, rate=0.001,
-        rho=lambda point: max(point[0], point[1]) - side, region=lambda point: 0,
+        meaning=f'a corner of 0.1 %; 2 of {dimensions} dimensions matter',
+        space=_continuous(dimensions), parts=lambda point: [max(_at(point, 0)) - side],
     )
 
 
-def _rough(distance: float, point: Point) -> float:
-    """Distance, and noise that is a function of the point."""
-    chance = zlib.crc32(repr(point).encode()) / 2**32
-    return distance + 0.1 * (chance - 0.5)
+def _noisy(least: float, point: Point) -> float:
+    """With noise that is a function of the point, but no failures elsewhere."""
+    noise = zlib.crc32(repr(point).encode()) / 2**32 - 0.5
+    return least if least <= 0 else max(least + 0.2 * noise, 1e-6)
 
 
-def landscapes() -> tuple[Landscape, ...]:
-    return (
-        *(_corner(n) for n in (2, 4, 6)),
-        *(_of_discs(f'twins-{n}', '', _continuous(n), _TWO, (0.0075, 0.0075)) for n in (2, 4, 6)),
-        *(_of_discs(f'four-{n}', '', _continuous(n), _FOUR, _SHARES_FOUR) for n in (2, 4, 6)),
-        _of_discs('bumps-4', '', _continuous(4), _FOUR, _SHARES_FOUR,
-                  lambda d: 0.5 - 0.5 * math.exp(-(d * abs(d)) * 30 - d * 3)),
-        _of_discs('plateau-4', '', _continuous(4), _TWO, (0.0075, 0.0075),
-                  lambda d: min(d, 0.1)),
-        _of_discs('steps-4', '', _continuous(4), _TWO, (0.0075, 0.0075),
-                  lambda d: math.ceil(d / 0.1) * 0.1),
-        _of_discs('eight-4', '', _continuous(4), tuple((0.5+0.38*math.cos(k*math.pi/4), 0.5+0.38*math.sin(k*math.pi/4)) for k in range(8)), (0.005,)*8),
-        _of_discs('funnel-4', '', _continuous(4), _TWO, (0.0075, 0.0075), lambda d: min(d, 0.05)),
-        _of_discs('tail-6', 'rho mostly large, nonlinear', _continuous(6), _FOUR, _SHARES_FOUR, lambda d: 20*d*abs(d)),
-        _of_discs('touch-4', 'told 0 for all failures', _continuous(4), _FOUR, _SHARES_FOUR, lambda d: max(d, 0.0)),
-        _of_discs('cliff-4', 'jumps from +1', _continuous(4), _TWO, (0.0075, 0.0075), lambda d: d if d <= 0 else 0.5 + d),
-        _blind(), _rough4(), _deceptive(), _categories(), _most(), _ball4(), _conditional(),
+def _decoyed(least: float, point: Point) -> float:
+    """With a wide basin elsewhere, which ends at 0.02."""
+    return min(least, 0.02 + 0.8 * math.dist(_at(point, 0), (0.8, 0.8)))
+
+
+def _balls() -> Landscape:
+    centres = (
+        (0.2, 0.3, 0.7, 0.4), (0.8, 0.7, 0.2, 0.3), (0.3, 0.8, 0.3, 0.8), (0.7, 0.2, 0.8, 0.7),
+    )
+    radius = (0.008 * 2 / math.pi**2) ** 0.25  # of a ball in four dimensions with this volume
+
+    def parts(point: Point) -> list[float]:
+        at = (*_at(point, 0), *_at(point, 2))
+        return [math.dist(at, centre) - radius for centre in centres]
+
+    return Landscape(meaning='four balls of 0.8 %; all 4 matter', space=_continuous(4), parts=parts)
+
+
+def _categories() -> Landscape:
+    space = Space((
+        Dimension(name='clouds', weights=(1,) * 6), *_continuous(3),
+        Dimension(name='rain', weights=(2, 1)),
+    ))
+
+    def parts(point: Point) -> list[float]:
+        clouds, *_, rain = space.bins(point)
+        at = _at(point, 1)
+        return [
+            math.dist(at, (0.3, 0.7)) - _radius(0.04) + (0.0 if clouds == 2 else 0.3),
+            math.dist(at, (0.7, 0.2)) - _radius(0.03) + (0.0 if rain == 1 else 0.3),
+        ]
+
+    return Landscape(
+        meaning='0.7 % under one of six skies, 1 % in rain', space=space, parts=parts,
     )
 
-def _blind():
-    return _of_discs('blind-4', 'no gradient', _continuous(4), _TWO, (0.0075, 0.0075),
-                  lambda d: -1.0 if d <= 0 else 1.0)
 
-def _rough4():
-    a = _of_discs('x', '', _continuous(4), _TWO, (0.0075, 0.0075))
-    # a failure only within the regions
-    def rho(p):
-        d = a.rho(p)
-        n = zlib.crc32(repr(p).encode()) / 2**32
-        return d if d <= 0 else max(1e-6, d + 0.2 * (n - 0.5))
-    return Landscape(name='rough-4', meaning='', space=a.space, rho=rho, regions=2, region=a.region, rate=.015)
+def _conditional() -> Landscape:
+    dry, wet = Branch('weather', (0,)), Branch('weather', (1,))
+    space = Space((
+        Dimension(name='weather', weights=(2, 1)),
+        Dimension(name='dry sky', weights=(1,) * 6, when=(dry,)),
+        Dimension(name='wet sky', weights=(1,) * 3, when=(wet,)),
+        Dimension(name='rain', when=(wet,)), *_continuous(3),
+    ))
 
-def _deceptive():
-    c = (0.8, 0.8)
-    t = (0.12, 0.15)
-    def rho(p):
-        return min(0.02 + 0.8 * math.dist(p[:2], c), math.dist(p[:2], t) - _radius(0.007) )
-    return Landscape(name='deceptive-4', meaning='', space=_continuous(4), rho=rho, regions=1, region=lambda p: 0, rate=.007)
+    def parts(point: Point) -> list[float]:
+        sky, rain, at = space.bins(point)[1], point[3], _at(point, 4)
+        return [
+            math.dist(at, (0.65, 0.3)) - _radius(0.06)
+            + (0.3 if rain is None else max(0.0, 0.7 - rain)),
+            math.dist(at, (0.2, 0.8)) - _radius(0.05) + (0.0 if sky == 4 else 0.2),
+        ]
 
-def _categories():
-    space = Space((Dimension(name='clouds', weights=(1,)*6), *_continuous(3), Dimension(name='rain', weights=(2, 1))))
-    def parts(p):
-        k = space[0].bin(p[0]); 
-        d0 = max(math.dist(p[1:3], (0.3, 0.7)) - _radius(0.04), 0 if k == 2 else .3)
-        d1 = max(math.dist(p[1:3], (0.7, 0.2)) - _radius(0.03), 0 if space[4].bin(p[4]) == 1 else .3)
-        return (math.dist(p[1:3], (0.3, 0.7)) - _radius(0.04) + (0 if k == 2 else .3), math.dist(p[1:3], (0.7, 0.2)) - _radius(0.03) + (0 if space[4].bin(p[4]) == 1 else .3))
-    return Landscape(name='categories', meaning='', space=space, rho=lambda p: min(parts(p)), regions=2, region=lambda p: 0 if parts(p)[0] <= parts(p)[1] else 1, rate=.04/6+.01)
+    return Landscape(
+        meaning='0.6 % in heavy rain, 0.6 % under one dry sky; idle branches', space=space,
+        parts=parts,
+    )
 
-def _most():
-    return Landscape(name='most-4', meaning='', space=_continuous(4), rho=lambda p: 0.1-max(abs(x-.5) for x in p[:2])/1.0*1, regions=1, region=lambda p: 0, rate=.96)
 
-def _ball4():
-    cs = [(0.2,.3,.7,.4), (.8,.7,.2,.3), (.3,.8,.3,.8), (.7,.2,.8,.7)]
-    r = (0.008*2/math.pi**2)**.25
-    return Landscape(name='balls-4', meaning='', space=_continuous(4), rho=lambda p: min(math.dist(p, c) for c in cs) - r, regions=4, region=lambda p: min(range(4), key=lambda i: math.dist(p, cs[i])), rate=.032)
-
-def _conditional():
-    space = Space((Dimension(name='weather', weights=(2, 1)), Dimension(name='dry', weights=(1,)*6, when=(Branch('weather',(0,)),)), Dimension(name='wet', weights=(1,)*3, when=(Branch('weather',(1,)),)), Dimension(name='rain', when=(Branch('weather',(1,)),)), *_continuous(3)))
-    def parts(p):
-        wet = space[0].bin(p[0]) == 1
-        a = math.dist(p[4:6], (0.65, 0.3)) - _radius(0.06) + (0.3 if not wet else max(0, .7 - (p[3] if p[3] is not None else 0)))
-        b = math.dist(p[4:6], (0.2, 0.8)) - _radius(0.05) + (0.2 if wet or p[1] is None or space[1].bin(p[1]) != 4 else 0)
-        return a, b
-    return Landscape(name='conditional', meaning='', space=space, rho=lambda p: min(parts(p)), regions=2, region=lambda p: 0 if parts(p)[0] <= parts(p)[1] else 1, rate=.01)
+LANDSCAPES: Mapping[str, Landscape] = {
+    'corner': _corner(4),
+    'corner-2': _corner(2),
+    'corner-6': _corner(6),
+    'twins': _discs('two discs of 0.75 %; 2 of 4 dimensions matter', 4, _TWO),
+    'twins-2': _discs('the same; both of 2 matter', 2, _TWO),
+    'twins-6': _discs('the same; 2 of 6 matter', 6, _TWO),
+    'four': _discs('four discs of 0.5 to 1 %; 2 of 4 matter', 4, _FOUR),
+    'four-2': _discs('the same; both of 2 matter', 2, _FOUR),
+    'four-6': _discs('the same; 2 of 6 matter', 6, _FOUR),
+    'eight': _discs('eight discs of 0.5 %; 2 of 4 matter', 4, _EIGHT),
+    'balls': _balls(),
+    'categories': _categories(),
+    'conditional': _conditional(),
+    'plateau': _discs(
+        'twins, level farther away than 0.1', 4, _TWO, lambda least, point: min(least, 0.1)
+    ),
+    'steps': _discs(
+        'twins, in steps of 0.1', 4, _TWO, lambda least, point: math.ceil(least / 0.1) * 0.1
+    ),
+    'stopped': _discs(
+        'four, failures all told as 0', 4, _FOUR, lambda least, point: max(least, 0.0)
+    ),
+    'rough': _discs('twins, with noise of 0.2', 4, _TWO, _noisy),
+    'decoy': _discs(
+        'a disc of 0.7 %, and a wide basin without', 4, {(0.12, 0.15): 0.007}, _decoyed
+    ),
+    'blind': _discs(
+        'twins, 1 or -1', 4, _TWO, lambda least, point: 1.0 if least > 0 else -1.0
+    ),
+    'most': Landscape(
+        meaning='all but 4 % fails; 2 of 4 matter', space=_continuous(4),
+        parts=lambda point: [0.1 - max(abs(each - 0.5) for each in _at(point, 0))],
+    ),
+}
+"""Every landscape by its name."""

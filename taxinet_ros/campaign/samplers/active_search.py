@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from taxinet_ros.campaign.samplers.draws import generator, prior_point
 from taxinet_ros.campaign.samplers.product import Floats
@@ -119,6 +120,9 @@ class ActiveSearch:
         """Take in the result of a point that was not asked for."""
         self._learn(self._keep(point), rho)
 
+    def weight(self, index: int) -> None:
+        """Unknown."""
+
     def learned(self) -> Probabilities:
         """Nothing that could be shown."""
         return {}
@@ -130,7 +134,7 @@ class ActiveSearch:
         else:
             chance = generator(self._seed, run, self._attempt)
             # Matrices as small as these are slowed down by BLAS threads on a busy machine.
-            with threadpool_limits(limits=1):
+            with _blas().limit(limits=1):
                 point = self._space.point(self._chosen(run, chance))
         self._pending.append(self._keep(point))
         return point
@@ -335,13 +339,13 @@ class _Process:
         squares = np.zeros((dimensions, runs, runs))
         for owner, column in zip(self._features.owners, known.T, strict=True):
             squares[owner] += np.square(column[:, None] - column)
-        squares = squares.reshape(dimensions, -1)
+        flat = squares.reshape(dimensions, -1)
         unit = np.eye(runs)
 
         def loss(logs: Floats) -> tuple[float, Floats]:
             """Minus the posterior's logarithm, and its gradient."""
             inverse, noise = np.exp(-2 * logs[:-1]), math.exp(logs[-1])
-            away = np.sqrt(3 * (inverse @ squares)).reshape(runs, runs)
+            away = np.sqrt(3 * (inverse @ flat)).reshape(runs, runs)
             falling = np.exp(-away)
             factor = cho_factor((1 + away) * falling + noise * unit, lower=True)
             precision = cho_solve(factor, unit)
@@ -349,7 +353,7 @@ class _Process:
             off = (logs - self._usual) / self._spread
             value = runs / 2 * math.log(variance) + np.log(np.diag(factor[0])).sum() + off @ off / 2
             change = np.outer(weights, weights) / variance - precision
-            slopes = 3 * inverse * (squares @ (change * falling).ravel())
+            slopes = 3 * inverse * (flat @ (change * falling).ravel())
             gradient = -np.append(slopes, noise * np.trace(change)) / 2
             return float(value), gradient + off / self._spread
 
@@ -382,6 +386,14 @@ class _Process:
         away = np.sqrt(3 * _squared_distances(ones / scales, others / scales))
         correlation: Floats = (1 + away) * np.exp(-away)
         return correlation
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """The threads of NumPy and SciPy; to look for their libraries takes a millisecond."""
+    import scipy.linalg  # noqa: F401 (has a library of its own)
+
+    return ThreadpoolController()
 
 
 def _mean(precision: Floats, results: Floats) -> float:
