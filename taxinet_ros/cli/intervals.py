@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -12,32 +12,8 @@ from rich.table import Table
 
 from taxinet_ros.bench.intervals import measure_intervals
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.errors import UsageError
-
-INTERVALS = 'intervals'
-"""What is typed in place of subjects; samplers may follow."""
 
 _WIDTH = 100
-
-
-def asks_for_intervals(words: Sequence[str], given: Collection[str]) -> bool:
-    """Whether the words after ``taxinet bench`` ask for this.
-
-    Args:
-        words: the subjects.
-        given: names of the parameters that the command line sets.
-
-    Raises:
-        UsageError: the word is not the first, or options do not belong to it.
-    """
-    if INTERVALS not in words:
-        return False
-    if words[0] != INTERVALS:
-        raise UsageError(f'bench: {INTERVALS} goes first, and samplers after it')
-    wrong = set(given) - {'repeats', 'as_json', 'subjects'}
-    if wrong:
-        raise UsageError(f'bench: --{min(wrong)}: not with {INTERVALS}')
-    return True
 
 
 def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> int:

@@ -29,7 +29,7 @@ from taxinet_ros.campaign.interrupts import (
 from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
-from taxinet_ros.cli.given import given_options
+from taxinet_ros.cli.given import asks_for, given_options
 from taxinet_ros.cli.monitor_command import monitor
 from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
@@ -64,7 +64,7 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or '
-            'soak; or intervals [SAMPLER]...',
+            'soak; or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -100,21 +100,29 @@ def bench(
 
     `taxinet bench intervals` searches landscapes whose failure rate is known, and says how often
     the intervals of `falsify` hold it and `gate` passes what it should not.
-    """
-    from taxinet_ros.cli.intervals import asks_for_intervals, run_intervals
 
-    if asks_for_intervals(subjects or (), given_options(context)):
-        raise typer.Exit(run_intervals((subjects or ())[1:], repeats=repeats, as_json=as_json))
+    `taxinet bench searches` searches landscapes whose failure regions are known, and says how many
+    of them each sampler finds in 200 runs.
+    """
+    words, given = subjects or [], given_options(context)
+    if asks_for('intervals', words, given):
+        from taxinet_ros.cli.intervals import run_intervals
+
+        raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for('searches', words, given):
+        from taxinet_ros.cli.searches import run_searches
+
+        raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
     from taxinet_ros.cli.soak import asks_for_soak, run_soak
 
-    if asks_for_soak(subjects or (), given_options(context)):
+    if asks_for_soak(words, given):
         raise typer.Exit(run_soak(
             runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
         ))
     from taxinet_ros.cli.bench import run_bench
 
     raise typer.Exit(run_bench(
-        subjects or (), repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
+        words, repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
     ))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from taxinet_ros.campaign.samplers import from_prior
+from taxinet_ros.campaign.samplers.active_search import ActiveSearch
 from taxinet_ros.campaign.samplers.bandit import Bandit
 from taxinet_ros.campaign.samplers.bayes import Bayes
 from taxinet_ros.campaign.samplers.cross_entropy import CrossEntropy
@@ -95,6 +96,17 @@ SAMPLERS: Mapping[str, Kind] = {
             'points': Option(
                 meaning='steps of each continuous dimension; 0: as many as fit into the runs',
                 default=0, low=0, high=1e6, whole=True,
+            ),
+        },
+    ),
+    'active': proposing(
+        'active search: finds rare failures, and all the regions of them',
+        lambda space, seed, runs, values: ActiveSearch(space, seed, radius=values['radius']),
+        floor=0.25,
+        options={
+            'radius': Option(
+                meaning='around a failure, where others are no news [quantiles]',
+                default=0.1, low=0.001, high=1.0,
             ),
         },
     ),
