@@ -119,6 +119,7 @@ class _Evaluator:
     def __init__(self, stamps: Stamps, margins: Mapping[ast.Compare, Column]) -> None:
         self._stamps = stamps
         self._margins = margins
+        self._done: dict[int, Column] = {}
 
     def at_first(self, core: Core) -> float:
         """Value at the first sample alone, without the windows of the others."""
@@ -138,7 +139,12 @@ class _Evaluator:
         return float(window.min() if core.lowest else window.max())
 
     def _values(self, core: Core) -> Column:
-        """Values at all samples."""
+        """Values at all samples; those of a subformula that stands in several places once."""
+        if id(core) not in self._done:
+            self._done[id(core)] = self._evaluated(core)
+        return self._done[id(core)]
+
+    def _evaluated(self, core: Core) -> Column:
         match core:
             case CoreAtom(atom, negated):
                 return -self._margins[atom] if negated else self._margins[atom]

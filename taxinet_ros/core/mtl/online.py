@@ -223,10 +223,11 @@ class Monitor:
 
     def _start(self) -> tuple[Root, Root]:
         """Build the nodes for the formula and for its negation; both are asked at sample 0."""
-        builder = Builder(self._stamps_ns, self.horizon_ns, self._atom)
-        first_ns = self._stamps_ns[0]
         lower, upper = (
-            Root(builder.build(normalise(self.spec.formula, negated=negated), first_ns, first_ns))
+            Root(
+                normalise(self.spec.formula, negated=negated),
+                Builder(self._stamps_ns, self.horizon_ns, self._atom), self._stamps_ns[0],
+            )
             for negated in (False, True)
         )
         self._roots = lower, upper
