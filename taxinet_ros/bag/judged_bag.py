@@ -30,6 +30,8 @@ class BagVerdict(enum.StrEnum):
     """The run ends early, or the bag is damaged: there is an interval, and no verdict."""
     INVALID = 'INVALID'
     """A sample was not finite, or one is missing amid the others; the interval ends before it."""
+    UNCLEAR = 'UNCLEAR'
+    """The formula's windows hold no sample of this run, so nothing was judged."""
 
     @property
     def failed(self) -> bool:
@@ -193,6 +195,8 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
         return BagVerdict.INCOMPLETE
     if not last.valid:
         return BagVerdict.INVALID
+    if last.final and last.unclear:
+        return BagVerdict.UNCLEAR
     if not (last.final or samples.stopped_early) or not _decided(last):
         return BagVerdict.INCOMPLETE
     if last.lower > 0:
@@ -201,7 +205,7 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
 
 
 def _decided(reading: Reading) -> bool:
-    return reading.lower > 0 or reading.upper <= 0
+    return (reading.lower > 0 or reading.upper <= 0) and not reading.unclear
 
 
 def _same(samples: RunSamples, readings: Sequence[Reading], recorded: Recorded) -> bool:

@@ -29,7 +29,9 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
     readings: dict[str, Interval] = {}
     differing: dict[str, list[int]] = {name: [] for name in monitors}
     steps = 0
+    watch = EstimateWatch(last_seq(record) * PERIOD_NS, PERIOD_NS)
     while steps <= last_seq(record) and (sample := _sample(record, steps)) is not None:
+        sample |= watch.signals(steps * PERIOD_NS, sample)
         for name, monitor in monitors.items():
             reading = monitor.push(steps * PERIOD_NS, sample)
             readings[name] = Interval(reading.lower, reading.upper)

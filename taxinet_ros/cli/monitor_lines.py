@@ -15,6 +15,7 @@ from taxinet_ros.bag.judged_bag import BagVerdict, JudgedBag, SpecVerdict
 _STYLES = {
     BagVerdict.SATISFIED: 'green', BagVerdict.VIOLATED: 'red', BagVerdict.MARGINAL: 'red',
     BagVerdict.INCOMPLETE: 'yellow', BagVerdict.INVALID: 'bold magenta',
+    BagVerdict.UNCLEAR: 'yellow',
 }
 
 

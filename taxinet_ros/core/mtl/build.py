@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lower import Asked, AtomBound, JoinBound, LowerBound
 from taxinet_ros.core.mtl.lower_chain import ChainAheadBound, ChainBackBound
 from taxinet_ros.core.mtl.lower_shift import ShiftAheadBound, ShiftBackBound
@@ -16,6 +17,7 @@ from taxinet_ros.core.mtl.normal import (
     CoreJoin,
     CoreShift,
     CoreWindow,
+    normalise,
     window_offsets,
 )
 from taxinet_ros.core.mtl.window import INF
@@ -23,7 +25,9 @@ from taxinet_ros.core.mtl.window import INF
 MakeAtom = Callable[[CoreAtom, Asked], AtomBound]
 
 MAX_NODES = 1_000
-"""Most nodes of one formula: a sample may cost a millisecond, and not more."""
+"""Most nodes of one formula: a sample may cost a millisecond or so, and not more."""
+
+_NO_END_NS = 2**62
 
 
 class Root:
@@ -145,3 +149,16 @@ class Builder:
         child = self.build(core.child, asked.begin_ns + delay_ns, end_ns)
         kind = ShiftBackBound if core.past else ShiftAheadBound
         return kind(asked, lowest=core.lowest, delay_ns=core.delay_ns, child=child)
+
+
+def check_parts(formula: ast.Formula) -> None:
+    """See that a formula can be followed.
+
+    Raises:
+        UsageError: it would take more than :data:`MAX_NODES` nodes on some run.
+    """
+    def blank(core: CoreAtom, asked: Asked) -> AtomBound:
+        return AtomBound(asked, margins=(), floor=-INF, outlook=None)
+
+    # The end of a run only ever makes ranges of samples equal that are not without it.
+    Builder([], _NO_END_NS, blank).build(normalise(formula), 0, 0)

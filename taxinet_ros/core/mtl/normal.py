@@ -13,9 +13,10 @@ CAV 2013, section 3)::
 where "at t + a" is the first sample at or after it. Time is in integer nanoseconds, so the half
 open [0,a) is the closed [0,a-1]. Since is split alike, backwards.
 
-The split names an operand twice, so nested ones would double at each level if they were copied. They
-are not: equal subformulas become one object, the core form is a graph without cycles, and whoever
-walks it keeps what is done by the object's id. Never hash or compare core nodes by structure.
+The split names an operand twice, so nested ones would double at each level if they were copied.
+They are not: equal subformulas become one object, the core form is a graph without cycles, and
+whoever walks it keeps what is done by the object's id. Never hash or compare core nodes by
+structure.
 """
 
 from __future__ import annotations

@@ -55,15 +55,24 @@ class Reading(NamedTuple):
     rejected: int
     trusted: bool = True
 
+    @property
+    def unclear(self) -> bool:
+        """Whether the windows alone decide: they are empty, so no sample made rho what it is."""
+        return self.lower == self.upper and math.isinf(self.lower)
+
 
 def verdict_of(lower: float, upper: float) -> Verdict:
     """Verdict on a robustness known to lie in [lower, upper]; give the same number twice for rho.
+
+    An infinite rho rests on empty windows: nothing was judged, and so the verdict is UNKNOWN.
 
     Raises:
         UsageError: NaN, or an empty interval.
     """
     if not lower <= upper:
         raise UsageError(f'robustness: [{lower}, {upper}] is no interval')
+    if lower == upper and math.isinf(lower):
+        return Verdict.UNKNOWN
     if lower > 0:
         return Verdict.SATISFIED
     if upper < 0:
