@@ -17,6 +17,7 @@ from taxinet_ros.campaign.facts import FACTS_NAME
 from taxinet_ros.campaign.outcome_words import count_kinds, count_words
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.plain_values import load_json
 
@@ -55,6 +56,8 @@ class CampaignRuns:
         kinds: number of runs that the bench broke, by how.
         undecided: judged runs that were stopped before this formula was decided.
         weighting: what shares of these runs say.
+        blind: number of runs that passed though more of their frames had no usable estimate than
+            the requirement ``usable`` allows.
     """
 
     label: str
@@ -69,6 +72,19 @@ class CampaignRuns:
     kinds: Mapping[str, int]
     undecided: int
     weighting: Weighting
+    blind: int = 0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be known before the rates are believed, a line each."""
+        told = self.facts.get('warnings')
+        lines = [str(line) for line in told] if isinstance(told, list) else []
+        if self.blind:
+            lines.append(
+                f'{self.blind:,} {"run" if self.blind == 1 else "runs"} passed with more than '
+                f'{100 * MOST_UNUSABLE_SHARE:g} % of their frames without a usable estimate'
+            )
+        return tuple(lines)
 
     @property
     def folder(self) -> Path:
@@ -140,6 +156,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         spec=name, facts=read_facts(path), frame=frame,
         others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
+        blind=_blind(judged),
     )
 
 
@@ -217,6 +234,14 @@ def _weighting(weight: pd.Series[float]) -> Weighting:
     if weight.isna().any():
         return Weighting.UNKNOWN
     return Weighting.DRAWN if bool((weight == 1).all()) else Weighting.WEIGHTED
+
+
+def _blind(judged: pd.DataFrame) -> int:
+    if not {'unusable_estimates', 'steps'} <= set(judged.columns):
+        return 0
+    share = judged['unusable_estimates'].astype('Float64') / judged['steps']
+    passed = judged['outcome'] == Outcome.PASS.value
+    return int((passed & (share > MOST_UNUSABLE_SHARE).fillna(value=False)).sum())
 
 
 def _common(column: pd.Series[str]) -> str:

@@ -41,7 +41,7 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 f'violate {runs.spec}. How often the program itself fails these runs cannot say, '
                 'for their weights are not known; all shares are of the runs made.'
             )
-    return (first, *_without_verdict(runs))
+    return (first, *_without_verdict(runs), *(f'Warning: {line}.' for line in runs.warnings))
 
 
 def cause_sentences(findings: Findings) -> tuple[str, ...]:

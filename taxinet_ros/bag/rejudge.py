@@ -13,6 +13,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Monitor, parse_spec
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.world import last_step
 
 

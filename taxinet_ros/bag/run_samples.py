@@ -58,6 +58,7 @@ class RunSamples:
         samples: signals by name, one mapping for each stamp; those not asked for are NaN.
         recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
         stopped_early: the run was ended on purpose, because its verdict was in.
+        unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
         trouble: one line on what of the bag is damaged or missing, or ''.
     """
 
@@ -68,6 +69,7 @@ class RunSamples:
     samples: tuple[Mapping[str, float], ...]
     recorded: Mapping[str, Recorded]
     stopped_early: bool
+    unusable_estimates: int
     trouble: str
 
 
@@ -194,6 +196,7 @@ class _Reader:
             samples=tuple(samples),
             recorded=self._recorded(),
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
+            unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
             trouble=trouble,
         )
 

@@ -7,7 +7,6 @@ folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``run
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
@@ -22,7 +21,7 @@ from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.world import last_step
+from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -33,6 +32,7 @@ class Campaign:
 
     Attributes:
         rows: one row per run taken, in order.
+        check: what is said of the requirements before the first run; only within the ``with``.
     """
 
     def __init__(
@@ -50,6 +50,7 @@ class Campaign:
         """
         self.options = options
         self.rows: list[RunRow] = []
+        self.check: SpecCheck
         self._participants = participants
         self._on_row = on_row
         self._source = SceneSource(
@@ -65,12 +66,14 @@ class Campaign:
         """Compile the program, draw the first scene, and only then make the folder.
 
         Raises:
-            UsageError: the program does not compile, or the folder cannot be made.
+            UsageError: the program does not compile, the requirements do not fit its runs, or the
+                folder cannot be made.
         """
         self._source.__enter__()
         try:
-            self._first_scene()
+            self.check = self.options.check(self._source.first_duration_s())
             facts = campaign_facts(self.options, self._source.program)
+            facts['warnings'] = list(self.check.warnings)
             make_folder(self.options.out, facts)
             self._ledger = Ledger(self.options.out / LEDGER_NAME)
             self._ledger.campaign(facts)
@@ -121,10 +124,6 @@ class Campaign:
         self._ledger.result(row)
         self.rows.append(row)
         self._on_row(row)
-
-    def _first_scene(self) -> None:
-        with contextlib.suppress(Rejected):
-            last_step(self._source.scene(0))
 
 
 def exit_code(rows: list[RunRow]) -> int:

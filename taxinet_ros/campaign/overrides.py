@@ -6,6 +6,7 @@ the joint prior and gives rain from a clear sky. Here every scene passes the sce
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +15,8 @@ from taxinet_ros.core.scenario import RAIN_CLOUDS, Scenario, scenario_from_human
 
 WEATHER = ('clouds', 'rain')
 """The two keys that bind each other: rain falls from rain clouds only."""
+
+_DOUBTED = ('rain', 'time_of_day', 'heading')
 
 
 def check_overrides(overrides: Mapping[str, str]) -> None:
@@ -27,6 +30,33 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
         _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
     if all(key in overrides for key in WEATHER):
         _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+
+
+def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
+    """Fixed values that are possible, and look as if they were meant in another unit.
+
+    Args:
+        overrides: checked by :func:`check_overrides`.
+
+    Returns:
+        A line for each.
+    """
+    numbers = {key: float(overrides[key]) for key in _DOUBTED if key in overrides}
+    found = []
+    rain, hours, heading = (numbers.get(key, 0.0) for key in _DOUBTED)
+    if 0 < rain < 1:
+        found.append(f'rain={rain:g} is {rain:g} %, too little to see; for half write rain=50')
+    if 0 < hours < 1:
+        found.append(
+            f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
+        )
+    # Two decimals or more in less than pi/2: nobody sets degrees so finely near zero.
+    if 0.05 < abs(heading) <= math.pi / 2 and round(heading, 1) != heading:
+        found.append(
+            f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
+            f'heading={math.degrees(heading):.1f}'
+        )
+    return found
 
 
 def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], where: str) -> Scenario:

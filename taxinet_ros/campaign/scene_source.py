@@ -23,6 +23,7 @@ from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.world import last_step
 
 MEMORY_BYTES = 4 << 30
 """Address space that the child may use; Scenic itself takes about a tenth of it."""
@@ -164,6 +165,18 @@ class SceneSource:
             raise Rejected(self.program.name, index, answer['rejected'])
         where = f'{self.program.name}: scene {index}'
         return apply_overrides(answer['values'], self._values, where)
+
+    def first_duration_s(self) -> float:
+        """Length of the first scene [s], the usual one where no draw of it is accepted.
+
+        Raises:
+            UsageError: as :meth:`scene`, or it is no whole number of control periods.
+        """
+        first = Scenario()
+        with contextlib.suppress(Rejected):
+            first = self.scene(0)
+        last_step(first)
+        return first.duration_s
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else end a campaign after its first runs.

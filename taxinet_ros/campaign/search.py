@@ -6,7 +6,6 @@ any order; the sequence of scenes depends on neither, nor on how often the searc
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -37,7 +36,7 @@ from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.world import last_step
+from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 3
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -51,6 +50,7 @@ class Search:
         rows: one row per run that is done, in the order in which they were.
         stopped: which rule ended the search before all its runs were done; '' where none did.
         interrupted: whether :meth:`interrupt` was called.
+        check: what is said of the requirements before the first run; only within the ``with``.
     """
 
     def __init__(
@@ -66,6 +66,7 @@ class Search:
         """
         self.options = options
         self.rows: list[RunRow] = []
+        self.check: SpecCheck
         self.stopped = ''
         self.interrupted = False
         self._campaign = options.campaign
@@ -267,8 +268,7 @@ class Search:
                     f'--until {options.stop}: with {options.sampler} no rate is known; '
                     'use failures=K'
                 )
-        with contextlib.suppress(Rejected):
-            last_step(self._source.scene(0))
+        self.check = campaign.check(self._source.first_duration_s())
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts
@@ -280,6 +280,7 @@ class Search:
         word = campaign.perception
         return {
             **campaign_facts(campaign, self._source.program),
+            'warnings': list(self.check.warnings),
             'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),

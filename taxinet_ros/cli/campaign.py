@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import heading, row_line, summary
+from taxinet_ros.campaign.lines import check_lines, heading, row_line, summary
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core import camera
@@ -61,6 +61,8 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             interrupts(at_hand.interrupt, at_hand.give_up),
         ):
             progress.console.print(heading(options), soft_wrap=True)
+            for line in check_lines(campaign.check):
+                progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:

@@ -8,7 +8,7 @@ from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_lines import search_heading, search_summary
@@ -44,6 +44,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     with Search(options, PARTICIPANTS, show) as search:
         if not quiet:
             console.print(search_heading(options), soft_wrap=True)
+        for line in check_lines(search.check, quiet=quiet):
+            console.print(line, soft_wrap=True)
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

@@ -11,7 +11,6 @@ is ``[a:b]`` or ``[a,b]`` in seconds or with a unit (s, ms, us, ns), and its end
 from __future__ import annotations
 
 import decimal
-import itertools
 import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple, NoReturn, cast
@@ -115,8 +114,8 @@ def _check_written_out(formula: ast.Formula, signals: Collection[str], where: st
         except UsageError:
             pass
     fail(
-        where, 1, f'expected fewer parts: written out with every parenthesis there are more than '
-        f'{MAX_TOKENS} words or {MAX_DEPTH} levels (p unless q writes p twice)',
+        where, 1, 'expected fewer parts: written out with every parenthesis (and p unless q with '
+        f'p twice) there may be at most {MAX_TOKENS} words and {MAX_DEPTH} levels',
     )
 
 
@@ -334,13 +333,14 @@ class _Parser:
         if len(args) < least or len(args) > (most or len(args)):
             needs = f'{least} argument' if most else f'at least {least} arguments'
             self._fail(token, f'expected {needs} of {name}, got {len(args)}')
-        quantity = args[0].quantity
-        for before, arg in itertools.pairwise(args):
-            self._check_units(before._replace(quantity=quantity), arg)
-            quantity = added(quantity, arg.quantity)
+        whole = args[0]
+        for arg in args[1:]:
+            self._check_units(whole, arg)
+            known = arg if whole.quantity.pure else whole
+            whole = known._replace(quantity=added(whole.quantity, arg.quantity))
         part = _Part(
             ast.Function(name, tuple(self._expr(arg) for arg in args)), token,
-            rooted(quantity) if name == 'sqrt' else quantity,
+            rooted(whole.quantity) if name == 'sqrt' else whole.quantity,
             next((arg.unit for arg in args if arg.unit), None), all(arg.constant for arg in args),
         )
         return self._finite(part, token)
