@@ -61,9 +61,10 @@ def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
     return lines + ([f'{unread} bags tell of no run'] if unread else [])
 
 
-def as_document(bags: Iterable[JudgedBag]) -> str:
+def as_document(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> str:
     """All of it as JSON; an end of an interval that is not known is null."""
-    return json.dumps({'bags': [_bag(bag) for bag in bags]}, indent=2, allow_nan=False)
+    values = {'warnings': list(warnings), 'bags': [_bag(bag) for bag in bags]}
+    return json.dumps(values, indent=2, allow_nan=False)
 
 
 def _rho(one: SpecVerdict) -> str:

@@ -45,16 +45,23 @@ def check_specs(
     Raises:
         UsageError: a window that can hold no sample of such a run.
     """
+    for spec in specs:
+        check_windows(spec, round(duration_s * NS_PER_S), CONTROL_PERIOD_NS)
+    return describe_specs(specs, duration_s, gains)
+
+
+def describe_specs(
+    specs: Sequence[Spec], duration_s: float, gains: SteeringGains | None = None
+) -> SpecCheck:
+    """The same for runs that are over: what no sample of them can judge is not refused here."""
     setting = Setting(
         units=SIGNALS, ranges=signal_ranges(duration_s, gains),
         horizon_ns=round(duration_s * NS_PER_S), period_ns=CONTROL_PERIOD_NS,
     )
-    lines, found = [], []
-    for spec in specs:
-        check_windows(spec, setting.horizon_ns, setting.period_ns)
-        lines.append(understood(spec, setting))
-        found += warnings(spec, setting)
-    return SpecCheck(lines=tuple(lines), warnings=tuple(found))
+    return SpecCheck(
+        lines=tuple(understood(spec, setting) for spec in specs),
+        warnings=tuple(line for spec in specs for line in warnings(spec, setting)),
+    )
 
 
 def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapping[str, Range]:

@@ -116,7 +116,8 @@ def warnings(spec: Spec, setting: Setting) -> list[str]:
     ]
     if setting.period_ns:
         low, high = robustness_range(spec.formula, setting.stamps_ns, margins)
-        if low > 0 or high <= 0:
+        infinite = low == high and math.isinf(low)
+        if (low > 0 or high <= 0) and not infinite:
             what = 'no run can violate it' if low > 0 else 'no run can satisfy it'
             why = f': {"; ".join(vacuous)}' if vacuous else ''
             return [*(f'{spec.name}: {text}' for text in found), f'{spec.name}: {what}{why}']

@@ -28,6 +28,9 @@ _NAMES = {
     SHARE: 'a share', LENGTH: 'a length', TIME: 'a time', ANGLE: 'an angle', SPEED: 'a speed',
     TURN_RATE: 'a turn rate',
 }
+DIMENSIONS = tuple(_NAMES)
+"""Those that have a name."""
+
 _EXACT = decimal.Context(prec=60)
 
 

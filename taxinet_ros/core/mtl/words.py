@@ -24,7 +24,7 @@ Units = Mapping[str, str]
 
 
 def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
-    """What is known of the dimension of an expression."""
+    """What is still known of the dimension of an expression that was parsed into SI."""
     match expr:
         case ast.Number():
             return PURE
@@ -34,7 +34,11 @@ def quantity_of(expr: ast.Expr, units: Units) -> Quantity:
             return quantity_of(child, units)
         case ast.Arithmetic(op, left, right):
             one, two = quantity_of(left, units), quantity_of(right, units)
-            return added(one, two) if op in '+-' else multiplied(one, two, 1 if op == '*' else -1)
+            if op in '+-':
+                return added(one, two)
+            # A number may have had a unit of its own, which is no longer known.
+            known = one.pure == two.pure
+            return multiplied(one, two, 1 if op == '*' else -1) if known else Quantity()
         case ast.Function(name, args):
             found = quantity_of(args[0], units)
             for arg in args[1:]:
@@ -65,11 +69,9 @@ def range_words(name: str, ends: Range, units: Units) -> str:
     (low, high), dimension = ends, dimension_of(units.get(name, ''))
     if low == -high and high < INF:
         return f'{name} within ±{value_words(high, dimension)}'
-    known = [
-        f'{sign} {value_words(end, dimension)}'
-        for sign, end in (('>=', low), ('<=', high)) if abs(end) < INF
-    ]
-    return f'{name} {" and ".join(known)}' if known else ''
+    if low > -INF and high < INF:
+        return f'{name} between {value_words(low, dimension)} and {value_words(high, dimension)}'
+    return ''
 
 
 def seconds_words(time_ns: float) -> str:
