@@ -16,7 +16,7 @@ from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource, first_duration_s
 from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
@@ -71,7 +71,7 @@ class Campaign:
         """
         self._source.__enter__()
         try:
-            self.check = self.options.check(self._source.first_duration_s())
+            self.check = self.options.check(first_duration_s(self._source))
             facts = campaign_facts(self.options, self._source.program)
             facts['warnings'] = list(self.check.warnings)
             make_folder(self.options.out, facts)

@@ -166,18 +166,6 @@ class SceneSource:
         where = f'{self.program.name}: scene {index}'
         return apply_overrides(answer['values'], self._values, where)
 
-    def first_duration_s(self) -> float:
-        """Length of the first scene [s], the usual one where no draw of it is accepted.
-
-        Raises:
-            UsageError: as :meth:`scene`, or it is no whole number of control periods.
-        """
-        first = Scenario()
-        with contextlib.suppress(Rejected):
-            first = self.scene(0)
-        last_step(first)
-        return first.duration_s
-
     def _probe_weather(self) -> None:
         # One wet scene in three would else end a campaign after its first runs.
         if sum(key in self._values for key in WEATHER) != 1:
@@ -269,6 +257,19 @@ class SceneSource:
     def _error_line(self, *, file: str, line: int, message: str) -> str:
         place = _shown(Path(file) if file else self.program)
         return f'{place}:{line}: {message}' if line else f'{place}: {message}'
+
+
+def first_duration_s(source: SceneSource) -> float:
+    """Length of a program's first scene [s], the usual one where no draw of it is accepted.
+
+    Raises:
+        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+    """
+    first = Scenario()
+    with contextlib.suppress(Rejected):
+        first = source.scene(0)
+    last_step(first)
+    return first.duration_s
 
 
 def sample_scenarios(

@@ -26,7 +26,7 @@ from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.samplers.make import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource, first_duration_s
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
@@ -268,7 +268,7 @@ class Search:
                     f'--until {options.stop}: with {options.sampler} no rate is known; '
                     'use failures=K'
                 )
-        self.check = campaign.check(self._source.first_duration_s())
+        self.check = campaign.check(first_duration_s(self._source))
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts

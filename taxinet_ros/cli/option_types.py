@@ -45,8 +45,8 @@ SpecOption = Annotated[
     typer.Option(
         '--spec', metavar='FORMULA',
         help='phi_eventually (default), phi_always, on_runway, usable, NAME=FORMULA, a formula '
-        'such as "always[10 s:inf](abs(steering) <= 3 deg)", or a YAML file of them; repeatable, the first is '
-        'the headline',
+        'such as "always[10 s:inf](abs(steering) <= 3 deg)", or a YAML file of them; repeatable, '
+        'the first is the headline',
     ),
 ]
 StopOnOption = Annotated[

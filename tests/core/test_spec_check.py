@@ -102,7 +102,8 @@ def test_people2_given_a_requirement_when_looked_at_then_it_is_told_as_understoo
         ),
         ('a=always(abs(cte) <= 300)', 'a: no run can violate it: |cte| <= 300 m always holds '
                                       '(cte within ±240 m)'),
-        ('a=always(1 <= 2)', 'a: no run can violate it: 1 <= 2 always holds (by its numbers alone)'),
+        ('a=always(1 <= 2)', 'a: no run can violate it: 1 <= 2 always holds '
+                             '(by its numbers alone)'),
         (
             'a=eventually[0:60](abs(cte) <= 1.5)',
             'a: eventually[0:60] ends at 60 s, after the run of 30 s; only what lies within the '
