@@ -17,6 +17,7 @@ WEATHER = ('clouds', 'rain')
 """The two keys that bind each other: rain falls from rain clouds only."""
 
 _DOUBTED = ('rain', 'time_of_day', 'heading')
+_RIGHT_ANGLE_RAD = 1.58
 
 
 def check_overrides(overrides: Mapping[str, str]) -> None:
@@ -50,8 +51,8 @@ def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
         found.append(
             f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
         )
-    # Two decimals or more in less than pi/2: nobody sets degrees so finely near zero.
-    if 0.05 < abs(heading) <= math.pi / 2 and round(heading, 1) != heading:
+    # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
+    if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
         found.append(
             f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
             f'heading={math.degrees(heading):.1f}'
