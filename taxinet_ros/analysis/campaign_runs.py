@@ -20,6 +20,7 @@ from taxinet_ros.campaign.rates import as_planned, without_gaps
 from taxinet_ros.campaign.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.plain_values import load_json
 
@@ -59,6 +60,8 @@ class CampaignRuns:
         undecided: judged runs that were stopped before this formula was decided.
         weighting: what shares of these runs say.
         anytime: whether the number of runs was not settled before the first of them.
+        blind: number of runs that passed though more of their frames had no usable estimate than
+            the requirement ``usable`` allows.
     """
 
     label: str
@@ -74,6 +77,19 @@ class CampaignRuns:
     undecided: int
     weighting: Weighting
     anytime: bool = False
+    blind: int = 0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be known before the rates are believed, a line each."""
+        told = self.facts.get('warnings')
+        lines = [str(line) for line in told] if isinstance(told, list) else []
+        if self.blind:
+            lines.append(
+                f'{self.blind:,} {"run" if self.blind == 1 else "runs"} passed with more than '
+                f'{100 * MOST_UNUSABLE_SHARE:g} % of their frames without a usable estimate'
+            )
+        return tuple(lines)
 
     @property
     def folder(self) -> Path:
@@ -146,6 +162,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         spec=name, facts=facts, frame=frame, anytime=anytime,
         others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
+        blind=_blind(judged),
     )
 
 
@@ -236,6 +253,14 @@ def _weighting(weight: pd.Series[float]) -> Weighting:
     if weight.isna().any():
         return Weighting.UNKNOWN
     return Weighting.DRAWN if bool((weight == 1).all()) else Weighting.WEIGHTED
+
+
+def _blind(judged: pd.DataFrame) -> int:
+    if not {'unusable_estimates', 'steps'} <= set(judged.columns):
+        return 0
+    share = judged['unusable_estimates'].astype('Float64') / judged['steps']
+    passed = judged['outcome'] == Outcome.PASS.value
+    return int((passed & (share > MOST_UNUSABLE_SHARE).fillna(value=False)).sum())
 
 
 def _common(column: pd.Series[str]) -> str:

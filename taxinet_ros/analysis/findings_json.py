@@ -62,7 +62,8 @@ def _campaign(runs: CampaignRuns) -> dict[str, Any]:
         'perception': runs.perception, 'sampler': runs.sampler, 'spec': runs.spec,
         'weighting': runs.weighting.value, 'judged': len(runs.frame),
         'without_verdict': dict(runs.others), 'undecided': runs.undecided,
-        'stopped_early': runs.stopped, 'failed': _rate(runs.rate()),
+        'stopped_early': runs.stopped, 'warnings': list(runs.warnings),
+        'failed': _rate(runs.rate()),
         'left_runway': None if off is None else _rate(off),
     }
 

@@ -45,7 +45,7 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 'none of its runs, so they say where failures are, and not how many. All shares '
                 'are of the runs made.'
             )
-    return (first, *_without_verdict(runs))
+    return (first, *_without_verdict(runs), *(f'Warning: {line}.' for line in runs.warnings))
 
 
 def cause_sentences(findings: Findings) -> tuple[str, ...]:

@@ -24,13 +24,16 @@ from taxinet_ros.bag.run_topics import (
     is_topic,
 )
 from taxinet_ros.bag.sound_messages import sound_messages
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, parse_spec, signal_names
+from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 
 _SOURCES = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
-    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE,
+    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
+    'unusable_share': ESTIMATE,
 }
 """The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 
@@ -55,6 +58,7 @@ class RunSamples:
         samples: signals by name, one mapping for each stamp; those not asked for are NaN.
         recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
         stopped_early: the run was ended on purpose, because its verdict was in.
+        unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
         trouble: one line on what of the bag is damaged or missing, or ''.
     """
 
@@ -65,6 +69,7 @@ class RunSamples:
     samples: tuple[Mapping[str, float], ...]
     recorded: Mapping[str, Recorded]
     stopped_early: bool
+    unusable_estimates: int
     trouble: str
 
 
@@ -177,14 +182,21 @@ class _Reader:
         """All of it."""
         whole = set.intersection(*(set(messages) for messages in self.steps.values()))
         stamps = tuple(sorted(whole))
+        duration_ns = round(float(self.scenario.duration) * NS_PER_S)
+        watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
+        samples = [self._sample(stamp) for stamp in stamps]
+        if ESTIMATE in self.steps:
+            for stamp, sample in zip(stamps, samples, strict=True):
+                sample.update(watch.signals(stamp, sample))
         return RunSamples(
-            duration_ns=round(float(self.scenario.duration) * NS_PER_S),
+            duration_ns=duration_ns,
             specs=tuple(map(str, self.scenario.specs)),
             assumptions=self.assumptions,
             stamps_ns=stamps,
-            samples=tuple(self._sample(stamp) for stamp in stamps),
+            samples=tuple(samples),
             recorded=self._recorded(),
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
+            unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
             trouble=trouble,
         )
 

@@ -16,8 +16,9 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text'})
-"""Facts that may differ: more runs may be asked for; the text has its digest beside it."""
+_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings'})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it; and a
+version may warn of more than another."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},

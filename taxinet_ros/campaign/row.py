@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
 SIMPLY_DRAWN = ('', 'random')
@@ -106,6 +108,16 @@ class RunRow:
             raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
         if bool(self.rho_upper) != bool(self.stopped_early):
             raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
+
+    @property
+    def unusable_share(self) -> float:
+        """Share of the run's frames without a usable estimate; 0 where there is no count."""
+        return (self.unusable_estimates or 0) / self.steps if self.steps else 0.0
+
+    @property
+    def passed_blind(self) -> bool:
+        """Whether the run passed though more frames than ``usable`` allows had no estimate."""
+        return self.outcome is Outcome.PASS and self.unusable_share > MOST_UNUSABLE_SHARE
 
     @property
     def real_time_factor(self) -> float:
@@ -227,11 +239,17 @@ def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
         'cte_error_mean_m': _known(cte.mean),
         'cte_error_mean_abs_m': _known(cte.mean_abs),
         'cte_error_max_abs_m': _known(cte.max_abs),
-        'he_error_mean_deg': _known(math.degrees(he.mean)),
-        'he_error_mean_abs_deg': _known(math.degrees(he.mean_abs)),
-        'he_error_max_abs_deg': _known(math.degrees(he.max_abs)),
+        'he_error_mean_deg': _known(_degrees(he.mean)),
+        'he_error_mean_abs_deg': _known(_degrees(he.mean_abs)),
+        'he_error_max_abs_deg': _known(_degrees(he.max_abs)),
         'unusable_estimates': statistics.unusable_estimates,
     }
+
+
+def _degrees(angle_rad: float) -> float:
+    """An angle in degrees; an estimate may be so large that these overflow."""
+    most = sys.float_info.max
+    return max(-most, min(math.degrees(angle_rad), most))
 
 
 def _known(value: float) -> float | None:

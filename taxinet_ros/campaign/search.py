@@ -6,7 +6,6 @@ any order; the sequence of scenes depends on neither, nor on how often the searc
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -27,7 +26,12 @@ from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource, accepted_scene
+from taxinet_ros.campaign.scene_source import (
+    Rejected,
+    SceneSource,
+    accepted_scene,
+    first_duration_s,
+)
 from taxinet_ros.campaign.search_options import SearchOptions, with_sampler
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
@@ -37,6 +41,7 @@ from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 3
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -52,6 +57,7 @@ class Search:
         stopped: which rule ended the search before all its runs were done; '' where none did.
         exhausted: whether that was for want of other points.
         interrupted: whether :meth:`interrupt` was called.
+        check: what is said of the requirements before the first run; only within the ``with``.
     """
 
     def __init__(
@@ -68,6 +74,7 @@ class Search:
         self.options = options
         self.notes: tuple[str, ...] = ()
         self.rows: list[RunRow] = []
+        self.check: SpecCheck
         self.stopped = ''
         self.exhausted = False
         self.interrupted = False
@@ -304,8 +311,7 @@ class Search:
                 f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
-        with contextlib.suppress(Rejected):
-            self._source.scene(0)
+        self.check = campaign.check(first_duration_s(self._source))
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts
@@ -318,6 +324,7 @@ class Search:
         return {
             **campaign_facts(campaign, self._source.program),
             'first_runs': campaign.runs,
+            'warnings': list(self.check.warnings),
             'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),

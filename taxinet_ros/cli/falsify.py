@@ -8,7 +8,7 @@ from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
@@ -45,6 +45,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         if not quiet:
             lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
+        for line in check_lines(search.check, quiet=quiet):
+            console.print(line, soft_wrap=True)
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

@@ -30,7 +30,7 @@ from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.given import asks_for, given_options
-from taxinet_ros.cli.monitor_command import monitor
+from taxinet_ros.cli.monitor_command import monitor, spec
 from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.terminal import outlived_terminal
@@ -47,8 +47,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, demo,
-    train, dataset, evaluate, case_study, improve,
+    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, spec,
+    demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

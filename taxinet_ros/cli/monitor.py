@@ -6,12 +6,16 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.text import Text
 
+from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.judged_bag import JudgedBag, judged_spec, signals_of
 from taxinet_ros.bag.judged_bags import judge_bags
 from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.run_samples import read_samples
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.lines import check_lines
 from taxinet_ros.campaign.options import check_assumptions
 from taxinet_ros.campaign.requirements import add_requirements, addable, campaign_bags
 from taxinet_ros.campaign.spec_files import read_specs
@@ -19,6 +23,8 @@ from taxinet_ros.cli.monitor_lines import as_document, bag_lines, summary_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
+from taxinet_ros.core.spec_check import SpecCheck, describe_specs
+from taxinet_ros.core.steering import SteeringGains
 
 VIOLATED, LOSSY = 1, 3
 _PICTURE = '.png'
@@ -58,7 +64,8 @@ def run_monitor(
     to_add = {place: addable(place, chosen) for place in places} if add else {}
     if add and not chosen:
         raise UsageError('--add: say with --spec which requirement to add')
-    judged = _judged(bags, chosen, workers, vouched, as_json=as_json, named=places)
+    told = _Told(chosen)
+    judged = _judged(bags, chosen, workers, vouched, as_json=as_json, named=places, told=told)
     notes = []
     for place, new in to_add.items():
         counts = add_requirements(place, new, judged)
@@ -67,7 +74,7 @@ def run_monitor(
         notes += [f'picture: {_draw(judged[bag], vouched, plot)}' for bag in bags
                   if judged[bag].verdicts and judged[bag].end_s >= 0]
     if as_json:
-        print(as_document(judged.values()))
+        print(as_document(judged.values(), told.warnings))
     else:
         lines = summary_lines(list(judged.values())) if len(judged) > 1 else []
         for line in (*lines, *notes):
@@ -92,7 +99,7 @@ def _bags(place: Path) -> list[Path]:
 
 def _judged(
     bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
-    as_json: bool, named: Sequence[Path],
+    as_json: bool, named: Sequence[Path], told: _Told,
 ) -> dict[Path, JudgedBag]:
     """Judge all of them, and print each as soon as it is known."""
     console = Console(highlight=False, stderr=as_json)
@@ -102,12 +109,45 @@ def _judged(
             if bag.foreign and bag.path in named:
                 raise UsageError(bag.trouble)
             judged[bag.path] = bag
+            news = told.of(bag)
             if not as_json:
-                for line in bag_lines(bag):
+                for line in (*news, *bag_lines(bag)):
                     console.print(line, soft_wrap=True)
             if len(bags) > 1:
                 show('judging', len(judged), len(bags))
     return judged
+
+
+class _Told:
+    """Says of each requirement once how it is understood, and of each length of run what to mind.
+
+    Attributes:
+        warnings: all that there were.
+    """
+
+    def __init__(self, specs: Sequence[Spec]) -> None:
+        self.warnings: list[str] = []
+        self._specs = specs
+        self._lengths_s: set[float] = set()
+
+    def of(self, bag: JudgedBag) -> list[Text]:
+        """What is to be said before the verdicts of a bag."""
+        if bag.duration_s in self._lengths_s or not bag.duration_s > 0:
+            return []
+        found = describe_specs(self._specs, bag.duration_s, _gains(bag.path))
+        new = tuple(line for line in found.warnings if line not in self.warnings)
+        self.warnings += new
+        lines = check_lines(SpecCheck(lines=found.lines, warnings=new), quiet=bool(self._lengths_s))
+        self._lengths_s.add(bag.duration_s)
+        return lines
+
+
+def _gains(bag: Path) -> SteeringGains | None:
+    """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
+    try:
+        return SteeringGains(**read_run(bag).gains)
+    except (BagError, UsageError):
+        return None
 
 
 def _exit_code(bags: Iterable[JudgedBag]) -> int:

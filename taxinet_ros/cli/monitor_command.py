@@ -1,4 +1,4 @@
-"""The command about recorded runs and requirements: ``taxinet monitor``."""
+"""The commands about recorded runs and requirements: ``taxinet monitor``, ``taxinet spec``."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def monitor(
         list[str] | None,
         typer.Option(
             '--spec', metavar='FORMULA',
-            help='phi_eventually, phi_always, on_runway, NAME=FORMULA, a formula, or a YAML file '
-            'of them; repeatable; default: those that judged the run',
+            help='phi_eventually, phi_always, on_runway, usable, NAME=FORMULA, a formula, or a '
+            'YAML file of them; repeatable; default: those that judged the run',
         ),
     ] = None,
     plot: Annotated[
@@ -54,3 +54,27 @@ def monitor(
             bounds=bound or (), rates=rate or (),
         )
     )
+
+
+def spec(
+    formulas: Annotated[
+        list[str],
+        typer.Argument(
+            metavar='FORMULA...',
+            help='phi_eventually, usable, NAME=FORMULA, a formula, or a YAML file of them',
+        ),
+    ],
+    duration: Annotated[float, typer.Option(help='length of the runs that it will judge [s]')] = 30,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option('--set', metavar='steering.GAIN=VALUE', help='a gain of the controller'),
+    ] = None,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> None:
+    """Say how requirements are understood, and warn of what they may not say.
+
+    Nothing is run. Exit codes: 0 they can be judged, whatever is warned of; 2 they cannot.
+    """
+    from taxinet_ros.cli.spec import show_specs
+
+    show_specs(formulas, duration_s=duration, settings=settings or (), as_json=as_json)

@@ -44,8 +44,9 @@ SpecOption = Annotated[
     list[str] | None,
     typer.Option(
         '--spec', metavar='FORMULA',
-        help='phi_eventually (default), phi_always, on_runway, NAME=FORMULA, a formula, or a YAML '
-        'file of them; repeatable, the first is the headline',
+        help='phi_eventually (default), phi_always, on_runway, usable, NAME=FORMULA, a formula '
+        'such as "always[10 s:inf](abs(steering) <= 3 deg)", or a YAML file of them; repeatable, '
+        'the first is the headline',
     ),
 ]
 StopOnOption = Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -172,3 +173,25 @@ def test_given_runs_that_no_sampler_chose_then_they_are_as_drawn(tmp_path):
     assert runs.weighting is Weighting.DRAWN
     failures = int((frame['outcome'] == 'FAIL').sum())
     assert runs.rate()[:5] == (60, failures, *rate(failures, 60))
+
+
+def test_people2_given_a_campaign_with_warnings_when_read_then_summary_and_json_say_them(tmp_path):
+    facts = {'warnings': ['gentle: no run can violate it']}
+    runs = dataclasses.replace(planted_runs(table(20), tmp_path), facts=facts)
+    assert runs.warnings == ('gentle: no run can violate it',)
+    assert 'Warning: gentle: no run can violate it.' in rate_sentences(runs)
+
+
+def test_ros10_given_runs_that_passed_blind_when_read_then_summary_and_json_count_them(tmp_path):
+    frame = table(20)
+    frame['steps'] = 301
+    frame['unusable_estimates'] = 15
+    passed = frame.index[frame['outcome'] == 'PASS']
+    failed = frame.index[frame['outcome'] == 'FAIL']
+    frame.loc[[*passed[:2], failed[0]], 'unusable_estimates'] = 250
+    runs = planted_runs(frame, tmp_path)
+    assert runs.blind == 2
+    assert rate_sentences(runs)[-1] == (
+        'Warning: 2 runs passed with more than 5 % of their frames without a usable estimate.'
+    )
+    assert planted_runs(frame.drop(columns=['steps']), tmp_path).blind == 0
