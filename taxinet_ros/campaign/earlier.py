@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, STACKS, other_stack, stacks_in
 from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -16,8 +16,9 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'processes', 'program_text'})
-"""Facts that may differ: more runs may be asked for; the text has its digest beside it."""
+_FREE = frozenset({'runs', 'processes', 'program_text', STACKS})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it,
+and another machine or version is warned of."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
@@ -34,12 +35,16 @@ class Earlier:
         begun: number of runs that were begun or done, counted from run 0.
         attempts: how often each run was begun, by index.
         perception: facts on the perception, where the graph decided it.
+        stacks: records of the machines and versions of earlier sittings, by name.
+        warning: one line where one of them is another than this, or ''.
     """
 
     rows: dict[int, RunRow] = field(default_factory=dict)
     begun: int = 0
     attempts: Mapping[int, int] = field(default_factory=dict)
     perception: Mapping[str, str] = field(default_factory=dict)
+    stacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    warning: str = ''
 
 
 def check_resumable(out: Path) -> None:
@@ -76,6 +81,8 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
     return Earlier(
         rows=rows, begun=begun, attempts=content.attempts,
         perception={key: content.campaign[key] for key in of_graph if key in content.campaign},
+        stacks=stacks_in(content.campaign),
+        warning=other_stack(content.campaign, str(out)) if rows else '',
     )
 
 

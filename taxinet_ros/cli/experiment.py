@@ -70,6 +70,8 @@ def _run_arm(options: SearchOptions, console: Console) -> bool:
         search_view(console, search, shown=live),
         Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
     ):
+        if search.warning:
+            console.print(search.warning, soft_wrap=True, markup=False)
         run_search(search, crew)
     return not search.interrupted or len(search.rows) >= options.campaign.runs
 

@@ -42,6 +42,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
             console.print(row_line(row), soft_wrap=True)
 
     with Search(options, PARTICIPANTS, show) as search:
+        if search.warning:
+            console.print(search.warning, soft_wrap=True, markup=False)
         if not quiet:
             console.print(search_heading(options), soft_wrap=True)
         with (

@@ -49,6 +49,8 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     console = Console(highlight=False)
     begun = time.monotonic()
     with _view(console, quiet=quiet) as show, Shrinking(options, PARTICIPANTS, show) as shrinking:
+        if shrinking.warning:
+            console.print(shrinking.warning, soft_wrap=True, markup=False)
         if not quiet:
             console.print(shrink_heading(options), soft_wrap=True)
         with (

@@ -82,15 +82,17 @@ def stack_id(facts: Provenance) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def differences(one: Provenance, other: Provenance) -> str:
-    """What differs between two records, in words; '' where nothing does.
+def differences(*records: Provenance) -> str:
+    """What differs between records, in words: ``numpy 2.4.6 | 2.5.0, …``; '' where nothing does.
 
     What only one of them tells is no difference: an older version told less.
     """
-    return ', '.join(
-        f'{name} {_short(value)} | {_short(other[name])}'
-        for name, value in one.items() if name in other and other[name] != value
-    )
+    told: dict[str, dict[str, None]] = {}
+    for record in records:
+        for name, value in record.items():
+            told.setdefault(name, {})[_short(value)] = None
+    return ', '.join(f'{name} {" | ".join(values)}' for name, values in told.items()
+                     if len(values) > 1)
 
 
 def words(facts: Provenance) -> str:
@@ -138,7 +140,7 @@ def _in_use() -> dict[str, str]:
 
     from taxinet_ros.core import pixels
 
-    simd = np.show_config(mode='dicts')['SIMD Extensions']  # type: ignore[index]
+    simd = np.show_config(mode='dicts')['SIMD Extensions']
     blas = [
         str(pool.get('architecture') or '') for pool in threadpoolctl.threadpool_info()
         if pool['user_api'] == 'blas' and 'numpy' in pool['filepath']

@@ -69,6 +69,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
+        _say(node, [search.warning] if search.warning else [])
         node.get_logger().info(search_heading(options))
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)
