@@ -17,9 +17,9 @@ def summary(findings: Findings) -> tuple[str, ...]:
     """What was found: rates, causes, and how baselines compare."""
     return (
         *rate_sentences(findings.runs), *cause_sentences(findings),
+        *stack_sentences(findings.campaigns),
         *(one.sentence(findings.runs.label, findings.runs.rate())
           for one in findings.comparisons),
-        *stack_sentences(findings.campaigns),
     )
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import decode
+from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.message_values import scenario_of
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
     NODE_STATUS,
     ROBUSTNESS,
@@ -19,7 +20,9 @@ from taxinet_ros.bag.run_topics import (
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.provenance import NAMES, Provenance
 
 _READY = 0
 _ENDED = 2
@@ -107,6 +110,18 @@ def read_facts(path: Path) -> RunFacts | None:
             text = f'{path}: topic {stored.topic.name}: {error}'
             raise BagCorrupt(text, path=path) from error
     return told.facts()
+
+
+def made_on(info: BagInfo) -> Provenance:
+    """Processor, libraries and code that a bag was recorded with; empty where it does not tell."""
+    words = info.metadata.get(RUN_METADATA, {})
+    if 'processor' not in words:
+        return {}
+    told = {
+        **words, **words_beside(info.path, words),
+        'taxinet_ros': words.get('taxinet_ros_version', ''),
+    }
+    return {name: told[name] for name in NAMES if told.get(name)}
 
 
 def _tells(topic: str) -> bool:

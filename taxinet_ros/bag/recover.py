@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.records import Attachment
 
 from taxinet_ros.bag.decode import definition_hash
-from taxinet_ros.bag.description import read_description
+from taxinet_ros.bag.description import read_description, words_beside
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info, stored_messages
@@ -61,9 +61,11 @@ def recover(source: Path, folder: Path) -> Recovery:
     topics = [t for topic in info.topics if (t := _storable(topic, damage.append)) is not None]
     names = {topic.name for topic in topics}
     size = sum(file.stat().st_size for file in storage_files(source))
+    words = info.metadata.get(RUN_METADATA, {})
     with BagWriter(
-        folder, topics, metadata=info.metadata.get(RUN_METADATA, {}),
+        folder, topics, metadata=words,
         attachments=_attachments(source), min_free_bytes=size,
+        beside=words_beside(source, words),
     ) as bag:
         _copy(source, bag, names, lambda error: damage.append(str(error)))
         for name, values in info.metadata.items():

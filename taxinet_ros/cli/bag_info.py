@@ -11,11 +11,12 @@ from typing import Any
 
 from rich.console import Console
 
-from taxinet_ros.bag.facts import Judged, RunFacts, read_facts
+from taxinet_ros.bag.facts import Judged, RunFacts, made_on, read_facts
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo, read_info
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.core.provenance import words as stack_words
 
 _LABEL_WIDTH = 11
 
@@ -64,6 +65,7 @@ def _run_lines(info: BagInfo, facts: RunFacts | None) -> Iterator[tuple[str, str
         yield 'gains', law.implementation or 'as shipped'
     if facts.figures:
         yield 'figures', ', '.join(_figures(facts.figures))
+    yield 'made on', stack_words(made_on(info)) or 'not told'
 
 
 def _bag_lines(info: BagInfo) -> Iterator[tuple[str, str]]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
+from rich.console import Console
+
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import PERCEPTION, check_perception
+from taxinet_ros.core.provenance import Provenance, differences
 
 
 @contextlib.contextmanager
@@ -18,6 +21,22 @@ def readable_bags() -> Iterator[None]:
         yield
     except BagError as error:
         raise UsageError(str(error)) from error
+
+
+def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
+    """Say in a line what of machine, libraries and code differs between results that are compared.
+
+    Args:
+        console: to print to.
+        stacks: of each result; empty where nothing tells.
+    """
+    if not all(stacks):
+        line = 'nothing tells with which processor and versions all of this was made'
+    elif found := differences(*stacks):
+        line = f'made on different machines or versions: {found}'
+    else:
+        return
+    console.print(f'warning: {line}', soft_wrap=True, markup=False)
 
 
 def perception_of(run: RecordedRun, asked: str | None) -> tuple[str, str]:

@@ -33,6 +33,12 @@ LIBRARIES = (
 """Packages by the names under which they are installed; of some only the trained or learned part
 of a result depends, on the last those of a bag's bytes."""
 
+NAMES = (
+    'processor', 'machine', 'processor_features', 'pixels', 'numpy_features', 'blas', 'environment',
+    'libc', 'python', *LIBRARIES, 'taxinet_ros', COMMIT,
+)
+"""All facts that a record may have, in its order."""
+
 _FEATURES = ('avx2', 'fma', 'avx512f', 'avx512_vnni', 'asimd')
 _SWITCHES = (
     'NPY_DISABLE_CPU_FEATURES', 'OPENBLAS_CORETYPE', 'OPENCV_CPU_DISABLE', 'GLIBC_TUNABLES',
