@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples, same_bits
+from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_run_samples, same_bits
 from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, parse_spec, signal_names
 from taxinet_ros.core.types import NS_PER_S
@@ -74,26 +74,31 @@ class JudgedBag:
 
     Attributes:
         path: as given.
+        run: name of the run among others in the bag; '' where it is the only one.
         verdicts: one for each requirement, in order; none where nothing could be read.
         end_s: simulated time of the last sample [s], -1 without any.
         duration_s: how long the run was to last [s]; NaN where the bag does not tell.
         stopped_early: the run was ended on purpose, because its verdict was in.
         trouble: one line on what of the bag is damaged or missing, or ''.
+        note: one line on what else the recording tells of, or ''.
         foreign: it is no bag, or no run of this package.
     """
 
     path: Path
+    run: str = ''
     verdicts: tuple[SpecVerdict, ...] = ()
     end_s: float = -1.0
     duration_s: float = math.nan
     stopped_early: bool = False
     trouble: str = ''
+    note: str = ''
     foreign: bool = False
 
     @property
     def name(self) -> str:
         """Name of the run, as far as its place tells."""
-        return self.path.stem if self.path.is_file() else self.path.name
+        place = self.path.stem if self.path.is_file() else self.path.name
+        return f'{place} {self.run}' if self.run else place
 
     @property
     def sound(self) -> bool:
@@ -103,31 +108,40 @@ class JudgedBag:
         )
 
 
-def judge_bag(
+def judge_runs(
     path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
-) -> JudgedBag:
-    """Judge a recorded run. What is wrong with the bag is told in the result, not raised.
+) -> list[JudgedBag]:
+    """Judge every run in a bag. What is wrong with it is told in the result, not raised.
 
     Args:
-        path: a run folder or an ``.mcap`` file.
-        specs: requirements; where empty, those that judged the run.
+        path: a bag's folder or an ``.mcap`` file.
+        specs: requirements; where empty, those that judged each run.
         assumptions: what is vouched for; where None, what was then.
 
     Raises:
         UsageError: there is nothing at ``path``.
     """
     try:
-        samples = read_samples(path, signals_of(specs) if specs else None)
+        runs = read_run_samples(path, signals_of(specs) if specs else None)
     except BagError as error:
-        return JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))
+        return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
+    return [_judged(path, samples, specs, assumptions) for samples in runs]
+
+
+def _judged(
+    path: Path, samples: RunSamples, specs: Sequence[Spec], assumptions: Assumptions | None
+) -> JudgedBag:
+    if not samples.duration_ns and samples.trouble:
+        return JudgedBag(path=path, run=samples.run, trouble=samples.trouble)
     chosen = specs or [parse_spec(text) for text in samples.specs]
     return JudgedBag(
-        path=path,
+        path=path, run=samples.run,
         verdicts=tuple(judged_spec(samples, spec, assumptions)[0] for spec in chosen),
         end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
         duration_s=samples.duration_ns / NS_PER_S,
         stopped_early=samples.stopped_early,
         trouble=samples.trouble,
+        note=samples.note,
     )
 
 

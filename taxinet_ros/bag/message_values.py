@@ -5,6 +5,7 @@ Floats pass unchanged, so what is judged, or run once more, has the bits of what
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -90,3 +91,20 @@ def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[st
         estimate=error_of(estimate) if estimate is not None else _UNKNOWN,
         command=command_of(command) if command is not None else _SILENT,
     )
+
+
+def scenario_json(message: Any) -> bytes:
+    """The file ``scenario.json`` that is put into a run's bag: the scene in people's units."""
+    values = {
+        **scenario_of(message).to_human(),
+        'run_id': message.run_id,
+        'index': message.index,
+        'program': message.program,
+        'seed': message.seed,
+        'specs': list(message.specs),
+        'stop_on': getattr(message, 'stop_on', ''),
+        'bounds': list(getattr(message, 'bounds', ())),
+        'rates': list(getattr(message, 'rates', ())),
+        'participants': list(message.participants),
+    }
+    return json.dumps(values, indent=2).encode() + b'\n'

@@ -58,7 +58,7 @@ def recover(source: Path, folder: Path) -> Recovery:
         raise BagEmpty(f'{source}: nothing can be saved: {info.trouble or "no messages"}',
                        path=source)
     damage: list[str] = []
-    topics = [t for topic in info.topics if (t := _storable(topic, damage.append)) is not None]
+    topics = [t for topic in info.topics if (t := storable(topic, damage.append)) is not None]
     names = {topic.name for topic in topics}
     size = sum(file.stat().st_size for file in storage_files(source))
     words = info.metadata.get(RUN_METADATA, {})
@@ -89,7 +89,7 @@ def _copy(
         bag.write(topic.name, cdr, stamp_ns)
 
 
-def _storable(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
+def storable(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
     """The topic with what an older or foreign recorder did not note, or None."""
     try:
         qos_profiles(topic.qos)

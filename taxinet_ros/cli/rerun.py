@@ -28,7 +28,7 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.nodes.rerun import rerun
 
-_TAKEN = frozenset({'bag', 'perception', 'out', 'images', 'processes'})
+_TAKEN = frozenset({'bag', 'run_id', 'perception', 'out', 'images', 'processes'})
 """Options of ``taxinet run`` that mean something beside ``--from``."""
 
 
