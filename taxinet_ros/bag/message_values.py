@@ -12,7 +12,7 @@ from typing import Any
 from taxinet_ros.core.loop import signals
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 SCENARIO_FIELDS = {
     'cross_track_m': 'cross_track',
@@ -57,6 +57,16 @@ def assumptions_of(message: Any) -> Assumptions:
         UsageError: it is not spelled as it should be.
     """
     return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
+
+
+def stamp_of(message: Any) -> int:
+    """The stamp in a message's header [ns].
+
+    Raises:
+        AttributeError, TypeError, ValueError: it has none.
+    """
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def error_of(message: Any) -> TrackingError:

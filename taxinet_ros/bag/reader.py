@@ -11,10 +11,13 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
-from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.layout import METADATA_FILE, compressed, storage_files
 from taxinet_ros.bag.scan import OnDamage, scan
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.errors import UsageError
+
+_ZSTD = b'\x28\xb5\x2f\xfd'
+"""How a message begins that rosbag2 has compressed; one of CDR begins with a zero."""
 
 Wanted = Callable[[str], bool]
 """Whether the topic of this name is to be read."""
@@ -99,6 +102,8 @@ def stored_messages(
                 if not isinstance(record, Message):
                     continue
                 info = infos.by_channel[record.channel_id]
+                if record.data.startswith(_ZSTD):
+                    raise BagForeign(compressed(file, 'message'), path=file)
                 if wanted is None or wanted(info.name):
                     infos.check_cdr(record.channel_id, file)
                     yield StoredMessage(info, record.log_time, record.data)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.message_values import assumptions_of, sample_of
+from taxinet_ros.bag.message_values import assumptions_of, sample_of, stamp_of
 from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.run_topics import (
     COMMAND,
@@ -233,14 +233,14 @@ class _Reader:
         elif relative == VERDICT:
             self.verdict = message
         else:
-            self.steps[relative].setdefault(_stamp(message), message)
+            self.steps[relative].setdefault(stamp_of(message), message)
 
     def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
         """Raise :class:`_NotPlainError` where it is of another run, or logged at another time."""
         if relative == SCENARIO:
             plain = self.scenario is None
         else:
-            plain = self.scenario is not None and _stamp(message) == stored.stamp_ns and (
+            plain = self.scenario is not None and stamp_of(message) == stored.stamp_ns and (
                 getattr(message, 'run_id', self.scenario.run_id) == self.scenario.run_id
             )
         if not plain or stored.topic.name != f'/{relative}':
@@ -281,11 +281,7 @@ class _Reader:
         else:
             told = [decode(stored.topic, stored.cdr) for stored in self.last]
         return {
-            str(one.formula): Recorded(_stamp(one), float(one.rho_lower), float(one.rho_upper))
+            str(one.formula): Recorded(stamp_of(one), float(one.rho_lower), float(one.rho_upper))
             for one in told
         }
 
-
-def _stamp(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)

@@ -117,6 +117,7 @@ class Recording:
         plain: whether it is one run and nothing else, logged as our recorder does.
         owners: for each message on a topic of a run, which run it belongs to, -1 for none.
         damage: what could not be read.
+        broken: of that, the messages that are not what their topics say.
     """
 
     path: Path
@@ -124,6 +125,7 @@ class Recording:
     plain: bool
     owners: Sequence[int]
     damage: tuple[BagError, ...]
+    broken: tuple[BagError, ...]
 
     def choose(self, name: str | None) -> RunPart:
         """The run of that name, or the only one that was recorded.
@@ -161,6 +163,7 @@ def read_recording(path: Path, on_damage: OnDamage | None = None) -> Recording:
         BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
     """
     damage: list[BagError] = []
+    broken: list[BagError] = []
 
     def note(error: BagError) -> None:
         damage.append(error)
@@ -172,8 +175,10 @@ def read_recording(path: Path, on_damage: OnDamage | None = None) -> Recording:
         try:
             index.note(stored)
         except BagError as error:  # A message that is not what its topic says belongs to no run.
-            note(type(error)(f'{path}: {error}', path=path))
-    return index.recording(path, tuple(damage))
+            broken.append(type(error)(f'{path}: {error}', path=path))
+            index.broken.add(len(index.owners) - 1)
+            note(broken[-1])
+    return index.recording(path, tuple(damage), tuple(broken))
 
 
 def run_messages(
@@ -294,6 +299,7 @@ class _Index:
     def __init__(self) -> None:
         self.owners: list[int] = []
         self.runs: list[RunPart] = []
+        self.broken: set[int] = set()
         self._current: dict[tuple[str, str], int] = {}
         self._stretches: dict[tuple[str, str], list[_Stretch]] = {}
         self._ready: set[tuple[int, str]] = set()
@@ -334,7 +340,9 @@ class _Index:
             return
         self.owners[place] = number
 
-    def recording(self, path: Path, damage: tuple[BagError, ...]) -> Recording:
+    def recording(
+        self, path: Path, damage: tuple[BagError, ...], broken: tuple[BagError, ...]
+    ) -> Recording:
         """All of it."""
         # What is said in a namespace without scenario and truth, as what a player repeats under
         # another name, is no run.
@@ -343,9 +351,12 @@ class _Index:
         numbers = {old: new for new, old in enumerate(i for i, is_run in enumerate(real) if is_run)}
         runs = [run for run, is_run in zip(self.runs, real, strict=True) if is_run]
         _name(runs)
-        stray = any(owner == _NOBODY for owner in self.owners)
+        stray = any(
+            owner == _NOBODY and place not in self.broken
+            for place, owner in enumerate(self.owners)
+        )
         return Recording(
-            path=path, runs=tuple(runs), damage=damage,
+            path=path, runs=tuple(runs), damage=damage, broken=broken,
             owners=[numbers.get(owner, _NOBODY) for owner in self.owners],
             plain=len(runs) == 1 and not (self._restamped or self._others or stray),
         )

@@ -49,6 +49,7 @@ def doctor(
         bool,
         typer.Option('--images', help='also render every camera frame once more and compare'),
     ] = False,
+    run_id: RunOption = None,
 ) -> None:
     """Check everything about a bag; say what is wrong, where, and what mends it.
 
@@ -57,7 +58,7 @@ def doctor(
     """
     from taxinet_ros.cli.bag_doctor import run_doctor
 
-    raise typer.Exit(run_doctor(bag, as_json=as_json, images=images))
+    raise typer.Exit(run_doctor(bag, as_json=as_json, images=images, run=run_id))
 
 
 @bag_app.command()

@@ -15,6 +15,7 @@ from taxinet_ros.campaign.search_lines import search_heading, search_summary
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
+from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
@@ -33,6 +34,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
+    check_workers(options.workers)
     console = Console(highlight=False)
     live = console.is_terminal and not quiet
 
