@@ -53,6 +53,7 @@ class BagInfo:
         attachments: their names, in the order of the file.
         complete: the recording was finished and nothing is damaged.
         trouble: one line on what is wrong, or empty.
+        back_ns: by how much the stamps go back at most from one message to the next [ns].
     """
 
     path: Path
@@ -64,6 +65,7 @@ class BagInfo:
     attachments: tuple[str, ...]
     complete: bool
     trouble: str
+    back_ns: int = 0
 
     @property
     def duration_s(self) -> float:
@@ -149,6 +151,7 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
         attachments=tuple(contents.attachments),
         complete=not trouble,
         trouble='; '.join(trouble),
+        back_ns=contents.back_ns,
     )
 
 
@@ -218,6 +221,8 @@ class _Contents:
     attachments: list[str] = field(default_factory=list)
     start_ns: int | None = None
     end_ns: int = 0
+    back_ns: int = 0
+    latest_ns: int = 0
 
     def note(self, record: object, infos: _Topics) -> None:
         """Take in a record."""
@@ -229,6 +234,8 @@ class _Contents:
             stamp = record.log_time
             self.start_ns = stamp if self.start_ns is None else min(self.start_ns, stamp)
             self.end_ns = max(self.end_ns, stamp)
+            self.back_ns = max(self.back_ns, self.latest_ns - stamp)
+            self.latest_ns = stamp
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):

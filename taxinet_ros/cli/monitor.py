@@ -89,7 +89,7 @@ def _bags(place: Path) -> list[Path]:
         return [place]
     if not place.is_dir():
         raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
-    if any(place.glob(f'*.{STORAGE_ID}')):
+    if any(place.glob(f'*.{STORAGE_ID}*')):  # compressed ones too, to be refused by name
         return [place]
     bags = campaign_bags(place)
     if not bags:
