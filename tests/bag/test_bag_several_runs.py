@@ -134,6 +134,9 @@ def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_
         code, out, err = call(capsys, *words)
         assert (code, out, len(err.splitlines())) == (2, '', 1), words
         assert f'holds 2 runs: {GOOD.name} (0-12 s), {BAD.name} (0-12 s); choose one with' in err
+    code, out, err = call(capsys, 'shrink', both)
+    assert (code, out, len(err.splitlines())) == (2, '', 1)
+    assert f'makes: taxinet bag split {both} --out DIR' in err
     assert list(tmp_path.iterdir()) == []
     for read in (read_trace, read_facts):
         with pytest.raises(BagForeign, match='holds several runs, taxinet-midday and original'):
