@@ -33,6 +33,7 @@ from taxinet_ros.analysis.run_features import (
     varied,
 )
 from taxinet_ros.analysis.summary_words import cluster_sentence, summary
+from taxinet_ros.core.provenance import words
 
 VIEWERS = 20
 
@@ -199,6 +200,7 @@ def _facts(findings: Findings) -> Mapping[str, str]:
         'runs': f'{len(runs.frame):,} with a verdict',
         'baselines': ', '.join(one.baseline.label for one in findings.comparisons),
         'table': str(runs.path), 'version': str(facts.get('taxinet_ros_version') or ''),
+        'made on': '; '.join(map(words, runs.stacks)) or 'not told',
     }
     return {name: value for name, value in found.items() if value}
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from taxinet_ros.analysis.group_rates import Floats, GroupRate, Mask, group_rate
 from taxinet_ros.analysis.run_features import PLAIN, feature_columns
-from taxinet_ros.campaign.facts import FACTS_NAME
+from taxinet_ros.campaign.facts import FACTS_NAME, stacks_in
 from taxinet_ros.campaign.outcome_words import count_kinds, count_words
 from taxinet_ros.campaign.rates import as_planned, without_gaps
 from taxinet_ros.campaign.row import SIMPLY_DRAWN
@@ -23,6 +23,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import Provenance
 
 _SCENE = [feature.source for feature in PLAIN]
 _NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
@@ -51,6 +52,7 @@ class CampaignRuns:
         program, perception, sampler: what was run, with what, who chose the scenes.
         spec: name of the formula that says which runs failed.
         facts: of ``campaign.json``, where there is one.
+        stacks: machines, libraries and code that made the runs; empty where nothing tells.
         frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
             ``rho`` (NaN where nothing is known of its size), ``rho_exact`` (False where the run was
             stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
@@ -71,6 +73,7 @@ class CampaignRuns:
     sampler: str
     spec: str
     facts: Mapping[str, Any]
+    stacks: tuple[Provenance, ...]
     frame: pd.DataFrame
     others: Mapping[str, int]
     kinds: Mapping[str, int]
@@ -159,7 +162,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         label=_network(perception), path=path, program=_common(table['program']),
         perception=perception,
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
-        spec=name, facts=facts, frame=frame, anytime=anytime,
+        spec=name, facts=facts, stacks=_stacks(table, path), frame=frame, anytime=anytime,
         others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
         blind=_blind(judged),
@@ -261,6 +264,13 @@ def _blind(judged: pd.DataFrame) -> int:
     share = judged['unusable_estimates'].astype('Float64') / judged['steps']
     passed = judged['outcome'] == Outcome.PASS.value
     return int((passed & (share > MOST_UNUSABLE_SHARE).fillna(value=False)).sum())
+
+
+def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:
+    """The records that came with the table, or with its campaign."""
+    with_table = {str(name): value for name, value in table.attrs.items()}
+    told = stacks_in(with_table) or stacks_in(read_facts(path))
+    return tuple(told.values())
 
 
 def _common(column: pd.Series[str]) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns, Weighting
 from taxinet_ros.analysis.failure_clusters import CLEAR, Clusters
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.campaign.outcome_words import count_words
+from taxinet_ros.core.provenance import differences
 
 _WEAK = 0.25
 
@@ -16,6 +18,7 @@ def summary(findings: Findings) -> tuple[str, ...]:
     """What was found: rates, causes, and how baselines compare."""
     return (
         *rate_sentences(findings.runs), *cause_sentences(findings),
+        *stack_sentences(findings.campaigns),
         *(one.sentence(findings.runs.label, findings.runs.rate())
           for one in findings.comparisons),
     )
@@ -46,6 +49,23 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
                 'are of the runs made.'
             )
     return (first, *_without_verdict(runs), *(f'Warning: {line}.' for line in runs.warnings))
+
+
+def stack_sentences(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
+    """A warning where runs that are held together come from different machines or versions."""
+    sentences = []
+    if found := differences(*(stack for one in campaigns for stack in one.stacks)):
+        sentences.append(
+            f'The runs were made on different machines or versions: {found}. A closed loop '
+            'amplifies a last bit; see docs/determinism.md.'
+        )
+    untold = [one.label for one in campaigns if not one.stacks]
+    if untold and len(campaigns) > 1:
+        sentences.append(
+            f'Nothing tells on which machine and versions the runs of {", ".join(untold)} were '
+            'made.'
+        )
+    return tuple(sentences)
 
 
 def cause_sentences(findings: Findings) -> tuple[str, ...]:

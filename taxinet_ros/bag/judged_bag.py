@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples, same_bits
+from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_run_samples, same_bits
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.loop import MAX_GAP_NS
@@ -82,6 +82,7 @@ class JudgedBag:
 
     Attributes:
         path: as given.
+        run: name of the run among others in the bag; '' where it is the only one.
         verdicts: one for each requirement, in order; none where nothing could be read.
         end_s: simulated time of the last sample [s], -1 without any.
         duration_s: how long the run was to last [s]; NaN where the bag does not tell.
@@ -89,10 +90,12 @@ class JudgedBag:
         blind: number of frames without a usable estimate where they are more than the requirement
             ``usable`` allows, else 0; and ``frames`` of how many.
         trouble: one line on what of the bag is damaged or missing, or ''.
+        note: one line on what else the recording tells of, or ''.
         foreign: it is no bag, or no run of this package.
     """
 
     path: Path
+    run: str = ''
     verdicts: tuple[SpecVerdict, ...] = ()
     end_s: float = -1.0
     duration_s: float = math.nan
@@ -100,12 +103,14 @@ class JudgedBag:
     blind: int = 0
     frames: int = 0
     trouble: str = ''
+    note: str = ''
     foreign: bool = False
 
     @property
     def name(self) -> str:
         """Name of the run, as far as its place tells."""
-        return self.path.stem if self.path.is_file() else self.path.name
+        place = self.path.stem if self.path.is_file() else self.path.name
+        return f'{place} {self.run}' if self.run else place
 
     @property
     def sound(self) -> bool:
@@ -115,27 +120,35 @@ class JudgedBag:
         )
 
 
-def judge_bag(
+def judge_runs(
     path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
-) -> JudgedBag:
-    """Judge a recorded run. What is wrong with the bag is told in the result, not raised.
+) -> list[JudgedBag]:
+    """Judge every run in a bag. What is wrong with it is told in the result, not raised.
 
     Args:
-        path: a run folder or an ``.mcap`` file.
-        specs: requirements; where empty, those that judged the run.
+        path: a bag's folder or an ``.mcap`` file.
+        specs: requirements; where empty, those that judged each run.
         assumptions: what is vouched for; where None, what was then.
 
     Raises:
         UsageError: there is nothing at ``path``.
     """
     try:
-        samples = read_samples(path, signals_of(specs) if specs else None)
+        runs = read_run_samples(path, signals_of(specs) if specs else None)
     except BagError as error:
-        return JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))
+        return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
+    return [_judged(path, samples, specs, assumptions) for samples in runs]
+
+
+def _judged(
+    path: Path, samples: RunSamples, specs: Sequence[Spec], assumptions: Assumptions | None
+) -> JudgedBag:
+    if not samples.duration_ns and samples.trouble:
+        return JudgedBag(path=path, run=samples.run, trouble=samples.trouble)
     chosen = specs or [parse_spec(text) for text in samples.specs]
     unusable = samples.unusable_estimates
     return JudgedBag(
-        path=path,
+        path=path, run=samples.run,
         verdicts=tuple(judged_spec(samples, spec, assumptions)[0] for spec in chosen),
         end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
         duration_s=samples.duration_ns / NS_PER_S,
@@ -143,6 +156,7 @@ def judge_bag(
         blind=unusable if unusable > MOST_UNUSABLE_SHARE * len(samples.stamps_ns) else 0,
         frames=len(samples.stamps_ns),
         trouble=samples.trouble,
+        note=samples.note,
     )
 
 

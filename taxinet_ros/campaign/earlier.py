@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, STACKS, other_stack, stacks_in
 from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -16,9 +16,9 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings'})
-"""Facts that may differ: more runs may be asked for; the text has its digest beside it; and a
-version may warn of more than another."""
+_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
+may warn of more than another, and another machine or version is warned of."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
@@ -36,12 +36,16 @@ class Earlier:
         attempts: how often each run was begun, by index.
         facts: those that stay: how many runs were planned at first, and on the perception, where
             the graph decided it.
+        stacks: records of the machines and versions of earlier sittings, by name.
+        warning: one line where one of them is another than this, or ''.
     """
 
     rows: dict[int, RunRow] = field(default_factory=dict)
     begun: int = 0
     attempts: Mapping[int, int] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
+    stacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    warning: str = ''
 
 
 def check_resumable(out: Path) -> None:
@@ -78,6 +82,8 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
     return Earlier(
         rows=rows, begun=begun, attempts=content.attempts,
         facts=_staying(content.campaign, of_graph),
+        stacks=stacks_in(content.campaign),
+        warning=other_stack(content.campaign, str(out)) if rows else '',
     )
 
 

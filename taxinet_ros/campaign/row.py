@@ -53,6 +53,8 @@ class RunRow:
         sim_s: simulated time that passed [s].
         retries: how often the run was begun anew because the bench broke.
         bag: the run's bag, relative to the campaign's folder, or ''.
+        stack: which record of ``stacks`` in ``campaign.json`` says on what machine, libraries and
+            code it was run, or '' in rows of before there were any.
         wall_s: wall-clock time that the run took [s].
     """
 
@@ -101,6 +103,7 @@ class RunRow:
     sim_s: float = 0.0
     retries: int = 0
     bag: str = ''
+    stack: str = ''
     wall_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -170,7 +173,8 @@ class RunRow:
 
     @classmethod
     def of_run(
-        cls, request: RunRequest, result: RunResult, *, perception: str, sim_s: float, bag: str = ''
+        cls, request: RunRequest, result: RunResult, *, perception: str, sim_s: float,
+        bag: str = '', stack: str = '',
     ) -> Self:
         """The row of a run that had a scenario.
 
@@ -180,6 +184,7 @@ class RunRow:
             perception: the word that was asked for; the result has none if the bench broke.
             sim_s: simulated time that passed [s].
             bag: path of the bag relative to the campaign's folder, or ''.
+            stack: which record says on what it was run, or ''.
         """
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
@@ -188,7 +193,8 @@ class RunRow:
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             rho=dict(result.rho), rho_lower=dict(result.rho_lower),
             rho_upper=dict(result.rho_upper), **_figures(result, sim_s),
-            steps=result.last_seq + 1, sim_s=sim_s, bag=bag, wall_s=result.wall_s,
+            steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
+            wall_s=result.wall_s,
         )
 
     def chosen(

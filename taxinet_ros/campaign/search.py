@@ -16,7 +16,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.earlier import Earlier, check_resumable, read_earlier
-from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder, write_facts
+from taxinet_ros.campaign.facts import (
+    LEDGER_NAME,
+    STACKS,
+    campaign_facts,
+    make_folder,
+    write_facts,
+)
 from taxinet_ros.campaign.graph_perception import met
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.put_aside import put_aside
@@ -115,7 +121,8 @@ class Search:
             try:
                 self._earlier = read_earlier(out, facts)
                 self._attempts.update(self._earlier.attempts)
-                self._record({**facts, **self._earlier.facts})
+                stacks = {**self._earlier.stacks, **facts[STACKS]}
+                self._record({**facts, **self._earlier.facts, STACKS: stacks})
             except BaseException:
                 self._ledger.__exit__(None, None, None)
                 raise
@@ -189,6 +196,11 @@ class Search:
     def first_planned(self) -> int:
         """Number of runs that were planned before the first of them; only within the ``with``."""
         return int(self._facts['first_runs'])
+
+    @property
+    def warning(self) -> str:
+        """One line where earlier runs were made on another machine or version, or ''."""
+        return self._earlier.warning
 
     @property
     def facts(self) -> dict[str, Any]:

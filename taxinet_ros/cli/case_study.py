@@ -11,7 +11,13 @@ from rich.console import Console
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.config import StudyConfig, resized, scaled
-from taxinet_ros.study.config_file import read_config, read_study, shipped_config, write_study
+from taxinet_ros.study.config_file import (
+    STUDY_NAME,
+    read_config,
+    read_study,
+    shipped_config,
+    write_study,
+)
 from taxinet_ros.study.plan import stages, up_to
 from taxinet_ros.study.stage import Stage
 from taxinet_ros.study.stage_log import StageLog, read_records
@@ -66,6 +72,9 @@ def run_case_study(options: CaseStudyOptions) -> int:
         for line in list_lines(wanted, read_records(out), out):
             console.print(line, soft_wrap=True, markup=False)
         return 0
+    from taxinet_ros.nodes.domain import check_workers  # ROS takes time to import
+
+    check_workers(config.workers)
     out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
     if not options.resume:
         check_new(out)
@@ -90,7 +99,9 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
 def _config(options: CaseStudyOptions) -> StudyConfig:
     if options.resume and options.out is None:
         raise UsageError('--resume: say with --out which case study to continue')
-    begun = options.resume or (options.listed and options.out is not None)
+    begun = options.out is not None and (
+        options.resume or (options.listed and (options.out / STUDY_NAME).exists())
+    )
     if begun and options.config is None and options.scale is None:
         assert options.out is not None
         config = read_study(options.out, '--resume' if options.resume else '--list')

@@ -19,6 +19,7 @@ from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
@@ -39,6 +40,7 @@ def run_experiment(
         UsageError: bad input, or arms whose scenes are not the same.
     """
     console = Console(highlight=False, stderr=as_json)
+    check_workers(workers)
     searches = arm_searches(experiment, out, workers=workers, resume=resume)
     for number, (name, options) in enumerate(searches.items(), 1):
         console.print(
@@ -70,7 +72,7 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> bool:
     with Search(options, PARTICIPANTS, show) as search:
         for line in check_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in search.notes:
+        for note in (*search.notes, *filter(None, [search.warning])):
             console.print(note, soft_wrap=True, markup=False)
         with (
             interrupts(search.interrupt),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.option_types import BoundOption, RateOption
+from taxinet_ros.cli.option_types import BoundOption, RateOption, RunOption
 
 
 def monitor(
@@ -25,6 +25,7 @@ def monitor(
             'YAML file of them; repeatable; default: those that judged the run',
         ),
     ] = None,
+    run_id: RunOption = None,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -42,7 +43,8 @@ def monitor(
 ) -> None:
     """Judge recorded runs, by what judged them or by new requirements.
 
-    Needs no ROS and no pictures. A formula that judged a run gets the recorded robustness again,
+    Needs no ROS and no pictures. A bag of several runs, as ros2 bag record makes them, gets a
+    verdict for each. A formula that judged a run gets the recorded robustness again,
     to the last bit. Exit codes: 0 all satisfied, 1 some violated, 2 bad input, 3 some bag is
     incomplete or damaged, or contradicts what was recorded in it.
     """
@@ -51,7 +53,7 @@ def monitor(
     raise typer.Exit(
         run_monitor(
             bags, specs=spec or (), plot=plot, add=add, as_json=as_json, workers=workers,
-            bounds=bound or (), rates=rate or (),
+            bounds=bound or (), rates=rate or (), run=run_id,
         )
     )
 

@@ -41,13 +41,14 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         yield Text(f'{name}  stopped early, at {bag.end_s:g} of {bag.duration_s:g} s', style='dim')
     elif 0 <= bag.end_s < bag.duration_s:
         yield Text(f'{name}  ends at {bag.end_s:g} of {bag.duration_s:g} s', style='yellow')
-    if bag.trouble:
-        yield Text(f'{name}  {bag.trouble}', style='yellow')
+    for words in filter(None, (bag.trouble, bag.note)):
+        yield Text(f'{name}  {words}', style='yellow')
 
 
 def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
     """How many bags say what of each requirement, and how many repeat what was recorded."""
     lines = []
+    unit = 'runs' if any(bag.run for bag in bags) else 'bags'
     names = dict.fromkeys(one.spec.name for bag in bags for one in bag.verdicts)
     for name in names:
         own = [one for bag in bags for one in bag.verdicts if one.spec.name == name]
@@ -56,7 +57,7 @@ def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
         recorded = [one for one in own if one.same is not None]
         same = sum(bool(one.same) for one in recorded)
         again = f'; {same} of {len(recorded)} as recorded, to the bit' if recorded else ''
-        lines.append(f'{name}: {words} of {len(own)} bags{again}')
+        lines.append(f'{name}: {words} of {len(own)} {unit}{again}')
     unread = sum(not bag.verdicts for bag in bags)
     return lines + ([f'{unread} bags tell of no run'] if unread else [])
 
@@ -89,9 +90,9 @@ def _recorded(one: SpecVerdict) -> str:
 
 def _bag(bag: JudgedBag) -> dict[str, Any]:
     return {
-        'bag': str(bag.path), 'end_s': bag.end_s, 'duration_s': _known(bag.duration_s),
-        'stopped_early': bag.stopped_early, 'trouble': bag.trouble,
-        'unusable_estimates': bag.blind or None,
+        'bag': str(bag.path), 'run': bag.run or None, 'end_s': bag.end_s,
+        'duration_s': _known(bag.duration_s), 'stopped_early': bag.stopped_early,
+        'trouble': bag.trouble, 'note': bag.note, 'unusable_estimates': bag.blind or None,
         'verdicts': [
             {
                 'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,

@@ -22,6 +22,10 @@ FromOption = Annotated[
         'given, and compare',
     ),
 ]
+RunOption = Annotated[
+    str | None,
+    typer.Option('--run', metavar='RUN_ID', help='which run, where the bag holds several'),
+]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]

@@ -71,7 +71,8 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
-        _say(node, [*heading_lines, *(line.plain for line in check_lines(search.check))])
+        warning = [search.warning] if search.warning else []
+        _say(node, [*warning, *heading_lines, *(line.plain for line in check_lines(search.check))])
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)
         learned = write_learned(search)

@@ -14,6 +14,7 @@ from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Report
 from taxinet_ros.bag.layout import write_atomically, write_whole
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.study.claim import Claim
 from taxinet_ros.study.claims import judge_claims
 from taxinet_ros.study.config import StudyConfig
@@ -100,6 +101,7 @@ def study_values(found: StudyFindings) -> dict[str, Any]:
     """The findings as plain values; shares are fractions, and what is not known is None."""
     return plain_values({
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
+        'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_summary(found)),
         'claims': [_claim(claim) for claim in found.claims],
         **{name: _records(frame) for name, frame in found.frames().items()},

@@ -16,9 +16,9 @@ import pandas as pd
 import pytest
 from taxinet_process import TAXINET
 
-from taxinet_ros.bag.judged_bag import BagVerdict, judge_bag, judged_spec
+from taxinet_ros.bag.judged_bag import BagVerdict, judge_runs, judged_spec
 from taxinet_ros.bag.judged_bags import judge_bags
-from taxinet_ros.bag.run_samples import read_samples
+from taxinet_ros.bag.run_samples import read_run_samples
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
@@ -148,7 +148,7 @@ def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_p
     assert one['rho_lower'] is None
     assert 0 < bag['end_s'] < 2
     assert one['as_recorded'] is True, 'the interval was recorded step by step'
-    rho = judge_bag(whole).verdicts[0].upper
+    rho = judge_runs(whole)[0].verdicts[0].upper
     assert rho <= one['rho_upper']
     assert 'torn_0.mcap' in bag['trouble']
 
@@ -163,14 +163,14 @@ def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_p
 
 def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path):
     data = bytearray((whole / f'{whole.name}_0.mcap').read_bytes())
-    expected = judge_bag(whole).verdicts[0]
+    expected = judge_runs(whole)[0].verdicts[0]
     path = tmp_path / 'flipped.mcap'
     places = range(40, len(data) - 40, len(data) // 12)
     for place in places:
         damaged = data.copy()
         damaged[place] ^= 0x10
         path.write_bytes(damaged)
-        found = judge_bag(path)
+        (found,) = judge_runs(path)
         assert found.trouble
         for one in found.verdicts:
             assert one.verdict is BagVerdict.INCOMPLETE
@@ -178,7 +178,7 @@ def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path
 
 
 def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
-    samples = read_samples(whole)
+    (samples,) = read_run_samples(whole)
     spec = parse_spec(samples.specs[0])
     assert judged_spec(samples, spec)[0].same is True
     newest = samples.recorded[spec.text]
@@ -188,7 +188,7 @@ def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
 
 
 def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(whole):
-    samples = read_samples(whole)
+    (samples,) = read_run_samples(whole)
     spec = parse_spec(samples.specs[0])
     values = [dict(sample) for sample in samples.samples]
     values[10]['cte'] = math.nan
@@ -300,7 +300,7 @@ def test_ros10_given_a_bag_of_a_seeing_perception_then_usable_is_judged_and_noth
     assert code == 0
     (line,) = told(out, whole)
     assert line.split()[1:5] == ['usable', 'SATISFIED', 'rho', '+0.050']
-    samples = read_samples(whole, ['estimate_gap'])
+    (samples,) = read_run_samples(whole, ['estimate_gap'])
     values = [dict(sample, estimate_gap=0.1 * row) for row, sample in enumerate(samples.samples)]
     blind = dataclasses.replace(samples, samples=tuple(values), unusable_estimates=20)
     assert judged_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].lower < 0

@@ -139,3 +139,9 @@ def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_
 def _results(out: Path) -> list[str]:
     lines = (out / 'evaluate-best' / 'ledger.jsonl').read_text().splitlines()
     return [line for line in lines if json.loads(line)['event'] == 'result']
+
+
+def test_s11_given_list_for_a_folder_without_a_study_then_all_stages_are_named(tmp_path):
+    done = taxinet('case-study', '--list', '--out', 'new', cwd=tmp_path)
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 21), done.stderr
+    assert list(tmp_path.iterdir()) == []
