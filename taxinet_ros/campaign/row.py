@@ -21,7 +21,7 @@ class RunRow:
         run_id, index: unique name, and number within the campaign from 0.
         program, seed: what the scenario was drawn from.
         sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
-        point: the quantile that it chose for each dimension, by name.
+        point: the quantile that it chose for each dimension that is not idle there, by name.
         weight: density of the program's distribution over that of the sampler's, if known.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
@@ -18,7 +18,7 @@ from typing import Any, Self
 from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
 from taxinet_ros.campaign.programs import find_program, shipped_folder
-from taxinet_ros.campaign.samplers.space import Space
+from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
@@ -144,12 +144,13 @@ class SceneSource:
         """
         return self.search_space().dimensions
 
-    def scene(self, index: int, point: Sequence[float] | None = None) -> Scenario:
+    def scene(self, index: int, point: Point | None = None) -> Scenario:
         """Scene ``index`` (from 0) with the overrides laid over it.
 
         Args:
             index: decides, with the seed, all that the point does not.
-            point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space`.
+            point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space` that
+                is not idle there, None for the others.
 
         Raises:
             Rejected: no draw met the program's requirements, or this point does not.

@@ -7,10 +7,11 @@ Only the Scenic child may import this module.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
 from typing import Any
@@ -26,7 +27,7 @@ from scenic.core.distributions import (
     supportInterval,
 )
 
-from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
 from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
 
@@ -49,7 +50,7 @@ class Choice:
         """What the parent needs to know, for JSON."""
         node = self.found.node
         return {
-            'dimension': asdict(self.dimension), 'feeds': sorted(self.found.feeds),
+            'dimension': dataclasses.asdict(self.dimension), 'feeds': sorted(self.found.feeds),
             'place': place_of(node.index if type(node) is Options else node),
             'pieces': _pieces(node), 'options': _constants(self),
         }
@@ -62,7 +63,7 @@ class Choices:
         """If any choice is marked for search, the unmarked ones stay with the prior."""
         found, others = find_choices(scenario)
         marked = any(buckets_of(choice.node) is not None for choice in found)
-        self._choices: list[Choice] = []
+        searched: list[Found] = []
         self._unsearched = others
         for choice in found:
             if not choice.feeds:
@@ -70,7 +71,8 @@ class Choices:
             elif marked and buckets_of(choice.node) is None:
                 self._unsearched.append(f'{choice.name} (not marked for search)')
             else:
-                self._choices.append(Choice(found=choice, dimension=_dimension(choice)))
+                searched.append(choice)
+        self._choices = _conditional(searched, found)
 
     def describe(self) -> dict[str, Any]:
         """The search space, for JSON."""
@@ -98,10 +100,52 @@ class Choices:
                 del choice.found.node.sampleGiven
 
 
+def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choice]:
+    """The choices as dimensions, each after those that decide whether it is made.
+
+    Where a choice that nobody searches decides it, the dimension counts as active throughout what
+    may be: its quantile then does nothing in some of the scenes.
+    """
+    by_node = {id(choice.node): choice for choice in found}
+    dimensions = {id(choice.node): _dimension(choice) for choice in searched}
+    order = {choice.name: number for number, choice in enumerate(searched)}
+
+    def branches(choice: Found) -> dict[str, set[int]]:
+        """Deciding categories by name of the dimension; empty for always."""
+        merged: dict[str, set[int]] = {}
+        for selector, number in choice.when:
+            if selector in dimensions:
+                ways = {dimensions[selector].name: {number}}
+            else:
+                ways = branches(by_node[selector]) if selector in by_node else {}
+                if not ways:
+                    return {}
+            for name, numbers in ways.items():
+                merged.setdefault(name, set()).update(numbers)
+        return merged
+
+    choices: dict[str, Choice] = {}
+
+    def add(choice: Found) -> None:
+        when = branches(choice)
+        for parent in sorted(when, key=order.__getitem__):
+            add(searched[order[parent]])
+        ways = tuple(Branch(name, tuple(sorted(when[name])))
+                     for name in sorted(when, key=order.__getitem__))
+        dimension = dataclasses.replace(dimensions[id(choice.node)], when=ways)
+        choices.setdefault(choice.name, Choice(found=choice, dimension=dimension))
+
+    for choice in searched:
+        add(choice)
+    return list(choices.values())
+
+
 def _dimension(found: Found) -> Dimension:
     node = found.node
     buckets = buckets_of(node) or Dimension(name='').buckets
     weights = _weights(node)
+    if found.options is not None and not weights:
+        weights = (1.0,) * len(found.options)
     low, high = _shown_range(node)
     return Dimension(name=found.name, weights=weights, low=low, high=high, buckets=buckets)
 

@@ -57,12 +57,15 @@ class Found:
         node: the distribution that draws.
         options: what a selector's number selects among, in order; None if it is no selector.
         feeds: keys of the scenario that depend on it, and :data:`REQUIREMENTS`.
+        when: identities of the selectors by which alone it gets there, each with the number of the
+            option that it is part of; empty where it counts whatever they select.
     """
 
     name: str
     node: Any
     options: tuple[Any, ...] | None
     feeds: frozenset[str]
+    when: frozenset[tuple[int, int]] = frozenset()
 
 
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
@@ -73,10 +76,13 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     )
     for path, root in _roots(scenario):
         walk.visit(root, path)
-    feeds = _feeds(scenario)
+    entries = _entries(scenario)
+    feeds = {key: _below(values) for key, values in entries.items()}
+    branches = _branches_to(itertools.chain.from_iterable(entries.values()))
     found = [
         Found(name=name, node=node, options=walk.selects.get(id(node)),
-              feeds=frozenset(key for key, nodes in feeds.items() if id(node) in nodes))
+              feeds=frozenset(key for key, nodes in feeds.items() if id(node) in nodes),
+              when=branches.get(id(node), frozenset()))
         for name, node in _unique(walk.found)
     ]
     soft = (f'{req} (holds in {req.prob:.0%} of scenes)'
@@ -213,15 +219,42 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
     return names
 
 
-def _feeds(scenario: Any) -> dict[str, set[int]]:
-    feeds = {key: _below([value]) for key, value in of_scenario(scenario.params).items()}
+def _entries(scenario: Any) -> dict[str, list[Any]]:
+    """What each key of the scenario is drawn as, and what decides whether a scene is accepted."""
+    entries = {key: [value] for key, value in of_scenario(scenario.params).items()}
     for key, name in EGO_VALUES.items():
         # An ego of another class is reported when its scene is drawn.
-        feeds[key] = _below([vars(scenario.egoObject or object).get(name)])
+        entries[key] = [vars(scenario.egoObject or object).get(name)]
     judged = [value for req in scenario.userRequirements for value in req.dependencies]
     if len(scenario.objects) > 1:  # they may be in each other's way
         judged += scenario.objects
-    return {**feeds, REQUIREMENTS: _below(judged)}
+    return {**entries, REQUIREMENTS: judged}
+
+
+def _branches_to(entries: Iterable[Any]) -> dict[int, frozenset[tuple[int, int]]]:
+    """By identity of what is drawn: the selectors and options by which alone it has an effect.
+
+    A value that an option is made of is drawn whichever option is taken, and then without effect;
+    but for other ways there, which need not lead through options.
+    """
+    always = (0, 0)  # no object has this identity
+    ways: dict[int, set[tuple[int, int]]] = {}
+    waiting = [(value, always) for value in entries if needsSampling(value)]
+    while waiting:
+        value, way = waiting.pop()
+        node = value._conditioned
+        known = ways.setdefault(id(node), set())
+        if way in known or always in known:
+            continue
+        known.add(way)
+        options = node.options if isinstance(node, MultiplexerDistribution) else ()
+        if options:
+            selector = id(node.index._conditioned)
+            waiting += [(option, (selector, number)) for number, option in enumerate(options)
+                        if needsSampling(option)]
+        waiting += [(part, way) for part in node._dependencies
+                    if not any(part is option for option in options)]
+    return {key: frozenset(known) for key, known in ways.items() if always not in known}
 
 
 def _below(values: Iterable[Any]) -> set[int]:

@@ -204,7 +204,7 @@ class Search:
         row = self._earlier.rows.get(index)
         if row is None:
             return False
-        if list(row.point.values()) != list(self._points[index]):
+        if row.point != self.space.named(self._points[index]):
             raise UsageError(
                 f'--resume: the sampler chose another point for run {index} than before; was a '
                 'library updated meanwhile? Name another --out'
@@ -233,10 +233,8 @@ class Search:
     # Answers -----------------------------------------------------------------------------------
 
     def _keep(self, row: RunRow, *, retries: int = 0) -> None:
-        names = [choice.dimension.name for choice in self.space.searched]
         row = row.chosen(
-            sampler=self.options.sampler,
-            point=dict(zip(names, self._points[row.index], strict=True)),
+            sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
             weight=self._sampler.weight(row.index), retries=retries,
         )
         self._ledger.result(row)

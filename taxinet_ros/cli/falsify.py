@@ -11,7 +11,7 @@ from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_lines import search_heading, search_summary
+from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
@@ -43,7 +43,9 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
     with Search(options, PARTICIPANTS, show) as search:
         if not quiet:
-            console.print(search_heading(options), soft_wrap=True)
+            console.print(
+                '\n'.join([search_heading(options), *space_lines(search.space)]), soft_wrap=True
+            )
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

@@ -14,8 +14,10 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from taxinet_ros.campaign.programs import known_programs, shipped_folder
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource
-from taxinet_ros.campaign.search_space import SearchSpace
+from taxinet_ros.campaign.search_lines import space_lines
+from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.core.errors import UsageError
 
 WORLD = 'model runway_world\n'
@@ -72,12 +74,12 @@ def test_given_s_falsif_when_its_space_is_asked_then_every_choice_has_a_name_and
 def test_given_a_point_when_a_scene_is_drawn_then_every_choice_is_at_its_quantile(
     s_falsif: SceneSource,
 ) -> None:
-    wet = s_falsif.scene(0, (0.25, 0.7, 0.1, 0.99, 0.2, 0.75, 0.7, 0.5))
+    wet = s_falsif.scene(0, (0.25, 0.7, None, 0.99, 0.2, 0.75, 0.7, 0.5))
     assert wet.to_human() == {
         **wet.to_human(), 'time_of_day': 9, 'clouds': 'stratus', 'rain': 40, 'cross_track': -4,
         'distance': 1400, 'heading': 0,
     }
-    dry = s_falsif.scene(0, (0.25, 0.66, 0.17, 0.99, 0.2, 0.75, 0.7, 0.5))
+    dry = s_falsif.scene(0, (0.25, 0.66, 0.17, None, None, 0.75, 0.7, 0.5))
     assert (dry.clouds, dry.rain) == ('cirrus', 0)
 
 
@@ -85,7 +87,8 @@ def test_given_a_point_when_scenes_without_one_follow_then_these_are_as_ever(
     s_falsif: SceneSource,
 ) -> None:
     before = [s_falsif.scene(index) for index in range(4)]
-    placed = [s_falsif.scene(index, (0.5,) * 8) for index in range(4)]
+    middle = s_falsif.space().point([0.5] * 8)
+    placed = [s_falsif.scene(index, middle) for index in range(4)]
     assert [s_falsif.scene(index) for index in range(4)] == before
     assert len(set(before)) == 4
     assert set(placed) == {placed[0]}, 'every choice is searched: the index decides nothing'
@@ -95,7 +98,7 @@ def test_given_uniform_points_when_scenes_are_drawn_then_they_follow_the_prior(
     s_falsif: SceneSource,
 ) -> None:
     points = np.random.default_rng(5).random((600, 8))
-    scenes = [s_falsif.scene(0, point) for point in points.tolist()]
+    scenes = [s_falsif.scene(0, s_falsif.space().point(point)) for point in points]
     wet = [scene for scene in scenes if scene.rain > 0]
     assert len(wet) == np.sum(points[:, 1] >= 2 / 3)
     rain = [scene.rain for scene in wet]
@@ -103,11 +106,16 @@ def test_given_uniform_points_when_scenes_are_drawn_then_they_follow_the_prior(
     assert kstest([s.distance_m for s in scenes], 'uniform', (0, 2000)).pvalue > 1e-4
 
 
-@pytest.mark.parametrize('point', [(0.5,) * 7, (0.5,) * 9, (0.5,) * 7 + (1.0,), (-0.1,) * 8])
+DRY = (0.5, 0.5, 0.5, None, None, 0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize('point', [
+    DRY[1:], (*DRY, 0.5), (*DRY[:7], 1.0), (*DRY[:7], -0.1), (0.5,) * 8, (None, *DRY[1:]),
+])
 def test_given_a_point_of_another_space_when_drawn_then_it_is_refused(
-    s_falsif: SceneSource, point: tuple[float, ...],
+    s_falsif: SceneSource, point: Point,
 ) -> None:
-    with pytest.raises(ValueError, match=r'dimensions|within'):
+    with pytest.raises(ValueError, match=r'dimensions|within|is idle|has no quantile'):
         s_falsif.scene(0, point)
 
 
@@ -308,3 +316,89 @@ def test_given_one_line_that_makes_several_choices_when_named_then_no_two_are_al
     places = [choice.place for choice in space.choices if choice.place]
     assert len(places) == 3
     assert all(a.end_column < b.column for a, b in itertools.pairwise(places))
+
+
+def test_s9_given_s_falsif_when_its_space_is_asked_then_idle_branches_are_no_dimensions(
+    s_falsif: SceneSource,
+) -> None:
+    """Six features of the paper: rain is one only where it rains."""
+    space = s_falsif.space()
+    when = {dimension.name: dimension.when for dimension in space if dimension.when}
+    assert when == {
+        'weather[0].clouds': (Branch('weather', (0,)),),
+        'weather[1].clouds': (Branch('weather', (1,)),),
+        'weather[1].rain': (Branch('weather', (1,)),),
+    }
+    points = [space.point(point) for point in np.random.default_rng(1).random((50, 8))]
+    assert {sum(each is not None for each in point) for point in points} == {6, 7}
+
+
+def test_s9_given_choices_under_several_options_when_asked_then_each_way_there_is_known(
+    client: Any, compiled: Compile,
+) -> None:
+    space = compiled(
+        WORLD + 'shared = Range(0, 9)\nonly = Range(0, 9)\nboth = Range(0, 9)\n'
+        'inner = Uniform((only, 1), (shared, 2), 7)\n'
+        'outer = Uniform((both, inner), (shared, 0), (0, 0))\n'
+        'param rain = outer\nparam time_of_day = both\n'
+        'ego = new Plane at (0, 400)\n'
+    )
+    when = {choice.dimension.name: choice.dimension.when for choice in space.choices}
+    assert when == {
+        'rain': (), 'inner': (Branch('rain', (0,)),),
+        'only': (Branch('inner', (0,)),),
+        'shared': (Branch('rain', (1,)), Branch('inner', (1,))),
+        'time_of_day': (),
+    }
+
+
+def test_s9_given_a_choice_that_decides_but_is_not_searched_when_asked_then_its_options_count(
+    compiled: Compile,
+) -> None:
+    space = compiled(
+        WORLD + 'param rain = Uniform(VerifaiRange(0, 1), VerifaiRange(2, 3))\n'
+        'ego = new Plane at (0, VerifaiRange(0, 100))\n'
+    )
+    assert [(name, choice.dimension.when) for name, choice in
+            zip(names(space), space.choices, strict=True)] == [
+        ('rain[0]', ()), ('rain[1]', ()), ('ego.position.y', ()),
+    ]
+    assert space.unsearched == ('rain (not marked for search)',)
+
+
+def test_s9_given_an_override_when_a_choice_has_one_branch_left_then_it_hangs_on_that(
+) -> None:
+    def choice(name: str, feeds: set[str], **changes: Any) -> dict[str, Any]:
+        dimension = {'name': name, 'weights': [], 'low': 0, 'high': 1, 'buckets': 10, **changes}
+        return {'dimension': dimension, 'feeds': sorted(feeds), 'place': None, 'pieces': [],
+                'options': None}
+
+    answer = {'unsearched': [], 'choices': [
+        choice('a', {'clouds'}, weights=[1, 1]), choice('b', {'rain'}, weights=[1, 1]),
+        choice('both', {'clouds', 'rain'}, when=[['a', [0]], ['b', [1]]]),
+        choice('of a', {'clouds'}, when=[['a', [0]]]),
+    ]}
+    space = SearchSpace.from_json(answer, {'clouds'}).dimensions
+    assert [(each.name, each.when) for each in space] == [
+        ('b', ()), ('both', (Branch('b', (1,)),)),
+    ]
+    assert len(SearchSpace.from_json(answer).dimensions) == 4
+    assert SearchSpace.from_json(answer).choices[2].dimension.when == (
+        Branch('a', (0,)), Branch('b', (1,)),
+    )
+
+
+def test_s9_given_a_space_when_shown_then_conditions_and_what_is_not_searched_are_plain(
+    s_falsif: SceneSource, compiled: Compile,
+) -> None:
+    assert space_lines(s_falsif.search_space()) == [
+        'searched: time_of_day, weather, ego.position.x, ego.position.y, ego.heading; '
+        'where weather is option 1: weather[0].clouds; '
+        'where weather is option 2: weather[1].clouds, weather[1].rain',
+    ]
+    sky = ('clear', 'cirrus', 'rain')
+    a = Choice(dimension=Dimension(name='a', weights=(1, 1, 1)), options=sky)
+    b = Choice(dimension=Dimension(name='b', when=(Branch('a', (0, 2)),)))
+    assert space_lines(SearchSpace(choices=(a, b), unsearched=('c (Lottery)', 'd (fixed)'))) == [
+        'searched: a; where a is clear or rain: b', 'drawn, not searched: c (Lottery), d (fixed)',
+    ]
