@@ -17,12 +17,17 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom, brunnermunzel, hypergeom, norm, ttest_1samp
+from scipy.stats import binom, brunnermunzel, hypergeom, norm
+from scipy.stats import t as student
 
 from taxinet_ros.analysis.paired_rates import PairedRates
 
 SIGNIFICANT = 0.05
 """Probability that any verdict of a study is wrong."""
+
+
+_LEAST_ERROR = 1e-9
+"""Standard error of a mean below which values are the same but for rounding."""
 
 
 class Verdict(Enum):
@@ -165,10 +170,11 @@ def mean_above(values: Sequence[float], level: float) -> Sides:
     """Whether a mean is above ``level``: Student's t; nothing is known from one value."""
     if len(values) < 2:
         return NOTHING_KNOWN
-    if np.ptp(values) == 0.0:
-        return Sides(float(values[0] <= level), float(values[0] >= level))
-    p_value = float(ttest_1samp(values, level, alternative='greater').pvalue)
-    return Sides(p_value, 1.0 - p_value)
+    error = max(float(np.std(values, ddof=1)) / math.sqrt(len(values)), _LEAST_ERROR)
+    distance = (float(np.mean(values)) - level) / error
+    return Sides(
+        float(student.sf(distance, len(values) - 1)), float(student.cdf(distance, len(values) - 1))
+    )
 
 
 def lower(first: np.ndarray, second: np.ndarray) -> Sides:
@@ -179,13 +185,14 @@ def lower(first: np.ndarray, second: np.ndarray) -> Sides:
     """
     if min(len(first), len(second)) < 2:
         return NOTHING_KNOWN
-    with np.errstate(divide='ignore', invalid='ignore'):
-        p_value = float(brunnermunzel(first, second, alternative='less').pvalue)
-    if math.isnan(p_value):  # no spread at all: the groups lie apart, or all values are the same
-        chance = 1.0 / math.comb(len(first) + len(second), len(first))
-        if first.max() < second.min():
-            return Sides(chance, 1.0)
-        return Sides(1.0, chance) if second.max() < first.min() else NOTHING_KNOWN
+    apart = 1.0 / math.comb(len(first) + len(second), len(first))  # by permutation, exact
+    if first.max() < second.min():
+        return Sides(apart, 1.0)
+    if second.max() < first.min():
+        return Sides(1.0, apart)
+    if np.ptp(first) == np.ptp(second) == 0.0:
+        return NOTHING_KNOWN
+    p_value = float(brunnermunzel(first, second, alternative='less').pvalue)
     return Sides(p_value, 1.0 - p_value)
 
 
@@ -193,8 +200,9 @@ def even(groups: Sequence[np.ndarray], margin: float) -> Sides:
     """Whether something happens as often in each group as in the rest, but for a margin.
 
     Both sides of each difference are tested against the margin, with one hit and one miss added to
-    each group (Agresti and Caffo, American Statistician 54, 2000, pp. 280-288). That all differences
-    are within it needs each test; that one is beyond it, one of them, times their number.
+    each group (Agresti and Caffo, American Statistician 54, 2000, pp. 280-288). That all
+    differences are within it needs each test; that one is beyond it, one of them, times their
+    number.
     """
     inside, beyond = [], []
     for number, group in enumerate(groups):

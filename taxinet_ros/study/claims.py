@@ -180,10 +180,12 @@ def _shadows(results: Results) -> Iterator[Question]:
         return
     yield Question(
         name='shadows_fluctuation', source=f'{_DEBUGGING}, Fig. 7',
-        sides=mostly(int((steps[:, 0] > steps[:, 1]).sum()), int((steps[:, 0] < steps[:, 1]).sum())),
+        sides=mostly(int((steps[:, 0] > steps[:, 1]).sum()),
+                     int((steps[:, 0] < steps[:, 1]).sum())),
         statement='in the afternoon its performance fluctuates with the shadow, and less without',
-        evidence=f'from one run to the next in the day, ρ changes by {_typical(steps[:, 0])} m with '
-        f'the shadow and {_typical(steps[:, 1])} m without (medians of {len(steps)} steps).',
+        evidence='from one run to the next in the day ρ changes by '
+        f'{steps[:, 0].mean():.2f} m with '
+        f'the shadow and {steps[:, 1].mean():.2f} m without (means of {len(steps)} steps).',
     )
 
 

@@ -288,22 +288,24 @@ def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network
 
 
 def _pair(first: Network, second: Network) -> Pair:
-    frames = []
-    for network, end in ((first, '_first'), (second, '_second')):
-        frame = network.runs.frame[['index', *_SCENE]].copy()
-        frame['satisfied'], frame['off'] = ~network.runs.failed, network.off
-        frames.append(frame.add_suffix(end).rename(columns={f'index{end}': 'index'}))
-    both = frames[0].merge(frames[1], on='index')
+    one, other = (
+        network.runs.frame[['index', *_SCENE]]
+        .assign(satisfied=~network.runs.failed, off=network.off).set_index('index')
+        for network in (first, second)
+    )
+    common = one.index.intersection(other.index)
+    one, other = one.loc[common], other.loc[common]
     for name in _SCENE:
-        if not both[f'{name}_first'].equals(both[f'{name}_second'].rename(f'{name}_first')):
+        if not one[name].equals(other[name]):
             raise UsageError(
                 f'{first.runs.path} and {second.runs.path}: have not the same {name}; evaluate '
                 'both networks on one program with one seed'
             )
-    return Pair(
-        first=first.name, second=second.name,
-        frame=both.rename(columns={'distance_m_first': 'distance_m'}),
-    )
+    return Pair(first=first.name, second=second.name, frame=pd.DataFrame({
+        'distance_m': one['distance_m'],
+        'satisfied_first': one['satisfied'], 'satisfied_second': other['satisfied'],
+        'off_first': one['off'], 'off_second': other['off'],
+    }))
 
 
 def _values(path: Path) -> dict[str, Any] | None:
