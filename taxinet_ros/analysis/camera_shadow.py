@@ -100,20 +100,25 @@ def shaded_light(elevation_rad: float, turbidity: float = LINKE_TURBIDITY) -> fl
     return diffuse / (diffuse + direct)
 
 
-def shadow_looks(settings: Mapping[str, object], hours: Sequence[float]) -> list[ShadowLook]:
+def shadow_looks(
+    settings: Mapping[str, object], hours: Sequence[float], turbidity: float = LINKE_TURBIDITY
+) -> list[ShadowLook]:
     """The shadow hour by hour.
 
     Args:
         settings: scenario values, human keys and units; a clear sky where they do not say.
         hours: local hours at which the sun is up.
+        turbidity: Linke's, of the clear day to compare with.
 
     Raises:
         UsageError: a value that no scenario may have.
     """
-    return [_look({'clouds': 'clear', **settings, 'time_of_day': hour}) for hour in hours]
+    return [
+        _look({'clouds': 'clear', **settings, 'time_of_day': hour}, turbidity) for hour in hours
+    ]
 
 
-def _look(settings: Mapping[str, object]) -> ShadowLook:
+def _look(settings: Mapping[str, object], turbidity: float) -> ShadowLook:
     scene = scenario_from_human(settings)
     azimuth, elevation = sun_position(scene.date, scene.time_of_day_s)
     light, state = scenario_light(scene), Aircraft(scene).state
@@ -125,13 +130,13 @@ def _look(settings: Mapping[str, object]) -> ShadowLook:
     core = lost > _CORE * np.percentile(lost, 99.9) if lost.max() > 0.01 else lost > 1
     nose = runway.BEARING_RAD - state.yaw_rad
     up = elevation > 0
-    direct, diffuse = clear_day(elevation) if up else (math.nan, math.nan)
+    direct, diffuse = clear_day(elevation, turbidity) if up else (math.nan, math.nan)
     return ShadowLook(
         hour=scene.time_of_day_s / 3600, elevation_deg=math.degrees(elevation),
         from_nose_deg=math.degrees((azimuth - nose) % (2 * math.pi)), share=float(core.mean()),
         rendered=float(np.median(dark[core] / lit[core])) if core.any() else math.nan,
         light=float(LUMINANCE @ light.diffuse / (LUMINANCE @ light.total)),
-        physics=shaded_light(elevation) if up else math.nan,
+        physics=shaded_light(elevation, turbidity) if up else math.nan,
         energy=diffuse / (direct + diffuse),
     )
 

@@ -64,6 +64,10 @@ def shadow(
     hours: Annotated[
         str, typer.Option(help='local hours, as 13,15.5; each a line')
     ] = '12,12.5,13,13.5,14,15,16,17,17.5',
+    turbidity: Annotated[
+        float, typer.Option(help="Linke's, of the clear day compared with: 3.3 is the place's in "
+                            'March, 2 very clear, 5 hazy', min=1.5, max=10.0)
+    ] = 3.3,
     settings: SetOption = None,
 ) -> None:
     """Tell when the aircraft's own shadow is in the picture, how dark it is, and what physics says.
@@ -73,7 +77,7 @@ def shadow(
     """
     from taxinet_ros.cli.camera_pictures import print_shadow
 
-    print_shadow(hours=hours, settings=settings or ())
+    print_shadow(hours=hours, turbidity=turbidity, settings=settings or ())
 
 
 @camera_app.command()

@@ -57,7 +57,7 @@ def save_sheet(
     print(f'sheet: {path}')
 
 
-def print_shadow(*, hours: str, settings: Iterable[str]) -> None:
+def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
     """Print how the aircraft's own shadow looks, hour by hour.
 
     Raises:
@@ -72,7 +72,7 @@ def print_shadow(*, hours: str, settings: Iterable[str]) -> None:
         raise UsageError(f'--hours {hours!r}: expected numbers with commas, as 13,15.5')
     print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
     print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
-    for one in shadow_looks(values, columns):
+    for one in shadow_looks(values, columns, turbidity):
         print(
             f'{clock(3600 * one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
             f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '

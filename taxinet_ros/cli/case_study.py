@@ -132,7 +132,6 @@ def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
     check_new(out)
     from taxinet_ros.study.study_report import write_study_report  # pictures take time to import
 
-    make_out(out)
     for line in write_study_report(config, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
     return 0

@@ -58,7 +58,7 @@ def write_study_report(
     found = find(config, out, tables)
     folder = out / REPORT
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f'{folder}: cannot be made: {error.strerror}') from error
     for name, frame in found.frames().items():

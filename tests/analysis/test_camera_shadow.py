@@ -57,6 +57,13 @@ def test_s_shadow_given_an_afternoon_then_the_picture_has_the_shadow_of_that_lig
     assert looks[15.0].from_nose_deg == pytest.approx(180, abs=5)
 
 
+def test_s_shadow_given_a_clearer_day_then_shade_is_darker() -> None:
+    for elevation_deg in (5, 15, 30, 60):
+        shades = [shaded_light(math.radians(elevation_deg), one) for one in (2.5, 3.3, 4.5)]
+        assert shades == sorted(shades)
+        assert shades[0] < 0.75 * shades[1]
+
+
 def test_s_shadow_given_clouds_then_it_is_fainter_than_under_a_clear_sky() -> None:
     (clear,), (thin,) = (shadow_looks({'clouds': one}, [15.0]) for one in ('clear', 'cirrus'))
     assert clear.rendered + 0.05 < thin.rendered < 1
