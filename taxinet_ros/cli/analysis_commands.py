@@ -175,7 +175,8 @@ def experiment(
     file: Annotated[
         str,
         typer.Argument(
-            metavar='FILE', help='shipped experiment (shadows, crossing, light) or a YAML file'
+            metavar='FILE', help='shipped experiment (shadows, shadows_afternoon, crossing, '
+            'light) or a YAML file'
         ),
     ],
     out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,

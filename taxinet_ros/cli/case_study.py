@@ -38,6 +38,7 @@ class CaseStudyOptions:
         until: name of the last stage to do, or None for all.
         listed: print the stages only.
         report_only: write the report of what is done only.
+        tables: folder of tables to write the report of, or None.
     """
 
     config: Path | None = None
@@ -50,6 +51,7 @@ class CaseStudyOptions:
     until: str | None = None
     listed: bool = False
     report_only: bool = False
+    tables: Path | None = None
 
 
 def run_case_study(options: CaseStudyOptions) -> int:
@@ -61,6 +63,8 @@ def run_case_study(options: CaseStudyOptions) -> int:
     Raises:
         UsageError: bad input.
     """
+    if options.tables is not None:
+        return _report_tables(options, options.tables)
     if options.report_only:
         return _report(options)
     console = Console(highlight=False)
@@ -120,6 +124,26 @@ def _report(options: CaseStudyOptions) -> int:
     from taxinet_ros.study.study_report import write_study_report  # pictures take time to import
 
     for line in write_study_report(config, options.out):
+        Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return 0
+
+
+def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
+    """What the tables say, in a new folder."""
+    sizes = {
+        '--scale': options.scale, '--runs': options.runs, '--images': options.images,
+        '--workers': options.workers, '--until': options.until, '--resume': options.resume,
+        '--list': options.listed, '--report-only': options.report_only,
+    }
+    for name, value in sizes.items():
+        if value not in (None, False):
+            raise UsageError(f'--tables {tables}: runs nothing; leave {name} out')
+    config = read_config(options.config or shipped_config())
+    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
+    check_new(out)
+    from taxinet_ros.study.study_report import write_study_report  # pictures take time to import
+
+    for line in write_study_report(config, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
     return 0
 

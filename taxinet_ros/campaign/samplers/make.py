@@ -131,7 +131,7 @@ SAMPLERS: Mapping[str, Kind] = {
             **_floor(0.0),
             'alpha': Option(
                 meaning='what a failure leaves of the old histograms',
-                default=0.995, low=0.5, high=0.99999,
+                default=0.9, low=0.5, high=0.99999,
             ),
         },
     ),
