@@ -57,9 +57,9 @@ class ActiveSearch:
     failures at a resolution (Malkomes et al., Beyond the Pareto Efficient Frontier: Constraint
     Active Search for Multiobjective Experimental Design, ICML 2021). Here a point's score is the
     probability of a robustness of 0 or less, times the share of its neighbourhood that no known
-    failure covers, times the share of the runs beside it that have a result at all. While failures are improbable everywhere, that is the probability of improvement
-    upon a fixed target, which weighs low means against unknown places (Jones, Journal of Global
-    Optimization 21, 2001).
+    failure covers, times the share of the runs beside it that have a result at all. While failures
+    are improbable everywhere, that is the probability of improvement upon a fixed target, which
+    weighs low means against unknown places (Jones, Journal of Global Optimization 21, 2001).
 
     Runs take turns. In every other one *novel* means far from failures in what matters, distances
     being measured in the process's length scales: it seeks new regions. In the others all
