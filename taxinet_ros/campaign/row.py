@@ -25,6 +25,8 @@ class RunRow:
         program, seed: what the scenario was drawn from.
         sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
         point: the quantile that it chose for each dimension that is not idle there, by name.
+        refused: draws, or points of the sampler, that the program's requirements refused before
+            this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
         drawn: whether the scene was drawn from the program itself, whatever the results before it:
             what rates rest on. None in a row from before that was written down.
@@ -60,6 +62,7 @@ class RunRow:
     outcome: Outcome
     sampler: str = ''
     point: Mapping[str, float] = field(default_factory=dict)
+    refused: int = 0
     weight: float | None = None
     drawn: bool | None = None
     perception_fingerprint: str = ''
@@ -178,11 +181,12 @@ class RunRow:
 
     def chosen(
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
-        drawn: bool | None = None,
+        refused: int = 0, drawn: bool | None = None,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
-            self, sampler=sampler, point=point, weight=weight, retries=retries, drawn=drawn
+            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries,
+            drawn=drawn,
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import FAILURES
+from taxinet_ros.core.outcome import Outcome
 
 
 def search_heading(options: SearchOptions) -> str:
@@ -70,7 +71,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:
-        lines.append(f'ended before its {campaign.runs} runs: {why}; {resuming} continues it')
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
     return lines
 
 
@@ -81,7 +83,8 @@ def _rate_lines(search: Search) -> list[str]:
         return []
     failed, off = failure_rate(rows, planned), off_runway_rate(rows, planned)
     speed = statistics.median(row.real_time_factor for row in judged)
-    made = f'{failed.hits} of {failed.runs} judged runs failed'
+    failures = sum(row.outcome is Outcome.FAIL for row in judged)
+    made = f'{failures} of {len(judged)} judged runs failed'
     if failed.rate is None:
         return [
             failed.why_not, f'{made}, {off_runway_words(judged)}, median {speed:.1f}x real time',
@@ -92,7 +95,8 @@ def _rate_lines(search: Search) -> list[str]:
         f'({failed.rests_on})',
         f'{made}, median {speed:.1f}x real time',
     ]
-    if search.options.stop is not None and search.options.stop.kind == FAILURES and search.stopped:
+    stop = search.options.stop
+    if stop is not None and stop.kind == FAILURES and search.stopped == stop.reached:
         lines.append('it ended with a failure, so the share of failures is too high on average; '
                      'the interval holds all the same')
     return lines

@@ -148,11 +148,15 @@ class SearchSpace:
         choices: all that have quantiles, in the program's order.
         fixed: names of those among them that overrides leave without effect.
         unsearched: what else is drawn at random, as names with a word of why.
+        drawn: keys of the scenario that are not the same in every scene.
+        soft: whether a requirement has to hold in a share of the scenes only.
     """
 
     choices: tuple[Choice, ...]
     fixed: frozenset[str] = frozenset()
     unsearched: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+    soft: bool = False
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
@@ -164,7 +168,8 @@ class SearchSpace:
         unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
         return cls(
             choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
-            unsearched=unsearched,
+            unsearched=unsearched, drawn=frozenset(answer['drawn']) - set(overridden),
+            soft=answer['soft'],
         )
 
     @property
@@ -176,12 +181,13 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> Space:
-        """The space as samplers take it.
+        """The space as samplers take it; empty where nothing that is drawn can be searched.
 
         Raises:
-            UsageError: nothing is left to search.
+            UsageError: nothing is drawn at all.
         """
-        return make_space(choice.dimension for choice in self.searched)
+        dimensions = [choice.dimension for choice in self.searched]
+        return Space(dimensions) if self.drawn else make_space(dimensions)
 
     def spread(self, point: Point) -> list[float | None]:
         """A point with None put in for the choices that are not searched, for the Scenic child.

@@ -34,6 +34,11 @@ class StopRule:
     def __str__(self) -> str:
         return f'{self.kind}={self.value:g}'
 
+    @property
+    def reached(self) -> str:
+        """What a search says that was ended by it."""
+        return f'{self} reached'
+
     def met(self, rows: Sequence[RunRow]) -> bool:
         """Whether these runs are enough."""
         if self.kind == FAILURES:

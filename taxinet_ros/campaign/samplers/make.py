@@ -15,7 +15,7 @@ from taxinet_ros.campaign.samplers.lagged import Lagged
 from taxinet_ros.campaign.samplers.option import Option, parse_options
 from taxinet_ros.campaign.samplers.optuna_study import cmaes, tpe
 from taxinet_ros.campaign.samplers.sampler import Sampler
-from taxinet_ros.campaign.samplers.space import Dimension, Space, make_space
+from taxinet_ros.campaign.samplers.space import Dimension, Space
 from taxinet_ros.campaign.samplers.verifai_rule import VerifaiRule
 from taxinet_ros.campaign.samplers.with_drawn import Proposer, WithDrawn
 from taxinet_ros.core.errors import UsageError
@@ -202,7 +202,13 @@ def make_sampler(
     values = check_sampler(name, options)
     if seed < 0:
         raise UsageError(f'seed is {seed}; it has to be 0 or more')
-    return Lagged(SAMPLERS[name].make(make_space(dimensions), seed, runs, values))
+    space = Space(dimensions)
+    if not space and name != 'random':
+        raise UsageError(
+            f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
+            'draws as it does'
+        )
+    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
 
 
 def drawn_share(name: str, options: Mapping[str, str | float]) -> float:

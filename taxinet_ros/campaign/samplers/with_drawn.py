@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, runtime_checkable
 
 from taxinet_ros.campaign.samplers.draws import generator
@@ -42,8 +43,9 @@ class Listener(Protocol):
 class WithDrawn:
     """Has some runs drawn from the program itself, and a sampler choose the others.
 
-    Which ones is a matter of seed and index, so the draws are independent of each other and of all
-    results, whatever the sampler makes of them: a stratum of plain Monte Carlo.
+    Which ones is a matter of the index alone, evenly spread, and their points of seed and index. So
+    the draws are independent of each other and of all results, whatever the sampler makes of them:
+    a stratum of plain Monte Carlo.
     """
 
     def __init__(self, sampler: Proposer, space: Space, seed: int, share: float) -> None:
@@ -66,26 +68,30 @@ class WithDrawn:
 
     def ask(self) -> Point:
         """The next point."""
-        chance = generator(self._seed, len(self._points), stream=_STREAM)
-        *uniform, mixing = chance.random(len(self._space) + 1)
         self._attempt = 0
         self._own.append(self._chosen)
-        if mixing < self._share:
-            point = self._space.point(uniform)
-            self._points.append(point)
-            return point
-        self._points.append(None)
-        self._chosen += 1
-        return self._sampler.ask()
+        if self._drawn_until(len(self._points) + 1) > self._drawn_until(len(self._points)):
+            self._points.append(self._draw(len(self._points)))
+        else:
+            self._points.append(None)
+            self._chosen += 1
+        return self._points[-1] or self._sampler.ask()
 
     def again(self) -> Point:
         """Another point for the same run, drawn again or chosen again."""
         if self._points[-1] is None:
             return self._sampler.again()
         self._attempt += 1
-        chance = generator(self._seed, len(self._points) - 1, self._attempt, stream=_STREAM)
-        self._points[-1] = self._space.point(chance.random(len(self._space)))
-        return self._points[-1]
+        point = self._points[-1] = self._draw(len(self._points) - 1)
+        return point
+
+    def _draw(self, index: int) -> Point:
+        chance = generator(self._seed, index, self._attempt, stream=_STREAM)
+        return self._space.point(chance.random(len(self._space)))
+
+    def _drawn_until(self, runs: int) -> int:
+        """How many of the first runs are drawn; a share such as 0.1 is no exact number."""
+        return math.floor(self._share * runs + 1e-9)
 
     def tell(self, index: int, rho: float | None) -> None:
         """Pass a result on, under the sampler's own number."""
