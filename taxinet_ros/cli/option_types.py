@@ -96,8 +96,8 @@ MostRunsOption = Annotated[
 SamplerOption = Annotated[
     str,
     typer.Option(
-        help='how scenes are chosen: random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe '
-        'or cmaes'
+        help='how scenes are chosen: random, halton, sobol, grid, active (finds rare failures, and '
+        'all the regions of them), ce, ce-verifai, mab, bo, tpe or cmaes'
     ),
 ]
 SamplerSettingOption = Annotated[

@@ -22,7 +22,7 @@ from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 
 WORDS = [
     'falsify', 'nominal', '--runs', '10', '--perception', 'truth', '--set', 'duration=2',
-    '--seed', '4', '--sampler-option', 'every=2',
+    '--seed', '4', '--sampler', 'ce', '--sampler-option', 'every=2',
 ]
 
 pytestmark = pytest.mark.ros
@@ -206,3 +206,11 @@ def test_given_quiet_and_an_early_stop_then_there_is_only_the_summary(tmp_path):
     lines = done.stdout.splitlines()
     assert lines[0] == '1 FAIL'
     assert lines[-2] == 'ended before its 10 runs: failures=1 reached; --resume continues it'
+
+
+def test_t7_given_no_sampler_then_it_is_the_one_that_finds_most(capsys):
+    from taxinet_ros.cli.main import _exit_code, app
+
+    words = ['falsify', 'nominal', '--sampler-option', 'seed=1']
+    assert _exit_code(lambda: app(words, standalone_mode=False)) == 2
+    assert 'sampler active: unknown option seed; known: radius, floor' in capsys.readouterr().err
