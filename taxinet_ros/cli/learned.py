@@ -93,7 +93,7 @@ def _bin_words(choice: Choice, number: int) -> str:
 
 
 def _words(spread: Spread) -> str:
-    return f'{spread.mean:.1%} ({spread.low:.1%} to {spread.high:.1%})'
+    return f'{spread.mean:.1%} (least {spread.low:.1%}, most {spread.high:.1%} of the searches)'
 
 
 def _interval(text: str) -> tuple[str, float, float]:
