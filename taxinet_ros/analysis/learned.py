@@ -78,7 +78,7 @@ def _evidence_words(search: Search) -> list[str]:
 
 
 def _evidence(search: Search) -> dict[str, Evidence]:
-    """Weighted failures by bin, for each dimension; empty where the sampler's density is unknown."""
+    """Weighted failures by bin of each dimension; empty where the runs' weights are not known."""
     failed = [row for row in search.rows if row.outcome is Outcome.FAIL]
     found = {}
     for choice in search.space.searched:

@@ -65,7 +65,7 @@ def learned_program(
         source = program.read_bytes().decode()  # with its own line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
-    text = _Text(program=program, source=source)
+    text = _Text(program=program.resolve(), source=source)
     unknown = set(probabilities) - {choice.dimension.name for choice in space.choices}
     if unknown:
         raise UsageError(f'{program.name}: has no choice named {sorted(unknown)[0]}')
@@ -77,6 +77,7 @@ def learned_program(
             continue
         weights = text.weights(choice, probabilities)
         try:
+            text.refuse_resampled(choice, space)
             edit = text.edit(choice, weights, shared=made[choice.place] > 1)
             text.rewrite(edit.start, edit.end, [edit])
         except UsageError as error:
@@ -121,6 +122,23 @@ class _Text:
             raise self._refusal(f'{name}: probabilities have to be 0 or more, and one above 0')
         total = math.fsum(weights)
         return tuple(weight / total for weight in weights)
+
+    def refuse_resampled(self, choice: Choice, space: SearchSpace) -> None:
+        """``resample(x)`` would draw from what becomes of ``x``, and something else was learned.
+
+        Raises:
+            UsageError: a choice like this one is made by it.
+        """
+        for other in space.choices:
+            place = other.place
+            if place is None or other is choice or Path(place.file).resolve() != self.program:
+                continue
+            start = _line_starts(self.source)[place.line - 1] + place.column
+            same = (other.law, other.pieces, other.dimension.weights) == (
+                choice.law, choice.pieces, choice.dimension.weights)
+            if same and self.source.startswith('resample', start):
+                name = choice.dimension.name
+                raise self._refusal(f'{name} is drawn again by resample', choice.place)
 
     def edit(self, choice: Choice, weights: tuple[float, ...], *, shared: bool) -> _Edit:
         """What is to become of the call that makes a choice."""
@@ -228,7 +246,9 @@ class _Text:
 
     def _span(self, choice: Choice) -> tuple[int, int]:
         name, place = choice.dimension.name, choice.place
-        if place is None or Path(place.file).resolve() != self.program.resolve():
+        if place is None:
+            raise self._refusal(f'{name} is made by no call that could be written anew')
+        if Path(place.file).resolve() != self.program.resolve():
             raise self._refusal(f'{name} is not made in this file')
         if not (choice.pieces or choice.dimension.discrete or choice.law):
             raise self._refusal(f'{name} has no distribution that could be written', place)

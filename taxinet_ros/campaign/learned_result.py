@@ -45,8 +45,7 @@ class Evidence:
 
     @property
     def failures(self) -> float:
-        """Failures drawn by the program itself that are worth as much (Kish, Survey Sampling, 1965).
-        """
+        """Failures drawn by the program itself that are worth as much (Kish, 1965)."""
         return sum(self.amounts) ** 2 / self.squares if self.squares else 0.0
 
 
@@ -114,8 +113,7 @@ class LearnedResult:
 
 
 class Share(NamedTuple):
-    """A share of the failures under the program, with its 95 % interval; NaN, 0 and 1 for no idea.
-    """
+    """A share of the failures under the program, with its 95 % interval; NaN where unknown."""
 
     share: float
     low: float
@@ -186,7 +184,7 @@ class LearnedTogether:
         return choices[name]
 
     def within(self, name: str, low: float, high: float) -> Share:
-        """The share of values in [low, high] in the failures, spread in each bin as the program does.
+        """The share of values in [low, high], in a bin as likely as under the program.
 
         Raises:
             UsageError: no choice has that name, or it has no values to compare.
@@ -200,9 +198,9 @@ class LearnedTogether:
         """Share of the failures, ``inside`` being what part of each bin counts.
 
         The interval is the Clopper-Pearson one for as many failures as would have the variance
-        (Korn and Graubard, Survey Methodology 24, 1998). Searches are the clusters of that variance,
-        with Student's quantile for their small number; they never count for more failures than the
-        weights allow (Kish), as equal shares by chance would else claim.
+        (Korn and Graubard, Survey Methodology 24, 1998). Searches are the clusters of that
+        variance, with Student's quantile for their small number; they never count for more failures
+        than the weights allow (Kish), as equal shares by chance would else claim.
         """
         from scipy.stats import t
 

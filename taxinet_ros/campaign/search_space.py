@@ -82,7 +82,9 @@ class Law:
         if self.mean is None or self.stddev is None:
             return None
         mean, stddev = self.mean, self.stddev
-        low, high = (None if end is None else (end - mean) / stddev for end in (self.low, self.high))
+        low, high = (
+            None if end is None else (end - mean) / stddev for end in (self.low, self.high)
+        )
         return [mean + stddev * sigmas for sigmas in standard_values(quantiles, low, high)]
 
 
