@@ -105,10 +105,10 @@ PROGRAMS = {
 
 WRONG = {
     'another weight': ('param rain = Options({1: 2, 50: 1})\n' + EGO,
-                       'param rain = Options({1: 1, 50: 1})\n' + EGO),
-    'a wider normal': ('param rain = Normal(0, 1)\n' + EGO, 'param rain = Normal(0, 2)\n' + EGO),
+                       'param rain = Options({1: 1, 50: 3})\n' + EGO),
+    'a wider normal': ('param rain = Normal(0, 1)\n' + EGO, 'param rain = Normal(0, 3)\n' + EGO),
     'another share': (PLACED + 'require[0.8] ego.position.x > 6.4\n',
-                      PLACED + 'require[0.4] ego.position.x > 6.4\n'),
+                      PLACED + 'require[0.3] ego.position.x > 6.4\n'),
     'redrawn activation': (PLACED + 'require[0.8] ego.position.x > 6.4\n', ''),
     'independent': (PROGRAMS['correlated'],
                     'param rain = 100 * Range(0, 1)\n'
