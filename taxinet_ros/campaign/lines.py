@@ -95,6 +95,7 @@ def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
             f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
         )
         lines += stopped_words(rows)
+    lines += refused_words(rows)
     lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
 
@@ -105,6 +106,21 @@ def _satisfied_words(failed: ProgramRate) -> str:
     value, low, high = failed.rate.other
     when = ' that holds wherever a campaign stops' if failed.anytime else ''
     return f'satisfied {value:.0%} (95 % interval{when} {low:.0%}-{high:.0%})'
+
+
+def refused_words(rows: Sequence[RunRow]) -> list[str]:
+    """What the program's requirements refused, and what it drew that could not be run."""
+    rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
+    refused = sum(row.refused for row in rows)
+    lines = []
+    if refused:
+        lines.append(f'{refused} draws refused by the requirements and replaced')
+    if rejected:
+        lines.append(
+            f'{len(rejected)} of {len(rows)} scenes rejected; shares are among the judged runs; '
+            f'the first: {rejected[0].detail}'
+        )
+    return lines
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:
