@@ -124,7 +124,8 @@ def measure_intervals(
     cases = list(product(words, rates))
     found = []
     spawned = get_context('spawn')  # a progress bar has threads, which do not survive a fork
-    with ProcessPoolExecutor(workers or os.cpu_count(), mp_context=spawned) as pool:
+    pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=spawned)
+    try:
         for number, (word, rate) in enumerate(cases):
             search = partial(_search, word, rate, tuple(runs))
             done = []
@@ -135,6 +136,8 @@ def measure_intervals(
                 done.append(one)
                 progress(number * repeats + len(done), len(cases) * repeats)
             found.append(_held(word, rate, done))
+    finally:  # after Ctrl-C the searches at hand are enough
+        pool.shutdown(cancel_futures=True)
     return {
         'machine': machine_facts(), 'runs': list(runs), 'repeats': repeats, 'look': LOOK,
         'landscapes': list(LANDSCAPES), 'intervals': [asdict(one) for one in found],

@@ -115,6 +115,7 @@ def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
             f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
         )
         lines += [*stopped_words(rows), *blind_words(rows)]
+    lines += refused_words(rows)
     lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
 
@@ -137,6 +138,21 @@ def blind_words(rows: Sequence[RunRow]) -> list[str]:
         f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their frames '
         f'without a usable estimate (run {named}); --spec usable fails them'
     ]
+
+
+def refused_words(rows: Sequence[RunRow]) -> list[str]:
+    """What the program's requirements refused, and what it drew that could not be run."""
+    rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
+    refused = sum(row.refused for row in rows)
+    lines = []
+    if refused:
+        lines.append(f'{refused} draws refused by the requirements and replaced')
+    if rejected:
+        lines.append(
+            f'{len(rejected)} of {len(rows)} scenes rejected; shares are among the judged runs; '
+            f'the first: {rejected[0].detail}'
+        )
+    return lines
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:

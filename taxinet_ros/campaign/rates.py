@@ -98,10 +98,8 @@ def _anytime_upper(hits: float, misses: float, tail: float) -> float:
         return math.log(below) + mixed - hits * math.log(truth) - misses * math.log1p(-truth)
 
     low, high = hits / (hits + misses), 1.0
-    for _ in range(50):  # to the last digits of a float
+    for _ in range(36):  # to ten digits
         middle = (low + high) / 2
-        if middle in (low, high):
-            break
         low, high = (low, middle) if log_stake(middle) >= -math.log(tail) else (middle, high)
     return high
 

@@ -55,6 +55,7 @@ class Choice:
             'dimension': dataclasses.asdict(self.dimension), 'feeds': sorted(self.found.feeds),
             'place': place_of(node.index if type(node) is Options else node),
             'pieces': self._pieces(), 'options': _constants(self),
+            'law': None if self._pieces() or self.dimension.discrete else _law(node),
         }
 
 
@@ -213,6 +214,19 @@ def _mixture_pieces(node: Any) -> list[list[float]]:
         [*quantiles, low, high]
         for quantiles, (low, high, _) in zip(itertools.pairwise(edges), parts, strict=True)
     ]
+
+
+def _law(node: Any) -> dict[str, Any] | None:
+    """Kind and constants of a distribution of numbers, for the parent."""
+    if type(node) not in _INVERSES or type(node) is Options:
+        return None
+    parts = {part: vars(node)[part] for part in ('mean', 'stddev', 'low', 'high')
+             if part in vars(node)}
+    return {
+        'kind': type(node).__name__,
+        **{part: None if needsSampling(value) or math.isinf(value) else float(value)
+           for part, value in parts.items()},
+    }
 
 
 def _constants(choice: Choice) -> list[Any] | None:

@@ -9,6 +9,7 @@ from taxinet_ros.campaign.lines import (
     GRAPH_OF_OTHERS,
     blind_words,
     off_runway_words,
+    refused_words,
     rho_words,
     scene_words,
     stopped_words,
@@ -68,7 +69,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     """
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']
-    lines += [*_rate_lines(search), *stopped_words(rows), *blind_words(rows), *_worst(rows)]
+    lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
+    lines += [*blind_words(rows), *_worst(rows)]
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:

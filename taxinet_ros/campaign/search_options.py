@@ -13,7 +13,7 @@ from taxinet_ros.campaign.samplers.option import split_options
 from taxinet_ros.campaign.stop_rule import StopRule, parse_stop_rule
 from taxinet_ros.core.errors import UsageError
 
-DEFAULT_SAMPLER = 'ce'
+DEFAULT_SAMPLER = 'active'
 """Chooses the scenes where neither a person nor the program names a sampler."""
 
 

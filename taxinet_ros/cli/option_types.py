@@ -101,8 +101,9 @@ MostRunsOption = Annotated[
 SamplerOption = Annotated[
     str | None,
     typer.Option(
-        help='how scenes are chosen: random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe '
-        "or cmaes; by default as the program's verifaiSamplerType says, else ce"
+        help='how scenes are chosen: active (finds rare failures, and all the regions of them), '
+        'random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe or cmaes; by default as the '
+        "program's verifaiSamplerType says, else active"
     ),
 ]
 SamplerSettingOption = Annotated[

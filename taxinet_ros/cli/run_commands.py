@@ -120,7 +120,9 @@ def falsify(
 ) -> None:
     """Search a Scenic program for violating scenes.
 
-    The worse a run, the more like it the sampler may choose. Survives Ctrl-C and power cuts.
+    The usual sampler goes for failures that are unlike those found, and draws every fourth run from
+    the program itself for its rates; `--sampler ce` also learns where failures are likely. Survives
+    Ctrl-C and power cuts.
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.search_options import make_search_options

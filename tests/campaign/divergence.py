@@ -9,6 +9,7 @@ and whether it is below a family-wise level of 0.1 %.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import json
 import random
@@ -104,15 +105,18 @@ PROGRAMS = {
 
 WRONG = {
     'another weight': ('param rain = Options({1: 2, 50: 1})\n' + EGO,
-                       'param rain = Options({1: 3, 50: 2})\n' + EGO),
-    'a wider normal': ('param rain = Normal(0, 1)\n' + EGO, 'param rain = Normal(0, 1.2)\n' + EGO),
-    'another share': ('require[0.8] ego.position.x > 6.4\n', 'require[0.4] ego.position.x > 6.4\n'),
+                       'param rain = Options({1: 1, 50: 3})\n' + EGO),
+    'a wider normal': ('param rain = Normal(0, 1)\n' + EGO, 'param rain = Normal(0, 3)\n' + EGO),
+    'another share': (PLACED + 'require[0.8] ego.position.x > 6.4\n',
+                      PLACED + 'require[0.3] ego.position.x > 6.4\n'),
+    'redrawn activation': (PLACED + 'require[0.8] ego.position.x > 6.4\n', ''),
     'independent': (PROGRAMS['correlated'],
                     'param rain = 100 * Range(0, 1)\n'
                     'param time_of_day = 6 + 12 * Range(0, 1) ** 2\n' + EGO),
 }
-"""Pairs of programs that a test with 2,000 draws of each has to tell apart."""
-WRONG['another share'] = (PLACED + WRONG['another share'][0], PLACED + WRONG['another share'][1])
+"""Pairs of programs that the comparison has to tell apart. Without a second text it is the first
+one with soft requirements decided anew for each refused point, which is not what Scenic does.
+"""
 
 Values = list[dict[str, Any]]
 
@@ -146,6 +150,19 @@ class Drawn:
             _, point = sampler.next()
             found.append(accepted_scene(self, index, point, sampler.again)[0])
             sampler.tell(index, None)
+        return found
+
+    def decided_anew(self, draws: int) -> Values:
+        """Wrong: a point that is refused is replaced by one with other soft requirements."""
+        sampler = make_sampler('random', self._space.dimensions, self._seed, 100 * draws)
+        found: Values = []
+        for index in range(100 * draws):
+            if len(found) == draws:
+                break
+            _, point = sampler.next()
+            sampler.tell(index, None)
+            with contextlib.suppress(Refused):
+                found.append(self.scene(index, point, 0))
         return found
 
     def scene(self, index: int, point: Point, attempt: int) -> dict[str, Any]:
@@ -199,9 +216,11 @@ def compared(
 def told_apart(draws: int, seed: int) -> dict[str, dict[str, dict[str, float]]]:
     """The same of the wrong pairs: Scenic's scenes of one beside those drawn here of the other."""
     def draw(drawn: Drawn, folder: Path) -> tuple[Values, dict[str, Values]]:
-        name = folder.name
-        other = Drawn(folder, WRONG[name][1], seed)
-        return drawn.of_scenic(draws), {'random': other.by('random', draws)}
+        text = WRONG[folder.name][1]
+        if not text:
+            return drawn.of_scenic(draws), {'random': drawn.decided_anew(draws)}
+        own = drawn.of_scenic(draws)
+        return own, {'random': Drawn(folder, text, seed).by('random', draws)}
 
     return _each({name: pair[0] for name, pair in WRONG.items()}, draw, seed)
 
@@ -231,7 +250,7 @@ def main() -> None:
     args = parser.parse_args()
     found = compared({name: PROGRAMS[name] for name in args.programs}, args.draws, args.seed)
     if args.json:
-        json.dump({'right': found, 'wrong': told_apart(args.draws, args.seed)}, sys.stdout)
+        json.dump({'right': found, 'wrong': told_apart(4 * args.draws, args.seed)}, sys.stdout)
         return
     tests = sum(len(values) for ways in found.values() for values in ways.values())
     for name, ways in found.items():

@@ -57,9 +57,9 @@ class ActiveSearch:
     failures at a resolution (Malkomes et al., Beyond the Pareto Efficient Frontier: Constraint
     Active Search for Multiobjective Experimental Design, ICML 2021). Here a point's score is the
     probability of a robustness of 0 or less, times the share of its neighbourhood that no known
-    failure covers. While failures are improbable everywhere, that is the probability of improvement
-    upon a fixed target, which weighs low means against unknown places (Jones, Journal of Global
-    Optimization 21, 2001).
+    failure covers, times the share of the runs beside it that have a result at all. While failures
+    are improbable everywhere, that is the probability of improvement upon a fixed target, which
+    weighs low means against unknown places (Jones, Journal of Global Optimization 21, 2001).
 
     Runs take turns. In every other one *novel* means far from failures in what matters, distances
     being measured in the process's length scales: it seeks new regions. In the others all
@@ -202,6 +202,14 @@ class ActiveSearch:
         matters = np.ones(len(scales)) if spread else scales.min() / scales
         weights = self._features.per_column(matters) / self._radius
         free = [not dimension.discrete for dimension in self._space]
+        judged = self._features.rows(self._window)
+        missed = self._features.rows(self._misses[-MISSES:])
+
+        def near(features: Floats, points: Floats) -> Floats:
+            """How many of the points are beside each."""
+            apart = _squared_distances(features, points) / (2 * self._radius) ** 2
+            beside: Floats = np.exp(-apart / 2).sum(axis=1)
+            return beside
 
         def score(quantiles: Floats) -> Floats:
             features = self._features.of(quantiles)
@@ -212,6 +220,9 @@ class ActiveSearch:
                 if spread:
                     apart = apart.min(axis=1, keepdims=True)
                 worth += np.log(-np.expm1(-np.maximum(apart, 1e-12) / 2)).sum(axis=1)
+            if len(missed):
+                results = 1 + near(features, judged)
+                worth += np.log(results / (results + near(features, missed)))
             if not spread:
                 # A process is least sure at the edges; but half of what is near them is outside.
                 inside = quantiles[:, free]
