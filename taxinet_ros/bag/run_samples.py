@@ -178,11 +178,7 @@ def _samples(path: Path, reader: _Reader, run: str, trouble: str) -> RunSamples:
 def _trouble(run: RunPart, reader: _Reader, damage: Sequence[str]) -> str:
     if damage:
         return damage[0]
-    if run.unclear and ODOMETRY in reader.steps:
-        return run.unclear
-    if run.stamps_ns and (begins_ns := min(run.stamps_ns)) > 0:
-        return f'begins at {begins_ns / NS_PER_S:g} s: the recorder came late'
-    return ''
+    return run.unclear if ODOMETRY in reader.steps else ''
 
 
 def _finished(path: Path) -> bool:
@@ -250,6 +246,9 @@ class _Reader:
         """All of it."""
         whole = set.intersection(*(set(messages) for messages in self.steps.values()))
         stamps = tuple(sorted(whole))
+        begins_ns = min(self.steps[TRUTH], default=0)
+        if begins_ns > 0 and not trouble:
+            trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
         return RunSamples(
             run=run,
             duration_ns=round(float(self.scenario.duration) * NS_PER_S),
