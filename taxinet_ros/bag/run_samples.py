@@ -183,11 +183,7 @@ def _samples(path: Path, reader: _Reader, run: str, trouble: str) -> RunSamples:
 def _trouble(run: RunPart, reader: _Reader, damage: Sequence[str]) -> str:
     if damage:
         return damage[0]
-    if run.unclear and ODOMETRY in reader.steps:
-        return run.unclear
-    if run.stamps_ns and (begins_ns := min(run.stamps_ns)) > 0:
-        return f'begins at {begins_ns / NS_PER_S:g} s: the recorder came late'
-    return ''
+    return run.unclear if ODOMETRY in reader.steps else ''
 
 
 def _finished(path: Path) -> bool:
@@ -261,6 +257,9 @@ class _Reader:
         if ESTIMATE in self.steps:
             for stamp, sample in zip(stamps, samples, strict=True):
                 sample.update(watch.signals(stamp, sample))
+        begins_ns = min(self.steps[TRUTH], default=0)
+        if begins_ns > 0 and not trouble:
+            trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
         return RunSamples(
             run=run,
             duration_ns=duration_ns,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taxinet_ros.bag.errors import BagEmpty
+from taxinet_ros.bag.errors import BagEmpty, BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.runs import read_recording, write_runs
 from taxinet_ros.campaign.options import check_new
@@ -32,6 +32,8 @@ def _split(bag: Path, out: Path) -> int:
         raise BagEmpty(f'{bag}: holds no run of ours', path=bag)
     folders = {run.name: run_folder(out, run.name.replace('/', '_').replace('#', '.'))
                for run in present}
+    if len(set(folders.values())) < len(folders):
+        raise BagForeign(f'{bag}: two of its runs would get one folder', path=bag)
     write_runs(recording, folders)
     for run in recording.runs:
         where = f'-> {folders[run.name]}' if run.name in folders else 'nothing to write'

@@ -128,6 +128,8 @@ def _judged(
                     console.print(line, soft_wrap=True)
             if len(bags) > 1:
                 show('judging', len({one.path for one in judged}), len(bags))
+    if not judged:
+        raise UsageError(f'--run {run}: there is not one step of it in {bags[0]}')
     return judged
 
 

@@ -119,8 +119,11 @@ def test_ros1_given_a_recorder_that_came_late_then_the_run_is_incomplete_and_sai
     code, out, _ = call(capsys, 'monitor', bag)
     assert code == 3
     assert 'INCOMPLETE' in out
-    assert 'begins at 5 s: the recorder came late' in out
+    assert 'begins at 5 s: what came before was not recorded' in out
     assert f'has not one step of them: {BAD.name}' in out
+    code, _, err = call(capsys, 'monitor', bag, '--run', BAD.name)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert f'--run {BAD.name}: there is not one step of it in {bag}' in err
 
 
 def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_choose(
