@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from taxinet_ros.bench.measure import Subject
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import MAX_GAP_NS, signals
-from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness
+from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness, signal_names
 from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 
 LAST = 300
@@ -63,11 +64,14 @@ def swinging_run(last: int) -> Run:
 
 def _sample(step: int) -> dict[str, float]:
     cte_m = 6.0 * math.exp(-step / 40) * math.cos(step / 15)
-    return signals(
-        cte_m=cte_m, he_rad=0.0, x_m=400.0 + 0.5 * step, speed_mps=5.0,
-        estimate=TrackingError(cte_m=cte_m, he_rad=0.0),
-        command=TaxiCommand(steering_rad=0.0, speed_mps=5.0),
-    )  # fmt: skip
+    return {
+        **signals(
+            cte_m=cte_m, he_rad=0.0, x_m=400.0 + 0.5 * step, speed_mps=5.0,
+            estimate=TrackingError(cte_m=cte_m, he_rad=0.0),
+            command=TaxiCommand(steering_rad=0.0, speed_mps=5.0),
+        ),
+        **dict.fromkeys(EstimateWatch.NAMES, 0.0),
+    }
 
 
 def _online(name: str, spec: Spec, run: Run) -> Subject:
@@ -88,7 +92,8 @@ def _online(name: str, spec: Spec, run: Run) -> Subject:
 
 def _offline(name: str, spec: Spec, run: Run) -> Subject:
     stamps_ns = [stamp_ns for stamp_ns, _ in run]
-    columns = {'cte': [sample['cte'] for _, sample in run]}
+    names = signal_names(spec.formula)
+    columns = {name: [sample[name] for _, sample in run] for name in names}
     calls = _OFFLINE_CALLS if len(run) <= LENGTHS['1k'] + 1 else 1
 
     def evaluate() -> None:

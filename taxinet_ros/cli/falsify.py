@@ -26,7 +26,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
     Args:
         options: what to do.
-        quiet: print the summary only.
+        quiet: print warnings and the summary only.
 
     Returns:
         Exit code: 0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.

@@ -147,7 +147,7 @@ NominalOption = Annotated[
     ),
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='most runs that the search may rest on')]
-QuietOption = Annotated[bool, typer.Option('--quiet', help='print the summary only')]
+QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
 PicturesArgument = Annotated[
     str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')
 ]

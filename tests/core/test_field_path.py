@@ -5,6 +5,7 @@ import pytest
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.field_path import check_field, number_at, parse_field_path
+from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.signal_source import parse_signals
 
 TYPES = {
@@ -70,12 +71,28 @@ def test_given_a_message_then_the_number_is_the_field_s_times_the_factor():
     assert trouble == 'far: ranges has 2 elements, no [2]'
 
 
+def test_people2_given_a_signal_with_a_unit_then_formulas_about_it_are_checked():
+    texts = ['gap[m]=/scan:ranges[0]', 'tilt [rad] = /imu:roll*0.0174', 'share[1]=/s:x', 'v=/s:y']
+    sources = parse_signals(texts)
+    assert [source.unit for source in sources] == ['m', 'rad', '1', '']
+    assert [str(source) for source in sources][:2] == [
+        'gap[m]=/scan:ranges[0]', 'tilt[rad]=/imu:roll*0.0174'
+    ]
+    signals = {source.name: source.unit for source in sources}
+    near = parse('gap >= 50 cm and abs(tilt) <= 90 deg and share < 5 % and v < 3 km/h', signals)
+    assert str(near.left.left.left) == 'gap >= 0.5'
+    with pytest.raises(UsageError, match=r'column 8: expected a length .* to go with gap'):
+        parse('gap >= 5 deg', signals)
+
+
 @pytest.mark.parametrize(
     ('texts', 'words'),
     [
         (['cte'], 'expected NAME=/topic:field'), (['cte=/odom'], 'expected NAME=/topic:field'),
         (['G=/odom:x'], "name 'G'"), (['a-b=/odom:x'], "name 'a-b'"),
         (['a=/odom:x*two'], "factor 'two'"), (['a=/odom:x*0'], "factor '0'"),
+        (['a[deg]=/odom:x'], "unit 'deg': formulas compare in SI: one of m, s, rad, m/s, rad/s"),
+        (['a[furlong]=/odom:x'], "unit 'furlong'"), (['a[]=/odom:x'], "unit ''"),
         (['a=/odom:x', 'a=/odom:y'], 'there is a a already'), (['a=/odom:x['], 'is no field'),
     ],
 )

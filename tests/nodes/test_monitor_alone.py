@@ -250,6 +250,11 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
         ({'signals': ['cte=/a-b:x'], 'specs': [NEAR]}, "'cte=/a-b:x'"),
         ({'signals': ODOM, 'specs': ['a=always(he < 1)']}, "unknown 'he'; known: cte, speed"),
         ({'signals': ODOM[1:], 'specs': ['phi_always']}, 'reads cte, which is no signal'),
+        (
+            {'signals': ODOM, 'specs': ['far=always[9:12](cte < 1)'], 'horizon': 5.0},
+            'parameter specs: spec far: always[9:12] begins 9 s into the run, which lasts 5 s',
+        ),
+        ({'signals': ['cte[m]=/a:x'], 'specs': ['a=cte < 1 deg']}, 'expected a length'),
         ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is there twice'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'y'}, 'known: cte, speed'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'one of both'),
