@@ -52,4 +52,4 @@ def _runs(sampler: Lagged, number: int) -> None:
 
 def _robustness(point: Point) -> float:
     """A bowl in which about one run in ten fails."""
-    return sum((quantile - 0.3) ** 2 for quantile in point) - 0.4
+    return sum((quantile - 0.3) ** 2 for quantile in point if quantile is not None) - 0.4

@@ -21,7 +21,9 @@ class RunRow:
         run_id, index: unique name, and number within the campaign from 0.
         program, seed: what the scenario was drawn from.
         sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
-        point: the quantile that it chose for each dimension, by name.
+        point: the quantile that it chose for each dimension that is not idle there, by name.
+        refused: draws, or points of the sampler, that the program's requirements refused before
+            this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
@@ -55,6 +57,7 @@ class RunRow:
     outcome: Outcome
     sampler: str = ''
     point: Mapping[str, float] = field(default_factory=dict)
+    refused: int = 0
     weight: float | None = None
     perception_fingerprint: str = ''
     cross_track: float | None = None
@@ -163,11 +166,12 @@ class RunRow:
         )
 
     def chosen(
-        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int
+        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
+        refused: int = 0,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
-            self, sampler=sampler, point=point, weight=weight, retries=retries
+            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -7,10 +7,11 @@ Only the Scenic child may import this module.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
 from typing import Any
@@ -25,9 +26,11 @@ from scenic.core.distributions import (
     needsSampling,
     supportInterval,
 )
+from scenic.core.regions import PointInRegionDistribution
 
-from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
+from taxinet_ros.campaign.samplers.space import Branch, Dimension
+from taxinet_ros.campaign.scenic_regions import ends, point_at
+from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range, random_keys
 from taxinet_ros.campaign.search_words import buckets_of, default_buckets, pieces_of, place_of
 
 MAX_CATEGORIES = 100
@@ -49,10 +52,17 @@ class Choice:
         """What the parent needs to know, for JSON."""
         node = self.found.node
         return {
-            'dimension': asdict(self.dimension), 'feeds': sorted(self.found.feeds),
+            'dimension': dataclasses.asdict(self.dimension), 'feeds': sorted(self.found.feeds),
             'place': place_of(node.index if type(node) is Options else node),
-            'pieces': _pieces(node), 'options': _constants(self),
+            'pieces': self._pieces(), 'options': _constants(self),
         }
+
+
+    def _pieces(self) -> list[list[float]]:
+        low, high = self.dimension.low, self.dimension.high
+        if isinstance(self.found.node, PointInRegionDistribution):
+            return [] if math.isnan(low) else [[0.0, 1.0, low, high]]
+        return _pieces(self.found.node)
 
 
 class Choices:
@@ -62,7 +72,7 @@ class Choices:
         """If any choice is marked for search, the unmarked ones stay with the prior."""
         found, others = find_choices(scenario)
         marked = any(buckets_of(choice.node) is not None for choice in found)
-        self._choices: list[Choice] = []
+        searched: list[Found] = []
         self._unsearched = others
         for choice in found:
             if not choice.feeds:
@@ -70,13 +80,16 @@ class Choices:
             elif marked and buckets_of(choice.node) is None:
                 self._unsearched.append(f'{choice.name} (not marked for search)')
             else:
-                self._choices.append(Choice(found=choice, dimension=_dimension(choice)))
+                searched.append(choice)
+        self._choices = _conditional(searched, found)
+        self._drawn = random_keys(scenario)
+        self._soft = any(requirement.prob < 1 for requirement in scenario.userRequirements)
 
     def describe(self) -> dict[str, Any]:
         """The search space, for JSON."""
         return {
             'choices': [choice.describe() for choice in self._choices],
-            'unsearched': self._unsearched,
+            'unsearched': self._unsearched, 'drawn': self._drawn, 'soft': self._soft,
         }
 
     @contextlib.contextmanager
@@ -85,24 +98,68 @@ class Choices:
 
         The others draw as ever. What Scenic compiled is left as it was found.
         """
-        placed = [
-            (choice, quantile) for choice, quantile in zip(self._choices, point, strict=True)
-            if quantile is not None
-        ]
-        for choice, quantile in placed:
-            choice.found.node.sampleGiven = partial(_value, choice, quantile)
+        placed: dict[int, tuple[Choice, list[float]]] = {}
+        for choice, quantile in zip(self._choices, point, strict=True):
+            if quantile is not None:
+                # The quantiles of a point in a region come one after the other.
+                placed.setdefault(id(choice.found.node), (choice, []))[1].append(quantile)
+        for choice, quantiles in placed.values():
+            choice.found.node.sampleGiven = partial(_value, choice, quantiles)
         try:
             yield
         finally:
-            for choice, _ in placed:
+            for choice, _ in placed.values():
                 del choice.found.node.sampleGiven
+
+
+def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choice]:
+    """The choices as dimensions, each after those that decide whether it is made.
+
+    Where a choice that nobody searches decides it, the dimension counts as active throughout what
+    may be: its quantile then does nothing in some of the scenes.
+    """
+    by_node = {id(choice.node): choice for choice in found}
+    selectors = {id(choice.node): choice.name for choice in searched if choice.options is not None}
+    order = {choice.name: number for number, choice in enumerate(searched)}
+
+    def branches(choice: Found) -> dict[str, set[int]]:
+        """Deciding categories by name of the dimension; empty for always."""
+        merged: dict[str, set[int]] = {}
+        for selector, number in choice.when:
+            if selector in selectors:
+                ways = {selectors[selector]: {number}}
+            else:
+                ways = branches(by_node[selector]) if selector in by_node else {}
+                if not ways:
+                    return {}
+            for name, numbers in ways.items():
+                merged.setdefault(name, set()).update(numbers)
+        return merged
+
+    choices: dict[str, Choice] = {}
+
+    def add(choice: Found) -> None:
+        when = branches(choice)
+        for parent in sorted(when, key=order.__getitem__):
+            add(searched[order[parent]])
+        ways = tuple(Branch(name, tuple(sorted(when[name])))
+                     for name in sorted(when, key=order.__getitem__))
+        dimension = dataclasses.replace(_dimension(choice), when=ways)
+        choices.setdefault(choice.name, Choice(found=choice, dimension=dimension))
+
+    for choice in searched:
+        add(choice)
+    return list(choices.values())
 
 
 def _dimension(found: Found) -> Dimension:
     node = found.node
     buckets = buckets_of(node) or default_buckets()
     weights = _weights(node)
-    low, high = _shown_range(node)
+    if found.options is not None and not weights:
+        weights = (1.0,) * len(found.options)
+    low, high = (ends(node.region, found.part) if isinstance(node, PointInRegionDistribution)
+                 else _shown_range(node))
     return Dimension(name=found.name, weights=weights, low=low, high=high, buckets=buckets)
 
 
@@ -170,9 +227,12 @@ def _constants(choice: Choice) -> list[Any] | None:
     return list(options) if plain else None
 
 
-def _value(choice: Choice, quantile: float, given: Mapping[Any, Any]) -> float:
+def _value(choice: Choice, quantiles: Sequence[float], given: Mapping[Any, Any]) -> Any:
     """What stands in for ``sampleGiven``: the value at a quantile, ``given`` what it rests on."""
     node = choice.found.node
+    if isinstance(node, PointInRegionDistribution):
+        return point_at(given[node.region], quantiles)
+    (quantile,) = quantiles
     if choice.dimension.discrete:
         return math.ceil(given[node.low]) + choice.dimension.bin(quantile)
     return _INVERSES[type(node)](node, quantile, given)

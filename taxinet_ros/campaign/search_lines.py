@@ -17,8 +17,10 @@ from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.estimate import Estimate
+from taxinet_ros.campaign.samplers.space import Branch
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import failure_estimate, off_runway_estimate
 
 
@@ -35,6 +37,27 @@ def search_heading(options: SearchOptions) -> str:
     )
 
 
+def space_lines(space: SearchSpace) -> list[str]:
+    """Which of a program's choices the sampler makes, and when, and which it leaves to chance."""
+    options = {choice.dimension.name: choice.options for choice in space.searched}
+    groups: dict[str, list[str]] = {}
+    for choice in space.searched:
+        where = ' or '.join(_branch_words(branch, options[branch.parent])
+                            for branch in choice.dimension.when)
+        groups.setdefault(f'where {where}: ' if where else '', []).append(choice.dimension.name)
+    searched = '; '.join(f'{where}{", ".join(names)}' for where, names in groups.items())
+    lines = [f'searched: {searched or "nothing"}']
+    if space.unsearched:
+        lines.append(f'drawn, not searched: {", ".join(space.unsearched)}')
+    return lines
+
+
+def _branch_words(branch: Branch, options: Sequence[object]) -> str:
+    named = [str(options[number]) if options else f'option {number + 1}'
+             for number in branch.categories]
+    return f'{branch.parent} is {" or ".join(named)}'
+
+
 def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     """What came of it: counts, rates with their intervals, the worst run, where the table is.
 
@@ -48,7 +71,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:
-        lines.append(f'ended before its {campaign.runs} runs: {why}; {resuming} continues it')
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
     return lines
 
 

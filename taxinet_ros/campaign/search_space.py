@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Self
 
-from taxinet_ros.campaign.samplers.space import Dimension, Space, make_space
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
 from taxinet_ros.core.errors import UsageError
 
 _PLACE = ('file', 'line', 'column', 'end_line', 'end_column')
@@ -82,9 +82,13 @@ class Choice:
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """A choice as the Scenic child describes it."""
         place = values['place']
-        dimension = {**values['dimension'], 'weights': tuple(values['dimension']['weights'])}
+        dimension = values['dimension']
+        when = (Branch(parent, tuple(categories))
+                for parent, categories in dimension.get('when', ()))
         return cls(
-            dimension=Dimension(**dimension),
+            dimension=Dimension(
+                **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
+            ),
             feeds=frozenset(values['feeds']),
             place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
             pieces=tuple(
@@ -144,21 +148,29 @@ class SearchSpace:
         choices: all that have quantiles, in the program's order.
         fixed: names of those among them that overrides leave without effect.
         unsearched: what else is drawn at random, as names with a word of why.
+        drawn: keys of the scenario that are not the same in every scene.
+        soft: whether a requirement has to hold in a share of the scenes only.
     """
 
     choices: tuple[Choice, ...]
     fixed: frozenset[str] = frozenset()
     unsearched: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+    soft: bool = False
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
         """The space that the Scenic child describes, less what ``overridden`` keys make idle."""
-        choices = tuple(Choice.from_json(values) for values in answer['choices'])
+        choices = [Choice.from_json(values) for values in answer['choices']]
         fixed = frozenset(
             choice.dimension.name for choice in choices if choice.feeds <= set(overridden)
         )
         unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
-        return cls(choices=choices, fixed=fixed, unsearched=unsearched)
+        return cls(
+            choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
+            unsearched=unsearched, drawn=frozenset(answer['drawn']) - set(overridden),
+            soft=answer['soft'],
+        )
 
     @property
     def searched(self) -> tuple[Choice, ...]:
@@ -169,25 +181,41 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> Space:
-        """The space as samplers take it.
+        """The space as samplers take it; empty where nothing that is drawn can be searched.
 
         Raises:
-            UsageError: nothing is left to search.
+            UsageError: nothing is drawn at all.
         """
-        return make_space(choice.dimension for choice in self.searched)
+        dimensions = [choice.dimension for choice in self.searched]
+        return Space(dimensions) if self.drawn else make_space(dimensions)
 
-    def spread(self, point: Sequence[float]) -> list[float | None]:
+    def spread(self, point: Point) -> list[float | None]:
         """A point with None put in for the choices that are not searched, for the Scenic child.
 
         Raises:
-            ValueError: not one quantile in [0, 1) per dimension.
+            ValueError: not one quantile in [0, 1) per dimension that is not idle there.
         """
-        if len(point) != len(self.searched):
-            raise ValueError(f'{len(point)} quantiles for {len(self.searched)} dimensions')
-        if not all(0 <= quantile < 1 for quantile in point):
-            raise ValueError(f'point {tuple(point)}: quantiles have to be within [0, 1)')
+        self.dimensions.check(point)
         rest = iter(point)
         return [
-            None if choice.dimension.name in self.fixed else float(next(rest))
+            None if choice.dimension.name in self.fixed else next(rest)
             for choice in self.choices
         ]
+
+    def named(self, point: Point) -> dict[str, float]:
+        """The coordinates of a point by the names of its dimensions, idle ones left out."""
+        return {
+            choice.dimension.name: quantile
+            for choice, quantile in zip(self.searched, point, strict=True) if quantile is not None
+        }
+
+
+def _without_branches(choice: Choice, fixed: Collection[str]) -> Choice:
+    """The choice less the branches of choices that overrides leave without effect.
+
+    What it does by way of such a branch is without effect too, so if there is no other one, it is
+    fixed itself.
+    """
+    dimension = choice.dimension
+    when = tuple(branch for branch in dimension.when if branch.parent not in fixed)
+    return dataclasses.replace(choice, dimension=dataclasses.replace(dimension, when=when))

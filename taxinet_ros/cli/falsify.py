@@ -11,7 +11,7 @@ from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_lines import search_heading, search_summary
+from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
@@ -43,7 +43,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
     with Search(options, PARTICIPANTS, show) as search:
         if not quiet:
-            lines = [search_heading(search.options), *search.notes]
+            lines = [search_heading(search.options), *search.notes, *space_lines(search.space)]
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         with (
             interrupts(search.interrupt),

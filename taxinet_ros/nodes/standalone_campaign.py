@@ -11,7 +11,7 @@ from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import heading, row_line, summary
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_lines import search_heading, search_summary
+from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
@@ -69,7 +69,9 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
-        _say(node, [search_heading(search.options), *search.notes])
+        _say(node, [
+            search_heading(search.options), *search.notes, *space_lines(search.space),
+        ])
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)
         learned = write_learned(search)

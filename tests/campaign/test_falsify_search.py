@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -9,9 +10,13 @@ from pathlib import Path
 import falsify_samples as toy
 import pytest
 
+from taxinet_ros.campaign import scene_source
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.search import PATIENCE
+from taxinet_ros.campaign.search_lines import search_summary
+from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.campaign.stop_rule import parse_stop_rule
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.core.errors import UsageError
@@ -40,6 +45,73 @@ def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_ch
     drawn = table[table['outcome'] != 'REJECTED']
     assert list(drawn['cross_track_m']) == pytest.approx(list(10 * drawn['u_x'] - 5))
     assert (table['weight'] != 1).any(), 'the sampler has learned nothing, so the test would not'
+
+
+def test_s9_given_refused_points_then_they_use_up_no_run_and_are_counted(whole):
+    """A point in six is refused, and none of the 20 runs is lost to one."""
+    table = read_table(whole)
+    assert table['refused'].sum() >= 1
+    assert not (table[['u_x', 'u_y']].min(axis=1) > 0.6).any()
+    assert table['detail'].str.contains('requirements').sum() == 0
+    events = map(json.loads, (whole / 'ledger.jsonl').read_text().splitlines())
+    refused = {event['row']['index']: event['row']['refused']
+               for event in events if event['event'] == 'result'}
+    assert refused == dict(zip(table['index'], table['refused'], strict=True))
+
+
+def test_s6_given_draws_that_are_no_scenario_then_they_are_rejected_with_the_reason(whole):
+    table = read_table(whole)
+    rejected = table[table['outcome'] == 'REJECTED']
+    assert 1 <= len(rejected) <= 8
+    assert (rejected['u_y'] > 0.88).all()
+    assert list(rejected['detail']) == [
+        f'toy: scene {index}: distance_m is 2601' for index in rejected['index']
+    ]
+    assert rejected['rho'].isna().all()
+
+
+def test_s9_given_a_point_that_is_never_accepted_then_the_run_is_rejected_and_the_search_goes_on(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(scene_source, 'MAX_ITERATIONS', 1)
+    done = toy.finish(toy.options(tmp_path / 'one', runs=200, sampler='random'))
+    never = [row for row in done.rows if row.refused == 1]
+    assert never
+    assert {row.detail.split(': ')[-1] for row in never} == {
+        'no point met the requirements in 1 tries',
+    }
+    assert len(done.rows) == 200
+    with toy.searching(toy.options(tmp_path / 'two', runs=200, sampler='random')) as search:
+        for number, _ in enumerate(toy.answers(search, 2)):
+            if number == 60:
+                break
+    toy.finish(toy.options(tmp_path / 'two', runs=200, sampler='random', resume=True))
+    toy.same_table(tmp_path / 'one', tmp_path / 'two')
+
+
+def test_t11_given_a_grid_with_an_end_then_the_search_ends_there_and_says_so(
+    tmp_path, monkeypatch
+):
+    kinds = SearchSpace(choices=tuple(
+        Choice(dimension=Dimension(name=name, weights=(1, 1, 1))) for name in ('x', 'y')
+    ))
+    monkeypatch.setattr(toy, 'SPACE', kinds)
+    done = toy.finish(toy.options(tmp_path / 'grid', runs=36, sampler='grid'))
+    assert len(done.rows) == 8  # of nine cells one is refused
+    assert sum(row.refused for row in done.rows) <= 1  # unless it was the last
+    assert done.exhausted
+    assert search_summary(done)[-1] == (
+        'ended before its 36 runs: all 9 combinations of the grid have been tried'
+    )
+
+
+def test_s3_given_requirements_that_hold_in_a_share_only_then_a_learned_density_is_not_known(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(toy, 'SPACE', dataclasses.replace(toy.SPACE, soft=True))
+    for sampler, weights in (('ce', {None, 1.0}), ('random', {1.0}), ('mab', {None})):
+        done = toy.finish(toy.options(tmp_path / sampler, sampler=sampler))
+        assert {row.weight for row in done.rows} == weights, sampler
 
 
 @pytest.mark.parametrize(('workers', 'pick'), [(2, toy.first), (3, toy.last), (8, toy.last)])

@@ -14,8 +14,11 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from taxinet_ros.campaign.programs import known_programs, shipped_folder
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
-from taxinet_ros.campaign.search_space import SearchSpace
+from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point
+from taxinet_ros.campaign.scene_source import Refused, SceneSource
+from taxinet_ros.campaign.search_lines import space_lines
+from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.core.errors import UsageError
 
 WORLD = 'model runway_world\n'
@@ -72,12 +75,12 @@ def test_given_s_falsif_when_its_space_is_asked_then_every_choice_has_a_name_and
 def test_given_a_point_when_a_scene_is_drawn_then_every_choice_is_at_its_quantile(
     s_falsif: SceneSource,
 ) -> None:
-    wet = s_falsif.scene(0, (0.25, 0.7, 0.1, 0.99, 0.2, 0.75, 0.7, 0.5))
+    wet = s_falsif.scene(0, (0.25, 0.7, None, 0.99, 0.2, 0.75, 0.7, 0.5))
     assert wet.to_human() == {
         **wet.to_human(), 'time_of_day': 9, 'clouds': 'stratus', 'rain': 40, 'cross_track': -4,
         'distance': 1400, 'heading': 0,
     }
-    dry = s_falsif.scene(0, (0.25, 0.66, 0.17, 0.99, 0.2, 0.75, 0.7, 0.5))
+    dry = s_falsif.scene(0, (0.25, 0.66, 0.17, None, None, 0.75, 0.7, 0.5))
     assert (dry.clouds, dry.rain) == ('cirrus', 0)
 
 
@@ -85,7 +88,8 @@ def test_given_a_point_when_scenes_without_one_follow_then_these_are_as_ever(
     s_falsif: SceneSource,
 ) -> None:
     before = [s_falsif.scene(index) for index in range(4)]
-    placed = [s_falsif.scene(index, (0.5,) * 8) for index in range(4)]
+    middle = s_falsif.space().point([0.5] * 8)
+    placed = [s_falsif.scene(index, middle) for index in range(4)]
     assert [s_falsif.scene(index) for index in range(4)] == before
     assert len(set(before)) == 4
     assert set(placed) == {placed[0]}, 'every choice is searched: the index decides nothing'
@@ -95,7 +99,7 @@ def test_given_uniform_points_when_scenes_are_drawn_then_they_follow_the_prior(
     s_falsif: SceneSource,
 ) -> None:
     points = np.random.default_rng(5).random((600, 8))
-    scenes = [s_falsif.scene(0, point) for point in points.tolist()]
+    scenes = [s_falsif.scene(0, s_falsif.space().point(point)) for point in points]
     wet = [scene for scene in scenes if scene.rain > 0]
     assert len(wet) == np.sum(points[:, 1] >= 2 / 3)
     rain = [scene.rain for scene in wet]
@@ -103,11 +107,16 @@ def test_given_uniform_points_when_scenes_are_drawn_then_they_follow_the_prior(
     assert kstest([s.distance_m for s in scenes], 'uniform', (0, 2000)).pvalue > 1e-4
 
 
-@pytest.mark.parametrize('point', [(0.5,) * 7, (0.5,) * 9, (0.5,) * 7 + (1.0,), (-0.1,) * 8])
+DRY = (0.5, 0.5, 0.5, None, None, 0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize('point', [
+    DRY[1:], (*DRY, 0.5), (*DRY[:7], 1.0), (*DRY[:7], -0.1), (0.5,) * 8, (None, *DRY[1:]),
+])
 def test_given_a_point_of_another_space_when_drawn_then_it_is_refused(
-    s_falsif: SceneSource, point: tuple[float, ...],
+    s_falsif: SceneSource, point: Point,
 ) -> None:
-    with pytest.raises(ValueError, match=r'dimensions|within'):
+    with pytest.raises(ValueError, match=r'dimensions|within|is idle|has no quantile'):
         s_falsif.scene(0, point)
 
 
@@ -192,9 +201,8 @@ def test_given_a_requirement_when_a_point_breaks_it_then_it_is_rejected_and_not_
                             'require ego.position.x > 0.5\n')
     with SceneSource(path, seed=1) as source:
         assert source.scene(0, (0.8, 0.5)).cross_track_m == pytest.approx(-0.6)
-        with pytest.raises(Rejected) as caught:
+        with pytest.raises(Refused) as caught:
             source.scene(0, (0.7, 0.5))
-        assert (caught.value.index, caught.value.iterations) == (0, 1)
         assert str(caught.value) == 'mine.scenic: scene 0: the point does not meet the requirements'
         assert source.scene(0).cross_track_m < -0.5, 'without a point it draws until it holds'
 
@@ -204,13 +212,13 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
 ) -> None:
     space = compiled(
         WORLD + 'param rain = Range(0, 9)\nunused = Range(0, 1)\n'
-        'ego = new Plane in RectangularRegion((0, 500), 0, 10, 10), with name unused\n'
-        'require[0.9] ego.position.y > 100\n'
+        'Odd = type("Odd", (RectangularRegion,), {})\nego = new Plane in Odd((0, 500), 0, 8, 10), '
+        'with name unused\nrequire[0.9] ego.position.y > 100\n'
     )
     assert names(space) == ['rain', 'unused']
     assert space.choices[1].feeds == {'requirements'}, 'it hangs on the ego, which is judged'
-    assert space.unsearched == ('ego.position (PointInRegionDistribution)',
-                                'requirement on line 5 (holds in 90% of scenes)')
+    assert space.unsearched == ('ego.position (a point in Odd)',
+                                'requirement on line 6 (holds in 90% of scenes)')
     first, again = at(client, 0.5, 0.5), at(client, 0.5, 0.5)
     other = client.ask(op='scene', index=1, point=[0.5, 0.5])['values']
     assert first == again
@@ -308,3 +316,149 @@ def test_given_one_line_that_makes_several_choices_when_named_then_no_two_are_al
     places = [choice.place for choice in space.choices if choice.place]
     assert len(places) == 3
     assert all(a.end_column < b.column for a, b in itertools.pairwise(places))
+
+
+def test_s9_given_s_falsif_when_its_space_is_asked_then_idle_branches_are_no_dimensions(
+    s_falsif: SceneSource,
+) -> None:
+    """Six features of the paper: rain is one only where it rains."""
+    space = s_falsif.space()
+    when = {dimension.name: dimension.when for dimension in space if dimension.when}
+    assert when == {
+        'weather[0].clouds': (Branch('weather', (0,)),),
+        'weather[1].clouds': (Branch('weather', (1,)),),
+        'weather[1].rain': (Branch('weather', (1,)),),
+    }
+    points = [space.point(point) for point in np.random.default_rng(1).random((50, 8))]
+    assert {sum(each is not None for each in point) for point in points} == {6, 7}
+
+
+def test_s9_given_choices_under_several_options_when_asked_then_each_way_there_is_known(
+    client: Any, compiled: Compile,
+) -> None:
+    space = compiled(
+        'from scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef dry(choice):\n    return 0\n'
+        + WORLD + 'shared = Range(0, 9)\nonly = Range(0, 9)\nboth = Range(0, 9)\n'
+        'inner = Uniform((only, 1), (shared, 2), 7)\n'
+        'outer = Uniform((both, inner), (shared, 0), (0, 0))\n'
+        'param rain = dry(outer)\nparam time_of_day = both\n'
+        'ego = new Plane at (0, 400)\n'
+    )
+    when = {choice.dimension.name: choice.dimension.when for choice in space.choices}
+    assert when == {
+        'outer': (), 'inner': (Branch('outer', (0,)),),
+        'only': (Branch('inner', (0,)),),
+        'shared': (Branch('outer', (1,)), Branch('inner', (1,))),
+        'time_of_day': (),
+    }
+
+
+def test_s9_given_a_choice_that_decides_but_is_not_searched_when_asked_then_its_options_count(
+    compiled: Compile,
+) -> None:
+    space = compiled(
+        WORLD + 'param rain = Uniform(VerifaiRange(0, 1), VerifaiRange(2, 3))\n'
+        'ego = new Plane at (0, VerifaiRange(0, 100))\n'
+    )
+    assert [(name, choice.dimension.when) for name, choice in
+            zip(names(space), space.choices, strict=True)] == [
+        ('rain[0]', ()), ('rain[1]', ()), ('ego.position.y', ()),
+    ]
+    assert space.unsearched == ('rain (not marked for search)',)
+
+
+def test_s9_given_an_override_when_a_choice_has_one_branch_left_then_it_hangs_on_that(
+) -> None:
+    def choice(name: str, feeds: set[str], **changes: Any) -> dict[str, Any]:
+        dimension = {'name': name, 'weights': [], 'low': 0, 'high': 1, 'buckets': 10, **changes}
+        return {'dimension': dimension, 'feeds': sorted(feeds), 'place': None, 'pieces': [],
+                'options': None}
+
+    answer = {'unsearched': [], 'drawn': [], 'soft': False, 'choices': [
+        choice('a', {'clouds'}, weights=[1, 1]), choice('b', {'rain'}, weights=[1, 1]),
+        choice('both', {'clouds', 'rain'}, when=[['a', [0]], ['b', [1]]]),
+        choice('of a', {'clouds'}, when=[['a', [0]]]),
+    ]}
+    space = SearchSpace.from_json(answer, {'clouds'}).dimensions
+    assert [(each.name, each.when) for each in space] == [
+        ('b', ()), ('both', (Branch('b', (1,)),)),
+    ]
+    assert len(SearchSpace.from_json(answer).dimensions) == 4
+    assert SearchSpace.from_json(answer).choices[2].dimension.when == (
+        Branch('a', (0,)), Branch('b', (1,)),
+    )
+
+
+def test_s9_given_a_space_when_shown_then_conditions_and_what_is_not_searched_are_plain(
+    s_falsif: SceneSource, compiled: Compile,
+) -> None:
+    assert space_lines(s_falsif.search_space()) == [
+        'searched: time_of_day, weather, ego.position.x, ego.position.y, ego.heading; '
+        'where weather is option 1: weather[0].clouds; '
+        'where weather is option 2: weather[1].clouds, weather[1].rain',
+    ]
+    sky = ('clear', 'cirrus', 'rain')
+    a = Choice(dimension=Dimension(name='a', weights=(1, 1, 1)), options=sky)
+    b = Choice(dimension=Dimension(name='b', when=(Branch('a', (0, 2)),)))
+    assert space_lines(SearchSpace(choices=(a, b), unsearched=('c (Lottery)', 'd (fixed)'))) == [
+        'searched: a; where a is clear or rain: b', 'drawn, not searched: c (Lottery), d (fixed)',
+    ]
+
+
+REGIONS = {
+    'RectangularRegion((1, 500), 0, 6, 300)': (['across', 'along'], (0.25, 0.5), (-0.5, 500)),
+    'CircularRegion((0, 400), 8)': (['radius', 'angle'], (0.25, 0.5), (4, 400)),
+    'SectorRegion(0 @ 400, 8, 0, 1)': (['radius', 'angle'], (0.25, 0.5), (0, 404)),
+    'PolygonalRegion([(0, 100), (8, 100), (8, 300), (0, 300)])': (
+        ['x', 'y'], (0.25, 0.5), (2, 200)),
+    'PolygonalRegion([(0, 0), (8, 0), (0, 800)])': (['x', 'y'], (0.75, 0.5), (4, 200)),
+    'PolylineRegion([(0, 0), (0, 300), (4, 303)])': (['way'], (200 / 305,), (0, 200)),
+    'PathRegion(points=[(0, 0, 0), (0, 300, 0), (4, 303, 0)])': (
+        ['way'], (302.5 / 305,), (2, 301.5)),
+    'PointSetRegion("p", [(1, 2, 0), (3, 4, 0)])': (['which'], (0.6,), (3, 4)),
+}
+
+
+@pytest.mark.parametrize('region', REGIONS)
+def test_s7_given_a_region_when_searched_then_its_points_are_at_quantiles_of_its_own_sampling(
+    client: Any, compiled: Compile, region: str,
+) -> None:
+    parts, quantiles, (x, y) = REGIONS[region]
+    space = compiled(WORLD + f'ego = new Plane in {region}\n')
+    assert names(space) == [f'ego.position.{part}' for part in parts]
+    assert space.unsearched == ()
+    values = at(client, *quantiles)
+    assert (-values['cross_track'], values['distance']) == pytest.approx((x, y), abs=1e-9)
+    for corner in itertools.product((0.0, 1 - 2**-53), repeat=len(parts)):
+        assert math.isfinite(at(client, *corner)['distance'])
+
+
+def test_s7_given_a_rectangle_along_the_runway_when_asked_then_its_values_are_known(
+    compiled: Compile,
+) -> None:
+    space = compiled(WORLD + 'ego = new Plane in RectangularRegion((1, 500), 0, 6, 300)\n')
+    across, along = space.choices
+    assert (across.dimension.low, across.dimension.high) == (-2, 4)
+    assert along.probability_within(350, 380) == pytest.approx(0.1)
+
+
+def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and_it_is_named(
+    client: Any, compiled: Compile,
+) -> None:
+    space = compiled(
+        WORLD + 'Odd = type("Odd", (RectangularRegion,), {})\n'
+        'ego = new Plane in Odd((0, 500), 0, 8, 600)\n'
+    )
+    assert space_lines(space) == [
+        'searched: nothing', 'drawn, not searched: ego.position (a point in Odd)',
+    ]
+    with pytest.raises(UsageError, match='ce: nothing that the program draws can be searched; '
+                                         '--sampler random draws as it does'):
+        make_sampler('ce', space.dimensions, 0, 10)
+    sampler = make_sampler('random', space.dimensions, 0, 10)
+    points = [sampler.next() for _ in range(5)]
+    assert {point for _, point in points} == {()}
+    scenes = {client.ask(op='scene', index=index, point=space.spread(point))['values']['distance']
+              for index, point in points}
+    assert len(scenes) == 5

@@ -10,7 +10,7 @@ from taxinet_ros.campaign.samplers.histogram import HistogramSampler, by_name
 from taxinet_ros.campaign.samplers.history import History, failure_histograms, failures
 from taxinet_ros.campaign.samplers.product import Floats, Product
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
+from taxinet_ros.campaign.samplers.space import IDLE, Dimension, Point, Space
 
 
 class Bandit(HistogramSampler):
@@ -44,9 +44,20 @@ class Bandit(HistogramSampler):
     def ask(self) -> Point:
         """The next point."""
         point = super().ask()
-        for pulls, number in zip(self._pulls, self._bins[-1], strict=True):
-            pulls[number] += 1
+        self._count(1)
         return point
+
+    def again(self) -> Point:
+        """Another point for the same run; the refused one is no pull."""
+        self._count(-1)
+        point = super().again()
+        self._count(1)
+        return point
+
+    def _count(self, amount: int) -> None:
+        for pulls, number in zip(self._pulls, self._bins[-1], strict=True):
+            if number != IDLE:
+                pulls[number] += amount
 
     def learned(self) -> Probabilities:
         """Where failures are under the prior, estimated as the cross-entropy sampler does."""

@@ -6,16 +6,22 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.campaign.samplers.draws import as_point, generator, prior_point
+from taxinet_ros.campaign.samplers.draws import generator, prior_point
 from taxinet_ros.campaign.samplers.optuna_study import new_study, quiet
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial
+
+
+PATIENCE = 8
+"""After so many refused points of one run it is drawn from the prior: the process is not told where
+the requirements do not hold, and might never leave."""
 
 
 class Bayes:
@@ -26,7 +32,9 @@ class Bayes:
     them. Each point follows from the seed, its number and the results alone.
 
     Categories are categories to the process. Which one it tries next has nothing to do with their
-    shares under the prior; those rule the plain draws at the start.
+    shares under the prior; those rule the plain draws at the start. A dimension that is idle in a
+    run is put at one and the same value there, so it makes no difference among such runs; what the
+    process proposes for it is dropped.
     """
 
     def __init__(self, space: Space, seed: int, *, startup: int = 10, window: int = 100) -> None:
@@ -46,17 +54,28 @@ class Bayes:
         self._points: list[Point] = []
         self._results: dict[int, float] = {}
         self._pending: set[int] = set()
+        self._refused: list[Point] = []
 
     def ask(self) -> Point:
         """The next point."""
-        index = len(self._points)
-        if len(self._results) < self._startup:
-            point = prior_point(len(self._space), self._seed, index)
+        self._points.append(())
+        self._refused = []
+        return self._next()
+
+    def again(self) -> Point:
+        """Another point for the same run, away from the refused ones; after some, a plain draw."""
+        self._refused.append(self._points[-1])
+        return self._next()
+
+    def _next(self) -> Point:
+        index, attempt = len(self._points) - 1, len(self._refused)
+        self._pending.discard(index)
+        if len(self._results) < self._startup or attempt > PATIENCE:
+            self._points[-1] = prior_point(self._space, self._seed, index, attempt)
         else:
-            point = self._improvement(index)
-        self._points.append(point)
+            self._points[-1] = self._improvement(index, attempt)
         self._pending.add(index)
-        return point
+        return self._points[-1]
 
     def tell(self, index: int, rho: float | None) -> None:
         """Take a result in."""
@@ -71,10 +90,10 @@ class Bayes:
         """Nothing that could be shown."""
         return {}
 
-    def _improvement(self, index: int) -> Point:
+    def _improvement(self, index: int, attempt: int) -> Point:
         from optuna.samplers import GPSampler
 
-        seed = int(generator(self._seed, index).integers(1 << 30))
+        seed = int(generator(self._seed, index, attempt).integers(1 << 30))
         # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
         with quiet(), threadpool_limits(limits=1):
             study = new_study(GPSampler(seed=seed, n_startup_trials=1))
@@ -83,36 +102,45 @@ class Bayes:
         return self._point(trial.params)
 
     def _trials(self) -> list[FrozenTrial]:
-        """The results in the window, and the runs under way."""
+        """The results in the window, the runs under way, and the points refused for this one."""
         from optuna.trial import TrialState, create_trial
 
         chosen = in_window(self._results, self._window)
         values = finite([self._results[index] for index in chosen])
-        done = dict(zip(chosen, values, strict=True))
+        known: list[tuple[Point, float | None]] = [
+            *((self._points[index], value) for index, value in zip(chosen, values, strict=True)),
+            *((self._points[index], None) for index in sorted(self._pending)),
+            *((point, None) for point in self._refused),
+        ]
         return [
             create_trial(
-                state=TrialState.COMPLETE if index in done else TrialState.RUNNING,
-                value=done.get(index), params=self._params(self._points[index]),
-                distributions=self._distributions,
+                state=TrialState.RUNNING if value is None else TrialState.COMPLETE, value=value,
+                params=self._params(point), distributions=self._distributions,
             )
-            for index in (*chosen, *sorted(self._pending))
+            for point, value in known
         ]
 
     def _params(self, point: Point) -> dict[str, float | int]:
         return {
-            each.name: each.bin(quantile) if each.discrete else quantile
+            each.name: self._constant(each) if quantile is None
+            else each.bin(quantile) if each.discrete else quantile
             for each, quantile in zip(self._space, point, strict=True)
         }
 
+    @staticmethod
+    def _constant(dimension: Dimension) -> float | int:
+        """Where a dimension is put while it is idle."""
+        return int(np.argmax(dimension.prior)) if dimension.discrete else 0.5
+
     def _point(self, params: Mapping[str, float | int]) -> Point:
         """The point of the parameters, in the middle of a category's interval."""
-        found = []
+        found: list[float] = []
         for dimension in self._space:
             value = params[dimension.name]
             if dimension.discrete:
                 value = sum(dimension.edges[int(value) : int(value) + 2]) / 2
             found.append(value)
-        return as_point(found)
+        return self._space.point(found)
 
 
 def _distributions(space: Space) -> dict[str, BaseDistribution]:

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
-
 import numpy as np
 
-from taxinet_ros.campaign.samplers.space import Point
-
-BELOW_ONE = math.nextafter(1.0, 0.0)
-"""The largest quantile."""
+from taxinet_ros.campaign.samplers.space import Point, Space
 
 
-def generator(seed: int, index: int) -> np.random.Generator:
-    """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more)."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+def generator(seed: int, index: int, attempt: int = 0) -> np.random.Generator:
+    """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more).
+
+    Args:
+        seed: of the campaign.
+        index: of the run.
+        attempt: how many points of this run were refused before.
+    """
+    key = (index, attempt) if attempt else (index,)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-def as_point(coordinates: Iterable[float]) -> Point:
-    """The point with these coordinates 0 … 1; a 1, which rounding may give, falls just below."""
-    return tuple(min(float(coordinate), BELOW_ONE) for coordinate in coordinates)
-
-
-def prior_point(dimensions: int, seed: int, index: int) -> Point:
+def prior_point(space: Space, seed: int, index: int, attempt: int = 0) -> Point:
     """The point of run ``index`` where it is simply drawn from the prior."""
-    return as_point(generator(seed, index).random(dimensions))
+    return space.point(generator(seed, index, attempt).random(len(space)))

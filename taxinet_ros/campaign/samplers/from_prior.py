@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from taxinet_ros.campaign.samplers.draws import as_point, prior_point
+from taxinet_ros.campaign.samplers.draws import prior_point
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point, Space
 
@@ -35,25 +35,33 @@ class Random(FromPrior):
     """Independent draws: run i's point depends on the seed and i only."""
 
     def __init__(self, space: Space, seed: int) -> None:
-        self._dimensions = len(space)
+        self._space = space
         self._seed = seed
-        self._asked = 0
+        self._index, self._attempt = -1, 0
 
     def ask(self) -> Point:
         """The next point."""
-        point = prior_point(self._dimensions, self._seed, self._asked)
-        self._asked += 1
-        return point
+        self._index, self._attempt = self._index + 1, 0
+        return prior_point(self._space, self._seed, self._index)
+
+    def again(self) -> Point:
+        """Another draw for the same run."""
+        self._attempt += 1
+        return prior_point(self._space, self._seed, self._index, self._attempt)
 
 
 class QuasiRandom(FromPrior):
     """Points that leave smaller gaps than independent ones, each by itself uniform."""
 
-    def __init__(self, engine: qmc.QMCEngine) -> None:
-        self._points = _points(engine)
+    def __init__(self, space: Space, engine: qmc.QMCEngine) -> None:
+        self._points = _points(space, engine)
 
     def ask(self) -> Point:
         """The next point."""
+        return next(self._points)
+
+    def again(self) -> Point:
+        """The one after it."""
         return next(self._points)
 
 
@@ -61,7 +69,7 @@ def halton(space: Space, seed: int) -> QuasiRandom:
     """Halton's sequence, its digits permuted at random (Owen, arXiv:1706.02808)."""
     from scipy.stats import qmc  # half a second that only these two are worth
 
-    return QuasiRandom(qmc.Halton(len(space), scramble=True, rng=seed))
+    return QuasiRandom(space, qmc.Halton(len(space), scramble=True, rng=seed))
 
 
 def sobol(space: Space, seed: int) -> QuasiRandom:
@@ -71,9 +79,9 @@ def sobol(space: Space, seed: int) -> QuasiRandom:
     """
     from scipy.stats import qmc
 
-    return QuasiRandom(qmc.Sobol(len(space), scramble=True, rng=seed))
+    return QuasiRandom(space, qmc.Sobol(len(space), scramble=True, rng=seed))
 
 
-def _points(engine: qmc.QMCEngine) -> Iterator[Point]:
+def _points(space: Space, engine: qmc.QMCEngine) -> Iterator[Point]:
     while True:
-        yield from map(as_point, engine.random(BLOCK))
+        yield from map(space.point, engine.random(BLOCK))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 
-from taxinet_ros.campaign.samplers.draws import as_point, generator
+from taxinet_ros.campaign.samplers.draws import generator
 from taxinet_ros.campaign.samplers.product import Floats, Product
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.samplers.space import Point, Space
@@ -31,19 +31,28 @@ class HistogramSampler(ABC):
         self._floor = floor
         self._bins: list[tuple[int, ...]] = []
         self._weights: list[float] = []
+        self._attempt = 0
 
     def ask(self) -> Point:
         """The next point."""
-        *uniform, mixing = generator(self._seed, len(self._bins)).random(len(self._space) + 1)
+        self._attempt = 0
+        self._bins.append(())
+        self._weights.append(0.0)
+        return self._drawn()
+
+    def again(self) -> Point:
+        """Another draw for the same run, from the same mixture."""
+        self._attempt += 1
+        return self._drawn()
+
+    def _drawn(self) -> Point:
+        chance = generator(self._seed, len(self._bins) - 1, self._attempt)
+        *uniform, mixing = chance.random(len(self._space) + 1)
         proposal = self._proposal()
-        point = as_point(uniform) if mixing < self._floor else proposal.point(uniform)
-        bins = tuple(
-            dimension.bin(quantile)
-            for dimension, quantile in zip(self._space, point, strict=True)
-        )
-        density = self._floor + (1 - self._floor) * proposal.density(bins)
-        self._bins.append(bins)
-        self._weights.append(1 / density)
+        point = (self._space if mixing < self._floor else proposal).point(uniform)
+        self._bins[-1] = self._space.bins(point)
+        density = self._floor + (1 - self._floor) * proposal.density(self._bins[-1])
+        self._weights[-1] = 1 / density
         return point
 
     def tell(self, index: int, rho: float | None) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.campaign.samplers.product import Floats
-from taxinet_ros.campaign.samplers.space import Space
+from taxinet_ros.campaign.samplers.space import IDLE, Space
 
 LEAST = 10
 """Failures from which on only failures are learned from."""
@@ -41,12 +41,14 @@ class History:
         self._size += 1
 
     def sums(self, dimension: int, bins: int, amounts: Floats) -> Floats:
-        """Total of the runs' amounts in each of the ``bins`` bins of a dimension."""
-        return np.bincount(self.bins[:, dimension], amounts, bins).astype(np.float64)
+        """Total of the amounts in each of the ``bins`` bins of a dimension; not of idle runs."""
+        mine = self.bins[:, dimension]
+        active = mine != IDLE
+        return np.bincount(mine[active], amounts[active], bins).astype(np.float64)
 
     @property
     def bins(self) -> npt.NDArray[np.intp]:
-        """Bin of each run (first axis) in each dimension (second)."""
+        """Bin of each run (first axis) in each dimension (second), ``IDLE`` where it has none."""
         return self._bins[: self._size]
 
     @property
@@ -76,11 +78,14 @@ def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
 
 
 def failure_histograms(space: Space, history: History) -> list[Floats]:
-    """Estimate of the probability of each bin given a failure under the prior, per dimension."""
+    """Estimate of the probability of each bin given a failure under the prior, per dimension.
+
+    Of a dimension that may be idle: given a failure in which it is active.
+    """
     amounts = np.where(failures(history.rhos), history.weights, 0.0)
-    total = amounts.sum() + STRENGTH
     found = []
     for number, dimension in enumerate(space):
         prior = np.array(dimension.prior)
-        found.append((history.sums(number, len(prior), amounts) + STRENGTH * prior) / total)
+        mine = history.sums(number, len(prior), amounts)
+        found.append((mine + STRENGTH * prior) / (mine.sum() + STRENGTH))
     return found

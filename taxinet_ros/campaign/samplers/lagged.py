@@ -49,6 +49,17 @@ class Lagged:
         self._asked += 1
         return self._asked - 1, point
 
+    def again(self) -> Point:
+        """Another point for the run that :meth:`next` gave last, whose point was refused.
+
+        Raises:
+            RuntimeError: none was given, or it has its result.
+        """
+        index = self._asked - 1
+        if index < self._told or index in self._waiting:
+            raise RuntimeError(f'run {index} is not waiting for another point')
+        return self._sampler.again()
+
     def tell(self, index: int, rho: float | None) -> None:
         """Take the result of a run, in any order.
 

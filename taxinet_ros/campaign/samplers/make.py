@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from taxinet_ros.campaign.samplers import from_prior
@@ -14,7 +14,7 @@ from taxinet_ros.campaign.samplers.lagged import Lagged
 from taxinet_ros.campaign.samplers.option import Option, parse_options
 from taxinet_ros.campaign.samplers.optuna_study import cmaes, tpe
 from taxinet_ros.campaign.samplers.sampler import Sampler
-from taxinet_ros.campaign.samplers.space import Space, make_space
+from taxinet_ros.campaign.samplers.space import Dimension, Space
 from taxinet_ros.campaign.samplers.verifai_rule import VerifaiRule
 from taxinet_ros.core.errors import UsageError
 
@@ -138,25 +138,31 @@ SAMPLERS: Mapping[str, Kind] = {
 
 
 def make_sampler(
-    name: str, space: Space, seed: int, runs: int, /, **options: str | float
+    name: str, dimensions: Iterable[Dimension], seed: int, runs: int, /, **options: str | float
 ) -> Lagged:
     """The sampler of a campaign.
 
     Args:
         name: word of :data:`SAMPLERS`.
-        space: what to search.
+        dimensions: what to search.
         seed: of the campaign, 0 or more.
         runs: number of runs planned, which the grid is laid out for; more may be asked for.
         options: of the sampler, numbers or their text.
 
     Raises:
         UsageError: unknown word or option (the known ones are listed), a value that is not allowed,
-            a negative seed, or a space with no dimension or with two of one name.
+            a negative seed, or dimensions that make no space.
     """
     values = check_sampler(name, options)
     if seed < 0:
         raise UsageError(f'seed is {seed}; it has to be 0 or more')
-    return Lagged(SAMPLERS[name].make(make_space(space), seed, runs, values))
+    space = Space(dimensions)
+    if not space and name != 'random':
+        raise UsageError(
+            f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
+            'draws as it does'
+        )
+    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
 
 
 def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:

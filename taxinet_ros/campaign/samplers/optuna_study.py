@@ -3,6 +3,10 @@
 They optimise over quantiles, so categories keep the share that the prior gives them. The density of
 what they propose is unknown, so no rate can be estimated from their runs. Optuna is imported when
 it is needed.
+
+To TPE a dimension that may be idle is a conditional parameter, known in the trials that have it.
+CMA-ES knows no such thing and would draw it blindly ever after; it moves all of them all the time,
+and the coordinates of idle ones are dropped.
 """
 
 from __future__ import annotations
@@ -12,13 +16,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from taxinet_ros.campaign.samplers.draws import as_point
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.samplers.space import BELOW_ONE, IDLE, Point, Space
 
 if TYPE_CHECKING:
-    from optuna import Study
-    from optuna.distributions import BaseDistribution
+    from optuna import Study, Trial
     from optuna.samplers import BaseSampler
 
 SEEDS = 1 << 32
@@ -28,22 +30,52 @@ SEEDS = 1 << 32
 class StudySampler:
     """One study of Optuna, a trial a run."""
 
-    def __init__(self, space: Space, sampler: BaseSampler) -> None:
+    def __init__(self, space: Space, sampler: BaseSampler, *, conditional: bool) -> None:
         """Start the study.
 
         Args:
             space: what to search.
             sampler: of Optuna, fresh and seeded.
+            conditional: whether it knows parameters that are not in every trial.
         """
-        self._distributions = _unit_distributions(space)
+        self._space = space
+        self._conditional = conditional
+        self._trials: list[int] = []
         with quiet():
             self._study = new_study(sampler)
 
     def ask(self) -> Point:
         """The next point."""
+        self._trials.append(-1)
+        return self._suggested()
+
+    def again(self) -> Point:
+        """Another trial; the refused one has failed."""
+        self.tell(len(self._trials) - 1, None)
+        return self._suggested()
+
+    def _suggested(self) -> Point:
         with quiet():
-            trial = self._study.ask(self._distributions)
-        return as_point(trial.params[name] for name in self._distributions)
+            trial = self._begun()
+            self._trials[-1] = trial.number
+            if not self._conditional:
+                return self._space.point(trial.params.values())
+            quantiles: list[float] = []
+            bins: list[int] = []
+            for name, dimension in zip(_names(self._space), self._space, strict=True):
+                active = self._space.active(len(bins), bins)
+                quantile = min(trial.suggest_float(name, 0.0, 1.0), BELOW_ONE) if active else 0.0
+                quantiles.append(quantile)
+                bins.append(dimension.bin(quantile) if active else IDLE)
+            return self._space.point(quantiles)
+
+    def _begun(self) -> Trial:
+        from optuna.distributions import FloatDistribution
+
+        if self._conditional:
+            return self._study.ask()
+        unit = FloatDistribution(0.0, 1.0)
+        return self._study.ask(dict.fromkeys(_names(self._space), unit))
 
     def tell(self, index: int, rho: float | None) -> None:
         """Report a trial; one without a result has failed."""
@@ -51,9 +83,9 @@ class StudySampler:
 
         with quiet():
             if rho is None:
-                self._study.tell(index, state=TrialState.FAIL)
+                self._study.tell(self._trials[index], state=TrialState.FAIL)
             else:
-                self._study.tell(index, rho)
+                self._study.tell(self._trials[index], rho)
 
     def weight(self, index: int) -> None:
         """Unknown."""
@@ -76,8 +108,9 @@ def tpe(space: Space, seed: int, *, startup: int) -> StudySampler:
     with quiet():
         sampler = TPESampler(
             seed=seed % SEEDS, n_startup_trials=startup, multivariate=True, constant_liar=True,
+            group=any(dimension.when for dimension in space),
         )
-    return StudySampler(space, sampler)
+    return StudySampler(space, sampler, conditional=True)
 
 
 def cmaes(space: Space, seed: int, *, population: int) -> StudySampler:
@@ -92,16 +125,15 @@ def cmaes(space: Space, seed: int, *, population: int) -> StudySampler:
     """
     from optuna.samplers import CmaEsSampler
 
-    return StudySampler(space, CmaEsSampler(
+    sampler = CmaEsSampler(
         seed=seed % SEEDS, popsize=population or None, warn_independent_sampling=False,
-    ))
+    )
+    return StudySampler(space, sampler, conditional=False)
 
 
-def _unit_distributions(space: Space) -> dict[str, BaseDistribution]:
-    """The unit interval for each dimension, under names that sort as the dimensions do."""
-    from optuna.distributions import FloatDistribution
-
-    return {f'{number:04d}': FloatDistribution(0.0, 1.0) for number in range(len(space))}
+def _names(space: Space) -> list[str]:
+    """Of the dimensions in a study; they sort as the dimensions do."""
+    return [f'{number:04d}' for number in range(len(space))]
 
 
 def new_study(sampler: BaseSampler) -> Study:

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.campaign.samplers.draws import as_point
-from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.samplers.space import IDLE, Point, Space
 
 Floats = npt.NDArray[np.float64]
 
@@ -22,7 +21,11 @@ class Product:
     """
 
     def __init__(self, space: Space, probabilities: Iterable[Floats]) -> None:
-        """Take histograms in the order of the dimensions, each adding up to 1."""
+        """Take histograms in the order of the dimensions, each adding up to 1.
+
+        That of a dimension that may be idle is conditional on its being active.
+        """
+        self._space = space
         self.probabilities = tuple(probabilities)
         self._edges = [np.array(dimension.edges) for dimension in space]
         self._priors = [np.array(dimension.prior) for dimension in space]
@@ -30,7 +33,7 @@ class Product:
 
     def point(self, uniform: Iterable[float]) -> Point:
         """The point with these quantiles of this distribution: the prior's are left unchanged."""
-        return as_point(
+        return self._space.point(
             np.interp(quantile, cumulative, edges)
             for quantile, cumulative, edges in zip(
                 uniform, self._cumulative, self._edges, strict=True
@@ -38,10 +41,11 @@ class Product:
         )
 
     def density(self, bins: Iterable[int]) -> float:
-        """Density over that of the prior, at a point in these bins."""
+        """Density over that of the prior, at a point in these bins; idle ones have no part."""
         return math.prod(
             float(mine[number] / prior[number])
             for number, mine, prior in zip(bins, self.probabilities, self._priors, strict=True)
+            if number != IDLE
         )
 
 

@@ -9,14 +9,33 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple, Self
 
 from taxinet_ros.core.errors import UsageError
 
-Point = tuple[float, ...]
-"""One quantile in [0, 1) per dimension."""
+Point = tuple[float | None, ...]
+"""One quantile in [0, 1) per dimension; None for a dimension that is idle at this point."""
+
+IDLE = -1
+"""Stands for the bin of a dimension that is idle."""
+
+BELOW_ONE = math.nextafter(1.0, 0.0)
+"""The largest quantile."""
+
+
+class Branch(NamedTuple):
+    """Categories of another dimension under which a choice is made at all.
+
+    Attributes:
+        parent: name of the other dimension, which is discrete.
+        categories: their numbers.
+    """
+
+    parent: str
+    categories: tuple[int, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,6 +49,8 @@ class Dimension:
             choice is continuous.
         low, high: values at quantile 0 and 1 of a continuous choice, for display only.
         buckets: number of equal slices of a continuous choice for samplers that keep histograms.
+        when: the choice is made where one of these branches is taken, and is idle elsewhere: it
+            then has no coordinate and no influence. Empty: it is made always.
     """
 
     name: str
@@ -37,6 +58,7 @@ class Dimension:
     low: float = 0.0
     high: float = 1.0
     buckets: int = 10
+    when: tuple[Branch, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what no sampler could work with.
@@ -75,21 +97,93 @@ class Dimension:
         return bisect_right(self.edges, quantile) - 1
 
 
-Space = tuple[Dimension, ...]
-"""The dimensions of a program, in the order of a point's coordinates."""
+class Space(tuple[Dimension, ...]):
+    """The dimensions of a program, in the order of a point's coordinates.
+
+    A dimension may hang on others (:attr:`Dimension.when`), which come before it.
+    """
+
+    _branches: tuple[tuple[tuple[int, frozenset[int]], ...], ...]
+
+    def __new__(cls, dimensions: Iterable[Dimension]) -> Self:
+        """See that the dimensions make a space.
+
+        Raises:
+            UsageError: two have one name, or one hangs on what is no category of one before it.
+        """
+        space = super().__new__(cls, dimensions)
+        numbers: dict[str, int] = {}
+        branches = []
+        for number, dimension in enumerate(space):
+            for parent, categories in dimension.when:
+                last = len(space[numbers[parent]].weights) - 1 if parent in numbers else -1
+                if not categories or not 0 <= min(categories) <= max(categories) <= last:
+                    raise UsageError(f'{dimension.name}: {parent} has no categories {categories}')
+            if dimension.name in numbers:
+                raise UsageError(
+                    f'two dimensions have the name {dimension.name}; give each its own'
+                )
+            numbers[dimension.name] = number
+            branches.append(tuple(
+                (numbers[parent], frozenset(categories)) for parent, categories in dimension.when
+            ))
+        space._branches = tuple(branches)
+        return space
+
+    def active(self, number: int, bins: Sequence[int]) -> bool:
+        """Whether a dimension's choice is made, given the bins of all dimensions before it."""
+        branches = self._branches[number]
+        return not branches or any(bins[parent] in taken for parent, taken in branches)
+
+    def point(self, quantiles: Iterable[float]) -> Point:
+        """The point with these quantiles 0 … 1 where its dimensions are not idle.
+
+        A 1, which rounding may give, falls just below. Of an idle dimension the quantile is
+        dropped, so a point that is uniform in the unit cube gives a draw from the prior.
+        """
+        point: list[float | None] = []
+        bins: list[int] = []
+        for number, (dimension, quantile) in enumerate(zip(self, quantiles, strict=True)):
+            if self.active(number, bins):
+                coordinate = min(float(quantile), BELOW_ONE)
+                point.append(coordinate)
+                bins.append(dimension.bin(coordinate))
+            else:
+                point.append(None)
+                bins.append(IDLE)
+        return tuple(point)
+
+    def bins(self, point: Point) -> tuple[int, ...]:
+        """Bin of each coordinate; :data:`IDLE` where there is none."""
+        return tuple(
+            IDLE if quantile is None else dimension.bin(quantile)
+            for dimension, quantile in zip(self, point, strict=True)
+        )
+
+    def check(self, point: Point) -> None:
+        """See that a point belongs to this space.
+
+        Raises:
+            ValueError: not one quantile in [0, 1) for each dimension that is not idle there.
+        """
+        if len(point) != len(self):
+            raise ValueError(f'{len(point)} quantiles for {len(self)} dimensions')
+        if not all(quantile is None or 0 <= quantile < 1 for quantile in point):
+            raise ValueError(f'point {point}: quantiles have to be within [0, 1)')
+        bins = self.bins(point)
+        for number, dimension in enumerate(self):
+            if self.active(number, bins) != (point[number] is not None):
+                what = 'is idle' if point[number] is not None else 'has no quantile'
+                raise ValueError(f'point {point}: {dimension.name} {what} there')
 
 
 def make_space(dimensions: Iterable[Dimension]) -> Space:
     """A space of the dimensions.
 
     Raises:
-        UsageError: there are none, or two have one name.
+        UsageError: there are none, or they do not fit together.
     """
-    space = tuple(dimensions)
+    space = Space(dimensions)
     if not space:
         raise UsageError('the program makes no random choice, so there is nothing to search')
-    names = [dimension.name for dimension in space]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise UsageError(f'two dimensions have the name {twice[0]}; give each its own')
     return space

@@ -6,7 +6,7 @@ import numpy as np
 
 from taxinet_ros.campaign.samplers.histogram import HistogramSampler
 from taxinet_ros.campaign.samplers.product import Product, prior_product
-from taxinet_ros.campaign.samplers.space import Space
+from taxinet_ros.campaign.samplers.space import IDLE, Space
 
 
 class VerifaiRule(HistogramSampler):
@@ -40,5 +40,7 @@ class VerifaiRule(HistogramSampler):
             return
         histograms = [self._alpha * each for each in self._current.probabilities]
         for each, number in zip(histograms, self._bins[index], strict=True):
-            each[number] += 1 - self._alpha
+            if number != IDLE:
+                each[number] += 1 - self._alpha
+        # Where it was idle this leaves the histogram as it was.
         self._current = Product(self._space, (each / np.sum(each) for each in histograms))

@@ -7,7 +7,8 @@ import pytest
 
 from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.option import split_options
-from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.campaign.samplers.product import Product
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, make_space
 from taxinet_ros.core.errors import UsageError
 
 SPACE = (
@@ -119,3 +120,77 @@ def test_given_key_value_texts_when_split_then_they_are_checked() -> None:
             split_options([text])
     with pytest.raises(UsageError, match='floor is given twice'):
         split_options(['floor=1', 'floor=1'])
+
+
+CONDITIONAL = make_space((
+    Dimension(name='kind', weights=(3, 1)),
+    Dimension(name='dry', weights=(1, 1), when=(Branch('kind', (0,)),)),
+    Dimension(name='rain', buckets=4, when=(Branch('kind', (1,)),)),
+    Dimension(name='x'),
+))
+
+
+def wet_failures(point: Point) -> float:
+    """Fails in heavy rain: the last quarter of a quarter of the prior."""
+    rain = point[2]
+    return 1.0 if rain is None else 0.75 - rain
+
+
+@pytest.mark.parametrize('name', SAMPLERS)
+def test_s9_given_conditional_dimensions_when_sampled_then_every_point_belongs_to_the_space(
+    name: str,
+) -> None:
+    options = {'every': 5} if name == 'ce' else {'startup': 5} if name in ('bo', 'tpe') else {}
+    runs = 30 if name == 'bo' else 60
+    sampler = make_sampler(name, CONDITIONAL, 2, runs, **options)
+    kinds = set()
+    for _ in range(runs):
+        index, point = sampler.next()
+        CONDITIONAL.check(point)
+        kinds.add(CONDITIONAL.bins(point)[0])
+        sampler.tell(index, wet_failures(point))
+    assert kinds == {0, 1}
+
+
+@pytest.mark.parametrize('name', HISTOGRAMS)
+def test_s9_given_idle_dimensions_when_learned_and_weighted_then_they_have_no_part(
+    name: str,
+) -> None:
+    learned, weights, terms = [], [], []
+    for seed in range(4):
+        sampler = make_sampler(name, CONDITIONAL, seed, 400)
+        for _ in range(400):
+            index, point = sampler.next()
+            sampler.tell(index, wet_failures(point))
+            weights.append(sampler.weight(index))
+            terms.append(weights[-1] * (point[2] is not None and point[2] < 0.25))
+        learned.append(sampler.learned())
+    # No failure is dry, so of the dry options nothing is known.
+    assert np.mean([each['dry'] for each in learned], axis=0) == pytest.approx([0.5, 0.5], abs=0.1)
+    assert min(each['rain'][3] for each in learned) > (0.25 if name == 'ce-verifai' else 0.45)
+    for values, expected in ((weights, 1), (terms, 1 / 16)):
+        error = np.std(values) / np.sqrt(len(values))
+        assert np.mean(values) == pytest.approx(expected, abs=4 * error)
+
+
+def test_s9_given_idle_dimensions_when_learned_histograms_propose_then_weights_ignore_them() -> (
+    None
+):
+    histograms = [np.array([0.5, 0.5]), np.array([0.9, 0.1]), np.array([0.7, 0.1, 0.1, 0.1]),
+                  np.full(10, 0.1)]
+    product = Product(CONDITIONAL, histograms)
+    assert product.density(CONDITIONAL.bins((0.1, 0.2, None, 0.5))) == pytest.approx(1.8 / 1.5)
+    assert product.density(CONDITIONAL.bins((0.9, None, 0.1, 0.5))) == pytest.approx(2 * 2.8)
+
+
+def test_s9_given_a_conditional_space_when_optuna_searches_then_it_finds_the_branch() -> None:
+    for name, least in (('tpe', 30), ('bo', 10), ('cmaes', 20)):
+        runs = 40 if name == 'bo' else 150
+        sampler = make_sampler(name, CONDITIONAL, 3, runs)
+        failed = 0
+        for _ in range(runs):
+            index, point = sampler.next()
+            rho = wet_failures(point)
+            failed += rho <= 0
+            sampler.tell(index, rho)
+        assert failed >= least, name  # by chance it were 9, and 2.5 of 40

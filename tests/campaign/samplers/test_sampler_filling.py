@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -14,13 +15,17 @@ from scipy.stats import chisquare, kstest, qmc
 from taxinet_ros.campaign.samplers.draws import prior_point
 from taxinet_ros.campaign.samplers.grid import CellOrder, Grid
 from taxinet_ros.campaign.samplers.make import make_sampler
-from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
+from taxinet_ros.campaign.samplers.sampler import Exhausted
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, make_space
+from taxinet_ros.core.errors import UsageError
 
 WEATHER = Dimension(name='weather', weights=(3, 1, 2, 2))
 X, Y = Dimension(name='x'), Dimension(name='y')
 
 
-def ask(name: str, space: Space, runs: int, seed: int = 1, **options) -> list[tuple[Point, float]]:
+def ask(
+    name: str, space: Iterable[Dimension], runs: int, seed: int = 1, **options
+) -> list[tuple[Point, float]]:
     """Points and weights."""
     sampler = make_sampler(name, space, seed, runs, **options)
     asked = []
@@ -36,9 +41,10 @@ def discrepancy(asked: list[tuple[Point, float]]) -> float:
 
 
 def test_given_the_random_sampler_when_asked_then_each_point_is_the_plain_draw_of_its_run() -> None:
-    asked = ask('random', (X, Y, WEATHER), 50, seed=9)
-    assert [point for point, _ in asked] == [prior_point(3, 9, index) for index in range(50)]
-    drawn = [prior_point(1, seed, index)[0] for seed in range(20) for index in range(20)]
+    space = make_space((X, Y, WEATHER))
+    asked = ask('random', space, 50, seed=9)
+    assert [point for point, _ in asked] == [prior_point(space, 9, index) for index in range(50)]
+    drawn = [prior_point(space, seed, index)[0] for seed in range(20) for index in range(20)]
     assert len(set(drawn)) == 400
     assert kstest(drawn, 'uniform').pvalue > 0.01
 
@@ -120,7 +126,7 @@ def test_given_a_huge_grid_when_asked_then_pairs_of_dimensions_are_covered_early
 
 
 def test_given_runs_when_a_grid_is_laid_then_it_fits_into_them_and_is_then_jittered() -> None:
-    space = (X, Dimension(name='kind', weights=(1, 1)), Y)
+    space = make_space((X, Dimension(name='kind', weights=(1, 1)), Y))
     asked = [point for point, _ in ask('grid', space, 3 * 24)]
     grid = Grid(space, 1, 24)
     first = [grid.ask() for _ in range(24)]
@@ -140,3 +146,41 @@ def test_given_a_number_of_points_when_a_grid_is_laid_then_it_has_them() -> None
     asked = ask('grid', (X, Y), 25, points='5')
     assert sorted({point[0] for point, _ in asked}) == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9])
     assert len(set(asked)) == 25
+
+
+KIND = Dimension(name='kind', weights=(2, 1))
+DRY = Dimension(name='dry', weights=(1, 1, 1), when=(Branch('kind', (0,)),))
+WET = Dimension(name='wet', weights=(1, 2), when=(Branch('kind', (1,)),))
+RAIN = Dimension(name='rain', when=(Branch('kind', (1,)),))
+
+
+def test_t11_given_idle_choices_when_on_a_grid_then_no_scene_is_counted_twice() -> None:
+    """5 scenes, where all combinations of the categories would be 12."""
+    asked = ask('grid', (KIND, DRY, WET), 5)
+    cells = [make_space((KIND, DRY, WET)).bins(point) for point, _ in asked]
+    assert sorted(cells) == [(0, 0, -1), (0, 1, -1), (0, 2, -1), (1, -1, 0), (1, -1, 1)]
+    with pytest.raises(Exhausted, match='all 5 combinations of the grid have been tried'):
+        ask('grid', (KIND, DRY, WET), 6)
+    weights = {cell: weight for cell, (_, weight) in zip(cells, asked, strict=True)}
+    shares = {(0, 0, -1): 2 / 9, (0, 1, -1): 2 / 9, (0, 2, -1): 2 / 9,
+              (1, -1, 0): 1 / 9, (1, -1, 1): 2 / 9}
+    assert weights == pytest.approx({cell: 5 * share for cell, share in shares.items()})
+
+
+def test_t11_given_ranges_under_options_when_on_a_grid_then_it_fits_into_the_runs() -> None:
+    asked = ask('grid', (KIND, DRY, WET, RAIN, X), 60)
+    assert len({point for point, _ in asked}) == 60
+    grid = Grid(make_space((KIND, DRY, WET, RAIN, X)), 1, 60)
+    assert 40 <= grid.cells <= 60
+    first = [grid.ask() for _ in range(grid.cells)]
+    assert sum(grid.weight(index) for index in range(grid.cells)) == pytest.approx(grid.cells)
+    assert {KIND.bin(point[0]) for point in first[:2]} == {0, 1}, 'each option is tried early'
+
+
+def test_t11_given_too_many_combinations_of_options_when_on_a_grid_then_one_line_says_so() -> None:
+    parents = [Dimension(name=f'p{number}', weights=(1,) * 10) for number in range(5)]
+    children = [Dimension(name=f'c{number}', when=(Branch(f'p{number}', (0,)),))
+                for number in range(5)]
+    with pytest.raises(UsageError, match='more than 10000 combinations of options'):
+        make_sampler('grid', [*parents, *children], 0, 100)
+    assert ask('sobol', [*parents, *children], 4)

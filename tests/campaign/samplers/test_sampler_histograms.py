@@ -11,17 +11,17 @@ from taxinet_ros.campaign.samplers.history import failures
 from taxinet_ros.campaign.samplers.lagged import Lagged
 from taxinet_ros.campaign.samplers.make import make_sampler
 from taxinet_ros.campaign.samplers.product import Product, prior_product
-from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.campaign.samplers.space import Dimension, Point, make_space
 
 FAILING = np.array([0.30, 0.07, 0.07, 0.07, 0.07, 0.07, 0.50, 0.90, 0.12, 0.07])
 """Probability of a failure in each tenth of the runway, wherever else it is."""
 
 TRUE = FAILING / FAILING.sum()
-SPACE = (
+SPACE = make_space((
     Dimension(name='along'),
     Dimension(name='weather', weights=(2, 1, 0)),
     Dimension(name='unrelated', buckets=8),
-)
+))
 
 
 def noisy(seed: int):
@@ -162,7 +162,7 @@ def test_given_histograms_when_a_point_is_drawn_then_it_is_their_quantile(
     shares: list[float], uniform: float
 ) -> None:
     histogram = np.array(shares) / sum(shares)
-    product = Product(SPACE[:1], [histogram])
+    product = Product(make_space(SPACE[:1]), [histogram])
     (quantile,) = product.point([uniform])
     number = SPACE[0].bin(quantile)
     below = histogram[:number].sum() + histogram[number] * (quantile * 10 - number)

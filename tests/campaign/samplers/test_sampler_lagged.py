@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from taxinet_ros.campaign.samplers.cross_entropy import CrossEntropy
 from taxinet_ros.campaign.samplers.lagged import LAG, Lagged
 from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.campaign.samplers.space import Dimension, Point, make_space
 
-SPACE = (Dimension(name='x'), Dimension(name='kind', weights=(2, 1)))
+SPACE = make_space((Dimension(name='x'), Dimension(name='kind', weights=(2, 1))))
 RUNS = 24
 
 
@@ -27,6 +27,10 @@ class Diary:
     def ask(self) -> Point:
         self.known.append(list(self.told))
         return (len(self.known) / 1000,)
+
+    def again(self) -> Point:
+        self.known.pop()
+        return self.ask()
 
     def tell(self, index: int, rho: float | None) -> None:
         self.told.append((index, rho))
@@ -197,3 +201,42 @@ def test_given_answers_that_wait_when_asked_what_is_learned_then_they_count_but_
     sampler.tell(0, None)
     assert sampler.learned() == {'x': (2,)}
     assert learner.told == []
+
+
+@pytest.mark.parametrize('name', SAMPLERS)
+def test_s9_given_refused_points_when_asked_again_then_the_run_stays_and_has_another_point(
+    name: str,
+) -> None:
+    """Twice the run's first point is refused; the results belong to the runs all the same."""
+    def points(refused: set[int]) -> list[list[Point]]:
+        sampler = make_sampler(name, SPACE, 3, RUNS)
+        tried = []
+        for run in range(RUNS):
+            index, point = sampler.next()
+            assert index == run
+            tried.append([point])
+            if run in refused:
+                tried[-1] += [sampler.again(), sampler.again()]
+            sampler.tell(index, result(index, tried[-1][-1]))
+        return tried
+
+    tried = points({2, 20})
+    assert tried == points({2, 20})
+    for run in (2, 20):
+        assert len(set(tried[run])) == 3
+    undisturbed = points(set())
+    assert tried[:2] == undisturbed[:2]
+    if name in ('random', 'ce', 'mab'):  # what follows from run and attempt, not from the order
+        assert tried[2][0] == undisturbed[2][0]
+        assert tried[3] == undisturbed[3]
+
+
+def test_s9_given_a_run_with_its_result_when_asked_for_another_point_then_there_is_none() -> None:
+    sampler = Lagged(Diary())
+    with pytest.raises(RuntimeError, match='run -1 is not waiting'):
+        sampler.again()
+    sampler.next()
+    sampler.again()
+    sampler.tell(0, 1.0)
+    with pytest.raises(RuntimeError, match='run 0 is not waiting for another point'):
+        sampler.again()

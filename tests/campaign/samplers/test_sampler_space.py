@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.samplers.space import Dimension, make_space
+from taxinet_ros.campaign.samplers.space import IDLE, Branch, Dimension, make_space
 from taxinet_ros.core.errors import UsageError
 
 DIMENSIONS = st.one_of(
@@ -70,3 +70,39 @@ def test_given_no_dimension_or_one_twice_when_made_a_space_then_it_is_refused() 
         make_space([])
     with pytest.raises(UsageError, match='two dimensions have the name x'):
         make_space([Dimension(name='x'), Dimension(name='y'), Dimension(name='x')])
+
+
+KIND = Dimension(name='kind', weights=(2, 0, 1))
+RAIN = Dimension(name='rain', when=(Branch('kind', (2,)),))
+SNOW = Dimension(name='snow', weights=(1, 1), when=(Branch('kind', (0, 2)), ))
+DEEP = Dimension(name='deep', when=(Branch('snow', (1,)), Branch('kind', (0,))))
+
+
+def test_s9_given_options_not_taken_when_a_point_is_made_then_their_choices_have_no_coordinate(
+) -> None:
+    space = make_space((KIND, RAIN, SNOW, DEEP))
+    assert space.point((0.5, 0.1, 0.2, 0.3)) == (0.5, None, 0.2, 0.3)
+    assert space.point((0.9, 0.1, 0.2, 0.3)) == (0.9, 0.1, 0.2, None)
+    assert space.point((0.9, 0.1, 0.7, 1.0)) == (0.9, 0.1, 0.7, math.nextafter(1, 0))
+    assert space.bins((0.9, 0.15, 0.2, None)) == (2, 1, 0, IDLE)
+    space.check((0.9, 0.1, 0.2, None))
+    for point, message in (
+        ((0.9, 0.1, 0.2), '3 quantiles for 4 dimensions'),
+        ((0.9, 0.1, 0.2, 0.5), 'deep is idle there'),
+        ((0.9, None, 0.2, None), 'rain has no quantile there'),
+        ((None, None, None, None), 'kind has no quantile there'),
+        ((0.9, 1.0, 0.2, None), 'within'),
+    ):
+        with pytest.raises(ValueError, match=message):
+            space.check(point)
+
+
+@pytest.mark.parametrize('when', [
+    Branch('weather', (0,)), Branch('kind', (3,)), Branch('kind', ()), Branch('kind', (-1,)),
+    Branch('along', (0,)), Branch('rain', (0,)),
+])
+def test_s9_given_a_branch_of_no_choice_before_when_made_a_space_then_it_is_refused(
+    when: Branch,
+) -> None:
+    with pytest.raises(UsageError, match=f'rain: {when.parent} has no categories'):
+        make_space((Dimension(name='along'), KIND, Dimension(name='rain', when=(when,))))
