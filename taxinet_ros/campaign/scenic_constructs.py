@@ -158,8 +158,7 @@ class Constructs:
     _uses: set[str] = field(default_factory=set)
     _read: set[str] = field(default_factory=set)
 
-    def install(self) -> None:
-        """Put a watch on Scenic's statements, and have what it compiles keep its lines."""
+    def _install(self) -> None:
         _keep_lines()
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
@@ -353,6 +352,17 @@ def _drawn(value: Any) -> list[Any]:
     with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
         values += (Samplable.sampleAll([value])[value] for _ in range(_DRAWS))
     return values
+
+
+@functools.cache
+def watching() -> Constructs:
+    """The watch on Scenic's statements, of which a process has one, as it has one Scenic.
+
+    What Scenic compiles keeps the lines of the program from then on.
+    """
+    constructs = Constructs()
+    constructs._install()
+    return constructs
 
 
 def _sentence(word: str, why: str) -> str:
