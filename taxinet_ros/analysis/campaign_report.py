@@ -33,6 +33,7 @@ from taxinet_ros.analysis.run_features import (
     varied,
 )
 from taxinet_ros.analysis.summary_words import cluster_sentence, summary
+from taxinet_ros.core.provenance import words
 
 VIEWERS = 20
 
@@ -123,7 +124,8 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
     if findings.runs.sampler and findings.runs.weighting.value != 'drawn':
         sentences.append(
             'The causes were looked for among the runs as the sampler chose them, so p values are '
-            'approximate; the rates in them are weighted where weights are known.')
+            'approximate; the rates in them are of runs that the program itself drew, where there '
+            'are any.')
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),
@@ -198,6 +200,7 @@ def _facts(findings: Findings) -> Mapping[str, str]:
         'runs': f'{len(runs.frame):,} with a verdict',
         'baselines': ', '.join(one.baseline.label for one in findings.comparisons),
         'table': str(runs.path), 'version': str(facts.get('taxinet_ros_version') or ''),
+        'made on': '; '.join(map(words, runs.stacks)) or 'not told',
     }
     return {name: value for name, value in found.items() if value}
 

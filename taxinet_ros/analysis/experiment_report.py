@@ -31,6 +31,7 @@ from taxinet_ros.campaign.experiment_file import Experiment
 from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import provenance
 
 _MOST_FLIPS = 30
 
@@ -64,6 +65,7 @@ def experiment_json(found: PairedArms) -> dict[str, Any]:
     return plain_values({
         'experiment': experiment.name, 'facts': _facts(experiment),
         'compare_to': experiment.compare_to, 'over': found.over,
+        'made_on': dict(provenance()),
         'arms': {
             name: {
                 outcome.value: sum(row.outcome is outcome for row in rows) for outcome in Outcome

@@ -23,6 +23,7 @@ from taxinet_ros.analysis.explain_words import (
 )
 from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Cell, Column, Report, Section, Table
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import TrackingError
 
 _ESTIMATE = (
@@ -51,6 +52,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
     return plain_values({
         'run_id': found.run.request.run_id, 'perception': found.perception,
         'fingerprint': found.fingerprint, 'recorded_perception': found.run.perception,
+        'made_on': dict(provenance()),
         'recomputed': {
             'cte_m': cte_m, 'he_rad': he_rad, 'equal': cte_m == he_rad == 0,
         },

@@ -17,6 +17,7 @@ from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Column, Picture, Report, Section, Table, Theme
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.substituted_perception import (
     AS_RECORDED,
     TRUTH,
@@ -73,7 +74,7 @@ def localisation_json(found: Localisation) -> dict[str, Any]:
     return plain_values({
         'perception': found.perception, 'spec': found.spec, 'failed': found.failed,
         'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
-        'scenes_from_ledger': found.rounded,
+        'scenes_from_ledger': found.rounded, 'made_on': dict(provenance()),
         'not_reproduced': [case.row.run_id for case in found.not_reproduced],
         'blame': {blame.value: found.blames.get(blame, 0) for blame in Blame},
         'suffices': {

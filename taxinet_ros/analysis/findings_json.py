@@ -12,6 +12,7 @@ from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.group_rates import GroupRate
 from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Report
+from taxinet_ros.core.provenance import provenance
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
 
@@ -26,6 +27,7 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
     values = {
         'schema': SCHEMA, 'version': VERSION, 'title': report.title, 'facts': dict(report.facts),
         'summary': list(report.summary), 'alpha': findings.alpha,
+        'made_on': dict(provenance()),
         'campaign': _campaign(findings.runs),
         'ranking': [
             {'feature': one.feature.name, 'information_bit': one.information_bit,
@@ -60,9 +62,11 @@ def _campaign(runs: CampaignRuns) -> dict[str, Any]:
     return {
         'label': runs.label, 'path': str(runs.path), 'program': runs.program,
         'perception': runs.perception, 'sampler': runs.sampler, 'spec': runs.spec,
+        'stacks': [dict(stack) for stack in runs.stacks],
         'weighting': runs.weighting.value, 'judged': len(runs.frame),
         'without_verdict': dict(runs.others), 'undecided': runs.undecided,
-        'stopped_early': runs.stopped, 'failed': _rate(runs.rate()),
+        'stopped_early': runs.stopped, 'warnings': list(runs.warnings),
+        'failed': _rate(runs.rate()),
         'left_runway': None if off is None else _rate(off),
     }
 

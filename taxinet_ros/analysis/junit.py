@@ -15,8 +15,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 from taxinet_ros.analysis.gate import Criterion, GateAnswer, Verdict
+from taxinet_ros.campaign.facts import stacks_in
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import words
 from taxinet_ros.core.scenario import HUMAN_KEYS
 
 # Char of XML 1.0 (fifth edition, production 2), negated.
@@ -77,6 +79,7 @@ def _add_properties(
         'perception_sha256',
     )
     values = {name: facts[name] for name in names if name in facts} | {
+        **{f'stack_{name}': words(one) for name, one in stacks_in(facts).items()},
         'gate': answer.verdict.value, 'judged': answer.judged,
         **{outcome.value: count for outcome, count in answer.counts.items()},
         **{f'note_{number}': note for number, note in enumerate(answer.notes, 1)},

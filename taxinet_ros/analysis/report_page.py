@@ -26,6 +26,7 @@ from taxinet_ros.analysis.run_view_ground import ground_name, ground_shapes
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.provenance import provenance, words
 
 _ASSETS = Path(__file__).parent / 'report_assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')
@@ -69,7 +70,7 @@ def _html(report: Report, on_progress: Callable[[str], None]) -> str:
     style = _theme_style() + _joined(_STYLES)
     script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
     return _environment().get_template('page.html').render(
-        report=report, runs=runs, run_link=run_link,
+        report=report, runs=runs, run_link=run_link, made_on=words(provenance()),
         sections=[_section(section, runs, on_progress) for section in report.sections],
         policy=_policy(style, script), style=Markup(style), script=Markup(script),
         run_data=[data_block(view.data()) for view in runs.views.values()],

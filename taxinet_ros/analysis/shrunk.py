@@ -18,6 +18,7 @@ from taxinet_ros.campaign.shrink_lines import edge_words, off_nominal
 from taxinet_ros.campaign.shrink_options import ShrinkOptions
 from taxinet_ros.campaign.shrink_report import Report
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
 
 JSON_NAME, PROGRAM_NAME, PICTURE_NAME = 'shrink.json', 'shrunk.scenic', 'shrink.png'
@@ -60,6 +61,7 @@ def _as_json(options: ShrinkOptions, found: Report, runs: int) -> dict[str, Any]
         'spec': options.headline,
         'end': found.state.end.value or 'interrupted',
         'runs': runs,
+        'made_on': dict(provenance()),
         'runs_needed': found.state.asked,
         'parameters': {
             one.key: {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.findings import Check, Finding, ranges
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
+from taxinet_ros.bag.reader import StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
@@ -24,6 +24,7 @@ from taxinet_ros.bag.run_topics import (
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.runs import Recording, run_messages
 from taxinet_ros.core.types import NS_PER_S
 
 PERIOD_NS = NS_PER_S // 10
@@ -129,6 +130,14 @@ def read_record(path: Path) -> RunRecord:
     return record
 
 
+def read_records(recording: Recording) -> list[RunRecord]:
+    """The same of every run in a recording, each message under the stamp in its header."""
+    records = [RunRecord() for _ in recording.runs]
+    for number, stored in run_messages(recording):
+        records[number].note(stored)
+    return records
+
+
 def check_stamps(record: RunRecord) -> Check:
     """Whether time never goes back, and messages carry the stamp that they are filed under."""
     found = record.stamps
@@ -139,12 +148,17 @@ def check_stamps(record: RunRecord) -> Check:
     )
 
 
-def check_steps(record: RunRecord, info: BagInfo) -> Check:
-    """Whether every control step is whole: each topic spoke, exactly as often as it should."""
+def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
+    """Whether every control step is whole: each topic spoke, exactly as often as it should.
+
+    Args:
+        record: of the run.
+        topics: names of those that speak.
+    """
     if record.scenario is None:
         return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
     last = last_seq(record)
-    found = [*_once_troubles(record), *_step_troubles(record, info, last)]
+    found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
     return Check(
         name='steps', looked_at=f'{last + 1} control steps, every topic in each',
         findings=tuple(found),
@@ -175,9 +189,11 @@ def _once_troubles(record: RunRecord) -> Iterator[Finding]:
             yield Finding(where=topic, what=f'{there} messages, not {number}; {why}'.rstrip('; '))
 
 
-def _step_troubles(record: RunRecord, info: BagInfo, last: int) -> Iterator[Finding]:
+def _step_troubles(
+    record: RunRecord, topics: Collection[str], last: int
+) -> Iterator[Finding]:
     lacking: dict[str, list[str]] = {}
-    for topic, each in _stepped(record, info):
+    for topic, each in _stepped(record, topics):
         steps = record.counts.get(topic, {})
         missing = ranges(step for step in range(last + 1) if steps.get(step, 0) < each)
         twice = ranges(step for step, count in steps.items() if count > each)
@@ -185,21 +201,21 @@ def _step_troubles(record: RunRecord, info: BagInfo, last: int) -> Iterator[Find
             lacking.setdefault(missing, []).append(topic)
         if twice:
             yield Finding(where=f'step {twice}', what=f'{topic} more than {each} x')
-    for steps_without, topics in lacking.items():
-        yield Finding(where=f'step {steps_without}', what=f'without {", ".join(topics)}')
+    for steps_without, names in lacking.items():
+        yield Finding(where=f'step {steps_without}', what=f'without {", ".join(names)}')
 
 
-def _stepped(record: RunRecord, info: BagInfo) -> Iterator[tuple[str, int]]:
+def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, int]]:
     """Topics that speak in every step, and how often."""
-    for topic in info.topics:
-        if not any(is_topic(topic.name, once) for once in ONCE):
-            number = len(record.scenario.specs) if is_topic(topic.name, ROBUSTNESS) else 1
-            yield topic.name, number
+    for topic in topics:
+        if not any(is_topic(topic, once) for once in ONCE):
+            number = len(record.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
+            yield topic, number
 
 
-def whole_steps(record: RunRecord, info: BagInfo) -> int:
+def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
     """How many control steps of a run have all their messages."""
-    counts = [(record.counts.get(topic, {}), each) for topic, each in _stepped(record, info)]
+    counts = [(record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)]
     numbers = {step for steps, _ in counts for step in steps}
     return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
 

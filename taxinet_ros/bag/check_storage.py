@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import definition_hash
-from taxinet_ros.bag.description import read_description
+from taxinet_ros.bag.description import read_description, words_beside
 from taxinet_ros.bag.errors import BagError, BagTruncated
 from taxinet_ros.bag.findings import RECOVER, Check, Finding
 from taxinet_ros.bag.index import index_troubles
@@ -117,8 +117,17 @@ def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
         if told.get(key) != value:
             yield f'{key} is {_short(told.get(key))}, in the bag {_short(value)}'
     yield from _topic_contradictions(info, told.get('topics_with_message_count'))
-    if RUN_METADATA in info.metadata and _inner(info) != told:
+    words = info.metadata.get(RUN_METADATA)
+    if words is not None and _inner(info) != _without(told, words_beside(info.path, words)):
         yield 'is not the same as the description within the file'
+
+
+def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
+    """The description without the words that stand in it alone."""
+    custom = told.get('custom_data')
+    if not isinstance(custom, Mapping):
+        return dict(told)
+    return {**told, 'custom_data': {k: v for k, v in custom.items() if k not in beside}}
 
 
 def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:

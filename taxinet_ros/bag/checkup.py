@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from taxinet_ros.bag.check_run import check_stamps, check_steps, check_verdict, read_record
+from taxinet_ros.bag.check_run import (
+    RunRecord,
+    check_stamps,
+    check_steps,
+    check_verdict,
+    read_record,
+    read_records,
+)
 from taxinet_ros.bag.check_storage import (
     check_bytes,
     check_description,
@@ -15,6 +23,7 @@ from taxinet_ros.bag.check_storage import (
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.findings import Check, Finding
 from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.runs import read_recording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +55,6 @@ def check_bag(path: Path) -> Checkup:
     info = read_info(path, damage.append)
     if damage and not any(info.counts.values()):
         raise BagEmpty(str(damage[0]), path=path)
-    record = read_record(path)
     return Checkup(
         info=info,
         checks=(
@@ -54,8 +62,26 @@ def check_bag(path: Path) -> Checkup:
             check_index(path, sound=not damage),
             check_description(info),
             check_topics(info),
-            check_stamps(record),
-            check_steps(record, info),
-            check_verdict(record),
+            *_run_checks(path, info),
         ),
     )
+
+
+def _run_checks(path: Path, info: BagInfo) -> Iterator[Check]:
+    recording = read_recording(path)
+    if recording.plain or not recording.runs:
+        yield from _checks_of(read_record(path), [topic.name for topic in info.topics], '')
+        return
+    yield Check(
+        name='messages', looked_at='every message is what its topic says',
+        findings=tuple(Finding(where=path.name, what=str(error)) for error in recording.broken),
+    )
+    # What the topics of others hold, and that some hold nothing, is their affair.
+    for run, record in zip(recording.runs, read_records(recording), strict=True):
+        if not run.absent:
+            yield from _checks_of(record, list(record.counts), f'{run.name}: ')
+
+
+def _checks_of(record: RunRecord, topics: Sequence[str], of: str) -> Iterator[Check]:
+    for check in (check_stamps(record), check_steps(record, topics), check_verdict(record)):
+        yield replace(check, looked_at=f'{of}{check.looked_at}')

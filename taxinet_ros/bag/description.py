@@ -6,11 +6,26 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.errors import BagCorrupt, BagTruncated
+from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.yaml_text import MAX_CHARS, load_yaml
+from taxinet_ros.core.provenance import known
 
 _ROOT = 'rosbag2_bagfile_information'
+
+
+def words_beside(path: Path, words: Mapping[str, str]) -> dict[str, str]:
+    """What ``metadata.yaml`` says of a run besides the words within the bag, such as the commit.
+
+    Args:
+        path: a run folder; of an ``.mcap`` file nothing is beside it.
+        words: those within the bag.
+    """
+    try:
+        custom = read_description(path).get('custom_data') if path.is_dir() else None
+    except BagError:
+        return {}
+    return {name: value for name, value in known(custom).items() if name not in words}
 
 
 def read_description(folder: Path) -> Mapping[str, Any]:

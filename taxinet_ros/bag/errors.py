@@ -51,3 +51,11 @@ class BagEmpty(BagError):  # noqa: N818 - the state of the bag
 
 class BagForeign(BagError):  # noqa: N818 - the state of the bag
     """It is no bag, or one of a kind that this package does not read."""
+
+
+def several_runs(path: Path, one: str, other: str) -> BagForeign:
+    """The error of who reads one run, and finds two in a bag."""
+    return BagForeign(
+        f'{path}: holds several runs, {one} and {other}; a bag of each makes: '
+        f'taxinet bag split {path} --out DIR', path=path,
+    )

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import decode
-from taxinet_ros.bag.errors import BagCorrupt
+from taxinet_ros.bag.description import words_beside
+from taxinet_ros.bag.errors import BagCorrupt, several_runs
 from taxinet_ros.bag.message_values import scenario_of
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
     NODE_STATUS,
     ROBUSTNESS,
@@ -19,7 +20,10 @@ from taxinet_ros.bag.run_topics import (
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.runs import Recording, run_messages
+from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.provenance import NAMES, Provenance
 
 _READY = 0
 _ENDED = 2
@@ -100,13 +104,37 @@ def read_facts(path: Path) -> RunFacts | None:
     """
     told = _Told()
     for stored in stored_messages(path, _tells, on_damage=lambda error: None):
-        message = decode(stored.topic, stored.cdr)
-        try:
-            told.note(stored, message)
-        except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
-            text = f'{path}: topic {stored.topic.name}: {error}'
-            raise BagCorrupt(text, path=path) from error
+        _note(told, path, stored)
     return told.facts()
+
+
+def read_all_facts(recording: Recording) -> dict[str, RunFacts | None]:
+    """What a recording tells of each of its runs, by their names; errors as :func:`read_facts`."""
+    told = [_Told() for _ in recording.runs]
+    for number, stored in run_messages(recording, lambda run, topic: topic in _TOLD):
+        _note(told[number], recording.path, stored)
+    return {run.name: one.facts() for run, one in zip(recording.runs, told, strict=True)}
+
+
+def made_on(info: BagInfo) -> Provenance:
+    """Processor, libraries and code that a bag was recorded with; empty where it does not tell."""
+    words = info.metadata.get(RUN_METADATA, {})
+    if 'processor' not in words:
+        return {}
+    told = {
+        **words, **words_beside(info.path, words),
+        'taxinet_ros': words.get('taxinet_ros_version', ''),
+    }
+    return {name: told[name] for name in NAMES if told.get(name)}
+
+
+def _note(told: _Told, path: Path, stored: StoredMessage) -> None:
+    message = decode(stored.topic, stored.cdr)
+    try:
+        told.note(path, stored, message)
+    except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
+        text = f'{path}: topic {stored.topic.name}: {error}'
+        raise BagCorrupt(text, path=path) from error
 
 
 def _tells(topic: str) -> bool:
@@ -124,11 +152,13 @@ class _Told:
     figures: dict[str, float | bool] = field(default_factory=dict)
     last_seq: int = -1
 
-    def note(self, stored: StoredMessage, message: Any) -> None:
-        """Take in a message."""
+    def note(self, path: Path, stored: StoredMessage, message: Any) -> None:
+        """Take in a message of the bag at ``path``."""
         name = stored.topic.name
         if is_topic(name, SCENARIO):
-            self.scenario = _scenario(message)
+            before, self.scenario = self.scenario, _scenario(message)
+            if before is not None:
+                raise several_runs(path, before['run_id'], self.scenario['run_id'])
         elif is_topic(name, NODE_STATUS):
             if message.state == _READY:
                 self.nodes[str(message.node)] = NodeFacts(

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.image_cdr import image_cdr
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path, sync_folder
@@ -86,9 +87,11 @@ def restore_frames(source: Path, folder: Path, min_free_bytes: int = 0) -> Itera
     attachments = {
         name: read_attachment(source, name) for name in info.attachments if name != MANIFEST
     }
+    words = info.metadata.get(RUN_METADATA, {})
     with BagWriter(
-        folder, _topics(info), metadata=info.metadata.get(RUN_METADATA, {}),
+        folder, _topics(info), metadata=words,
         attachments=attachments, min_free_bytes=min_free_bytes,
+        beside=words_beside(source, words),
     ) as bag:
         yield from _copy(source, bag)
         for name, values in info.metadata.items():

@@ -8,16 +8,15 @@ on; there numbers are compared with a tolerance.
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from taxinet_ros.bag.compare import TopicComparison, compare_bags
 from taxinet_ros.bag.layout import METADATA_FILE, write_atomically
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import differences, known, provenance
 
 STACK_FILE = 'stack.json'
 TRUTH_TOLERANCE, NETWORK_TOLERANCE = 1e-6, 0.15
@@ -28,8 +27,11 @@ without pictures 2e-18; with a network 0.04 at most, for pixels round to the nex
 there, and estimates follow.
 """
 
-_FEATURES = ('avx2', 'fma', 'avx512f', 'avx512_vnni', 'asimd')
-_LIBRARIES = ('numpy', 'opencv-python-headless', 'onnxruntime', 'jsbsim', 'astral', 'pymap3d')
+_DECISIVE = frozenset({
+    'machine', 'processor_features', 'libc', 'numpy', 'opencv-python-headless', 'onnxruntime',
+    'jsbsim', 'astral', 'pymap3d',
+})
+"""What the last bits of these runs depend on; the commit is what is under test."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,43 +68,37 @@ def golden_bags(folder: Path) -> list[Path]:
     return bags
 
 
-def compare_golden(bag: Path, again: Path, *, perception: str, same_stack: bool) -> GoldenResult:
+def compare_golden(bag: Path, again: Path, *, perception: str, to_the_bit: bool) -> GoldenResult:
     """Hold a new run against its golden bag."""
     elsewhere = TRUTH_TOLERANCE if perception == 'truth' else NETWORK_TOLERANCE
-    tolerance = 0.0 if same_stack else elsewhere
+    tolerance = 0.0 if to_the_bit else elsewhere
     topics = compare_bags(bag, again, tolerance=tolerance)
     return GoldenResult(bag=bag, again=again, tolerance=tolerance, topics=topics)
 
 
-def stack_facts() -> dict[str, str]:
-    """What the last bits of a run depend on besides this package."""
-    return {
-        'machine': platform.machine(),
-        'processor_features': ' '.join(_features()),
-        'libc': ' '.join(platform.libc_ver()),
-        **{name: version(name) for name in _LIBRARIES},
-    }
+def same_stack(folder: Path) -> bool:
+    """Whether this machine has all that the golden bags in a folder say they were recorded with."""
+    told = read_stack(folder)
+    here = provenance()
+    return bool(told) and all(here.get(name) == value for name, value in told.items())
+
+
+def stack_differences(folder: Path) -> str:
+    """What is another here than where the golden bags come from; '' where nothing is."""
+    told = read_stack(folder)
+    return differences(told, provenance()) if told else f'{STACK_FILE} tells nothing'
 
 
 def read_stack(folder: Path) -> dict[str, str]:
     """The stack that the golden bags in a folder come from; empty where untold."""
     try:
         values = load_json((folder / STACK_FILE).read_text(encoding='utf-8'))
-        return {str(name): str(value) for name, value in values.items()}
-    except (OSError, ValueError, AttributeError):
+        return known(values)
+    except (OSError, ValueError):
         return {}
 
 
 def write_stack(folder: Path) -> None:
     """Note that the golden bags in a folder come from this stack."""
-    write_atomically(folder / STACK_FILE, json.dumps(stack_facts(), indent=2) + '\n')
-
-
-def _features() -> list[str]:
-    try:
-        lines = Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines()
-    except OSError:
-        return []
-    flags = [line for line in lines if line.startswith(('flags', 'Features'))]
-    known = flags[0].partition(':')[2].split() if flags else []
-    return [name for name in _FEATURES if name in known]
+    facts = {name: value for name, value in provenance().items() if name in _DECISIVE}
+    write_atomically(folder / STACK_FILE, json.dumps(facts, indent=2) + '\n')

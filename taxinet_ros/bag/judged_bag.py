@@ -13,9 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_samples, same_bits
+from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_run_samples, same_bits
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, parse_spec, signal_names
+from taxinet_ros.core.mtl.lint import check_windows
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.types import NS_PER_S
 
 
@@ -30,6 +34,8 @@ class BagVerdict(enum.StrEnum):
     """The run ends early, or the bag is damaged: there is an interval, and no verdict."""
     INVALID = 'INVALID'
     """A sample was not finite, or one is missing amid the others; the interval ends before it."""
+    UNCLEAR = 'UNCLEAR'
+    """The formula's windows hold no sample of this run, so nothing was judged."""
 
     @property
     def failed(self) -> bool:
@@ -56,6 +62,7 @@ class SpecVerdict:
             where other assumptions make an interval that is still open another one.
         breach_s: when a sample broke what is vouched for [s], or None; from then on the interval
             is that without assumptions.
+        why: why the verdict is UNCLEAR, in a line, or ''.
     """
 
     spec: Spec
@@ -66,6 +73,7 @@ class SpecVerdict:
     recorded: tuple[float, float] | None
     same: bool | None
     breach_s: float | None
+    why: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,26 +82,35 @@ class JudgedBag:
 
     Attributes:
         path: as given.
+        run: name of the run among others in the bag; '' where it is the only one.
         verdicts: one for each requirement, in order; none where nothing could be read.
         end_s: simulated time of the last sample [s], -1 without any.
         duration_s: how long the run was to last [s]; NaN where the bag does not tell.
         stopped_early: the run was ended on purpose, because its verdict was in.
+        blind: number of frames without a usable estimate where they are more than the requirement
+            ``usable`` allows, else 0; and ``frames`` of how many.
         trouble: one line on what of the bag is damaged or missing, or ''.
+        note: one line on what else the recording tells of, or ''.
         foreign: it is no bag, or no run of this package.
     """
 
     path: Path
+    run: str = ''
     verdicts: tuple[SpecVerdict, ...] = ()
     end_s: float = -1.0
     duration_s: float = math.nan
     stopped_early: bool = False
+    blind: int = 0
+    frames: int = 0
     trouble: str = ''
+    note: str = ''
     foreign: bool = False
 
     @property
     def name(self) -> str:
         """Name of the run, as far as its place tells."""
-        return self.path.stem if self.path.is_file() else self.path.name
+        place = self.path.stem if self.path.is_file() else self.path.name
+        return f'{place} {self.run}' if self.run else place
 
     @property
     def sound(self) -> bool:
@@ -103,31 +120,43 @@ class JudgedBag:
         )
 
 
-def judge_bag(
+def judge_runs(
     path: Path, specs: Sequence[Spec] = (), assumptions: Assumptions | None = None
-) -> JudgedBag:
-    """Judge a recorded run. What is wrong with the bag is told in the result, not raised.
+) -> list[JudgedBag]:
+    """Judge every run in a bag. What is wrong with it is told in the result, not raised.
 
     Args:
-        path: a run folder or an ``.mcap`` file.
-        specs: requirements; where empty, those that judged the run.
+        path: a bag's folder or an ``.mcap`` file.
+        specs: requirements; where empty, those that judged each run.
         assumptions: what is vouched for; where None, what was then.
 
     Raises:
         UsageError: there is nothing at ``path``.
     """
     try:
-        samples = read_samples(path, signals_of(specs) if specs else None)
+        runs = read_run_samples(path, signals_of(specs) if specs else None)
     except BagError as error:
-        return JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))
+        return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
+    return [_judged(path, samples, specs, assumptions) for samples in runs]
+
+
+def _judged(
+    path: Path, samples: RunSamples, specs: Sequence[Spec], assumptions: Assumptions | None
+) -> JudgedBag:
+    if not samples.duration_ns and samples.trouble:
+        return JudgedBag(path=path, run=samples.run, trouble=samples.trouble)
     chosen = specs or [parse_spec(text) for text in samples.specs]
+    unusable = samples.unusable_estimates
     return JudgedBag(
-        path=path,
+        path=path, run=samples.run,
         verdicts=tuple(judged_spec(samples, spec, assumptions)[0] for spec in chosen),
         end_s=samples.stamps_ns[-1] / NS_PER_S if samples.stamps_ns else -1.0,
         duration_s=samples.duration_ns / NS_PER_S,
         stopped_early=samples.stopped_early,
+        blind=unusable if unusable > MOST_UNUSABLE_SHARE * len(samples.stamps_ns) else 0,
+        frames=len(samples.stamps_ns),
         trouble=samples.trouble,
+        note=samples.note,
     )
 
 
@@ -176,8 +205,11 @@ def _spec_verdict(
     )
     broken = (stamp for stamp, reading in moments if not reading.trusted)
     recorded = samples.recorded.get(spec.text)
+    why = _why_unclear(samples, spec)
+    verdict = _verdict(samples, last)
     return SpecVerdict(
-        spec=spec, verdict=_verdict(samples, last), lower=last.lower, upper=last.upper,
+        spec=spec, verdict=BagVerdict.UNCLEAR if why and verdict.judged else verdict, why=why,
+        lower=last.lower, upper=last.upper,
         decided_s=_seconds(next(decided, None)), breach_s=_seconds(next(broken, None)),
         recorded=None if recorded is None else (recorded.lower, recorded.upper),
         same=_same(samples, readings, recorded) if recorded is not None and alike else None,
@@ -198,6 +230,14 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
     if last.lower > 0:
         return BagVerdict.SATISFIED
     return BagVerdict.VIOLATED if last.upper < 0 else BagVerdict.MARGINAL
+
+
+def _why_unclear(samples: RunSamples, spec: Spec) -> str:
+    try:
+        check_windows(spec, samples.duration_ns, CONTROL_PERIOD_NS)
+    except UsageError as error:
+        return str(error)
+    return ''
 
 
 def _decided(reading: Reading) -> bool:

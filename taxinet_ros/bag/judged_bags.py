@@ -9,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import repeat
 from pathlib import Path
 
-from taxinet_ros.bag.judged_bag import JudgedBag, judge_bag
+from taxinet_ros.bag.judged_bag import JudgedBag, judge_runs
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.mtl import Assumptions, Spec
 from taxinet_ros.core.pool_workers import end_with_parent, interrupts_blocked
@@ -22,7 +22,7 @@ def judge_bags(
     paths: Sequence[Path], specs: Sequence[Spec], workers: int,
     assumptions: Assumptions | None = None,
 ) -> Iterator[JudgedBag]:
-    """Judge bags, see :func:`.judged_bag.judge_bag`, in the order of their paths.
+    """Judge bags, see :func:`.judged_bag.judge_runs`, all runs of each, in their paths' order.
 
     Args:
         paths: run folders or ``.mcap`` files.
@@ -35,16 +35,18 @@ def judge_bags(
         InfraError: a worker process died.
     """
     if workers == 1 or len(paths) < 2 * _CHUNK:
-        yield from (judge_bag(path, specs, assumptions) for path in paths)
+        for path in paths:
+            yield from judge_runs(path, specs, assumptions)
         return
     context = multiprocessing.get_context('spawn')
     with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         try:
             with interrupts_blocked():
                 answers = pool.map(
-                    judge_bag, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
+                    judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
                 )
-            yield from answers
+            for runs in answers:
+                yield from runs
         except BrokenProcessPool as error:
             raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
         finally:

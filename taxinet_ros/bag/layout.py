@@ -58,15 +58,27 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         BagForeign: the folder holds a bag of another storage.
     """
     if path.is_file():
+        if path.name.endswith(f'.{STORAGE_ID}.zstd'):
+            raise BagForeign(compressed(path, 'file'), path=path)
         return (path,)
     if not path.is_dir():
         raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
     files = sorted(path.glob(f'*.{STORAGE_ID}'), key=_split_number)
     if files:
         return tuple(files)
+    if any(path.glob(f'*.{STORAGE_ID}.zstd')):
+        raise BagForeign(compressed(path, 'file'), path=path)
     if any(path.glob('*.db3')):
         raise BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
     raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
+
+
+def compressed(path: Path, mode: str) -> str:
+    """What to say of a bag that ``ros2 bag record --compression-mode`` has made."""
+    return (
+        f'{path}: compressed by {mode}; make it plain: ros2 bag convert -i {path} -o OPTIONS.yaml '
+        'with "output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]" in OPTIONS.yaml'
+    )
 
 
 def disk_words(error: OSError) -> str:

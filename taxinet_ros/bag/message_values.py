@@ -5,13 +5,14 @@ Floats pass unchanged, so what is judged, or run once more, has the bits of what
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
 from taxinet_ros.core.loop import signals
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 SCENARIO_FIELDS = {
     'cross_track_m': 'cross_track',
@@ -58,6 +59,16 @@ def assumptions_of(message: Any) -> Assumptions:
     return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
 
 
+def stamp_of(message: Any) -> int:
+    """The stamp in a message's header [ns].
+
+    Raises:
+        AttributeError, TypeError, ValueError: it has none.
+    """
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
 def error_of(message: Any) -> TrackingError:
     """The tracking error in a message."""
     return TrackingError(
@@ -90,3 +101,20 @@ def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[st
         estimate=error_of(estimate) if estimate is not None else _UNKNOWN,
         command=command_of(command) if command is not None else _SILENT,
     )
+
+
+def scenario_json(message: Any) -> bytes:
+    """The file ``scenario.json`` that is put into a run's bag: the scene in people's units."""
+    values = {
+        **scenario_of(message).to_human(),
+        'run_id': message.run_id,
+        'index': message.index,
+        'program': message.program,
+        'seed': message.seed,
+        'specs': list(message.specs),
+        'stop_on': getattr(message, 'stop_on', ''),
+        'bounds': list(getattr(message, 'bounds', ())),
+        'rates': list(getattr(message, 'rates', ())),
+        'participants': list(message.participants),
+    }
+    return json.dumps(values, indent=2).encode() + b'\n'

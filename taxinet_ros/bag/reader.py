@@ -11,10 +11,13 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
-from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.layout import METADATA_FILE, compressed, storage_files
 from taxinet_ros.bag.scan import OnDamage, scan
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.errors import UsageError
+
+_ZSTD = b'\x28\xb5\x2f\xfd'
+"""How a message begins that rosbag2 has compressed; one of CDR begins with a zero."""
 
 Wanted = Callable[[str], bool]
 """Whether the topic of this name is to be read."""
@@ -50,6 +53,7 @@ class BagInfo:
         attachments: their names, in the order of the file.
         complete: the recording was finished and nothing is damaged.
         trouble: one line on what is wrong, or empty.
+        back_ns: by how much the stamps go back at most from one message to the next [ns].
     """
 
     path: Path
@@ -61,6 +65,7 @@ class BagInfo:
     attachments: tuple[str, ...]
     complete: bool
     trouble: str
+    back_ns: int = 0
 
     @property
     def duration_s(self) -> float:
@@ -99,6 +104,8 @@ def stored_messages(
                 if not isinstance(record, Message):
                     continue
                 info = infos.by_channel[record.channel_id]
+                if record.data.startswith(_ZSTD):
+                    raise BagForeign(compressed(file, 'message'), path=file)
                 if wanted is None or wanted(info.name):
                     infos.check_cdr(record.channel_id, file)
                     yield StoredMessage(info, record.log_time, record.data)
@@ -144,6 +151,7 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
         attachments=tuple(contents.attachments),
         complete=not trouble,
         trouble='; '.join(trouble),
+        back_ns=contents.back_ns,
     )
 
 
@@ -213,6 +221,8 @@ class _Contents:
     attachments: list[str] = field(default_factory=list)
     start_ns: int | None = None
     end_ns: int = 0
+    back_ns: int = 0
+    latest_ns: int = 0
 
     def note(self, record: object, infos: _Topics) -> None:
         """Take in a record."""
@@ -224,6 +234,8 @@ class _Contents:
             stamp = record.log_time
             self.start_ns = stamp if self.start_ns is None else min(self.start_ns, stamp)
             self.end_ns = max(self.end_ns, stamp)
+            self.back_ns = max(self.back_ns, self.latest_ns - stamp)
+            self.latest_ns = stamp
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
-from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.errors import BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.errors import UsageError
@@ -48,6 +48,8 @@ def read_run(path: Path) -> RecordedRun:
     kinds: dict[str, Any] = {}
     for topic, _, message in decoded_messages(path, _HEAD.__contains__):
         if topic == '/scenario':
+            if scenario is not None:
+                raise several_runs(path, scenario.run_id, message.run_id)
             scenario = message
         elif topic == '/node_status':
             kinds.setdefault(message.node, message)

@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.records import Attachment
 
 from taxinet_ros.bag.decode import definition_hash
-from taxinet_ros.bag.description import read_description
+from taxinet_ros.bag.description import read_description, words_beside
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info, stored_messages
@@ -58,12 +58,14 @@ def recover(source: Path, folder: Path) -> Recovery:
         raise BagEmpty(f'{source}: nothing can be saved: {info.trouble or "no messages"}',
                        path=source)
     damage: list[str] = []
-    topics = [t for topic in info.topics if (t := _storable(topic, damage.append)) is not None]
+    topics = [t for topic in info.topics if (t := storable(topic, damage.append)) is not None]
     names = {topic.name for topic in topics}
     size = sum(file.stat().st_size for file in storage_files(source))
+    words = info.metadata.get(RUN_METADATA, {})
     with BagWriter(
-        folder, topics, metadata=info.metadata.get(RUN_METADATA, {}),
+        folder, topics, metadata=words,
         attachments=_attachments(source), min_free_bytes=size,
+        beside=words_beside(source, words),
     ) as bag:
         _copy(source, bag, names, lambda error: damage.append(str(error)))
         for name, values in info.metadata.items():
@@ -87,7 +89,7 @@ def _copy(
         bag.write(topic.name, cdr, stamp_ns)
 
 
-def _storable(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
+def storable(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
     """The topic with what an older or foreign recorder did not note, or None."""
     try:
         qos_profiles(topic.qos)

@@ -13,6 +13,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.loop import MAX_GAP_NS
 from taxinet_ros.core.mtl import Monitor, parse_spec
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.world import last_step
 
 
@@ -29,7 +30,9 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
     readings: dict[str, Interval] = {}
     differing: dict[str, list[int]] = {name: [] for name in monitors}
     steps = 0
+    watch = EstimateWatch(last_seq(record) * PERIOD_NS, PERIOD_NS)
     while steps <= last_seq(record) and (sample := _sample(record, steps)) is not None:
+        sample |= watch.signals(steps * PERIOD_NS, sample)
         for name, monitor in monitors.items():
             reading = monitor.push(steps * PERIOD_NS, sample)
             readings[name] = Interval(reading.lower, reading.upper)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,8 +12,8 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.message_values import assumptions_of, sample_of
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.message_values import assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
@@ -23,14 +24,18 @@ from taxinet_ros.bag.run_topics import (
     VERDICT,
     is_topic,
 )
+from taxinet_ros.bag.runs import RunPart, read_recording, run_messages
 from taxinet_ros.bag.sound_messages import sound_messages
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, parse_spec, signal_names
+from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 
 _SOURCES = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
-    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE,
+    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
+    'unusable_share': ESTIMATE,
 }
 """The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
 
@@ -48,6 +53,7 @@ class RunSamples:
     """A run as a monitor sees it.
 
     Attributes:
+        run: its name among others in the bag; '' where the bag is of this run alone, as ours are.
         duration_ns: how long it was to last [ns].
         specs: formulas that judged it, as text.
         assumptions: what was vouched for.
@@ -55,9 +61,12 @@ class RunSamples:
         samples: signals by name, one mapping for each stamp; those not asked for are NaN.
         recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
         stopped_early: the run was ended on purpose, because its verdict was in.
+        unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
         trouble: one line on what of the bag is damaged or missing, or ''.
+        note: one line on what else the recording tells of, or ''.
     """
 
+    run: str
     duration_ns: int
     specs: tuple[str, ...]
     assumptions: Assumptions
@@ -65,7 +74,9 @@ class RunSamples:
     samples: tuple[Mapping[str, float], ...]
     recorded: Mapping[str, Recorded]
     stopped_early: bool
+    unusable_estimates: int
     trouble: str
+    note: str = ''
 
 
 def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
@@ -73,61 +84,114 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return struct.pack('<2d', *one) == struct.pack('<2d', *other)
 
 
-def read_samples(path: Path, names: Collection[str] | None = None) -> RunSamples:
-    """Read the samples of a run; damage is told in the result, not raised.
+def read_run_samples(path: Path, names: Collection[str] | None = None) -> list[RunSamples]:
+    """Read the samples of every run in a bag; damage is told in the result, not raised.
 
     Only control steps of which every topic is there count, as with the monitor during the run.
-    Messages belong together by the stamp in their header.
+    Messages belong together by their run and the stamp in their header, whoever logged them when.
+    A run of which there is not one step is among the others only where there is no other.
 
     Args:
-        path: a run folder or an ``.mcap`` file.
-        names: signals that are needed; where None, those that the run's own formulas read.
+        path: a bag's folder or an ``.mcap`` file.
+        names: signals that are needed; where None, those that each run's own formulas read.
 
     Raises:
         BagEmpty: the bag ends before it tells which run it holds.
         BagForeign: it is no bag, or no run of this package.
         UsageError: there is nothing at ``path``.
     """
-    reader, trouble = _read_sound(path, names) or _read_damaged(path, names)
-    if reader.scenario is None:
-        kind = BagEmpty if trouble else BagForeign
-        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
-    if path.is_dir() and not (path / METADATA_FILE).is_file():
-        trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
-    try:
-        return reader.run(trouble[0] if trouble else '')
-    except _UNREADABLE as error:
-        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+    reader = _read_plain(path, names)
+    if reader is not None and reader.scenario is not None and _finished(path):
+        return [_samples(path, reader, '', '')]
+    return _read_recording(path, names)
 
 
-_Read = tuple['_Reader', list[str]]
 _UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
 
 
-def _read_sound(path: Path, names: Collection[str] | None) -> _Read | None:
+class _NotPlainError(Exception):
+    """The bag is not one run as our recorder logs it."""
+
+
+def _read_plain(path: Path, names: Collection[str] | None) -> _Reader | None:
     """The quick way, for bags as they should be."""
-    reader, files = _Reader(names), storage_files(path)
+    reader, files = _Reader(names, plain=True), storage_files(path)
     if len(files) > 1:
         return None
     try:
         for stored in sound_messages(files[0], reader.wants):
             reader.note(stored)
-    except _UNREADABLE:
+    except (_NotPlainError, *_UNREADABLE):
         return None
-    return reader, []
+    return reader
 
 
-def _read_damaged(path: Path, names: Collection[str] | None) -> _Read:
-    """The slow way, which says what is wrong."""
-    reader, trouble = _Reader(names), list[str]()
-    for stored in stored_messages(path, reader.wants, lambda error: trouble.append(str(error))):
-        try:
-            reader.note(stored)
-        except BagCorrupt as error:
-            trouble.append(str(error))
-        except _UNREADABLE as error:
-            raise BagForeign(f'{path}: topic {stored.topic.name}: {error}', path=path) from error
-    return reader, trouble
+def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSamples]:
+    """The slow way, which tells runs apart, and says what is wrong."""
+    recording = read_recording(path)
+    trouble = [str(error) for error in recording.damage]
+    if not _finished(path):
+        trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
+    readers = [_Reader(names) for _ in recording.runs]
+    if all(run.scenario is None for run in recording.runs):
+        kind = BagEmpty if trouble else BagForeign
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
+    try:
+        # What a run's own formulas need is known from its scenario, which a recorder that came
+        # late may have been told last.
+        for reader, run in zip(readers, recording.runs, strict=True):
+            if run.scenario is not None:
+                reader.wants(run.scenario.topic.name)
+                reader.note(run.scenario)
+        for number, stored in run_messages(
+            recording, lambda number, topic: topic != SCENARIO and readers[number].wants(topic)
+        ):
+            try:
+                readers[number].wants(stored.topic.name)
+                readers[number].note(stored)
+            except BagCorrupt as error:
+                trouble.append(str(error))
+    except _UNREADABLE as error:
+        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+    alone = recording.plain or len(recording.runs) == 1
+    pairs = list(zip(recording.runs, readers, strict=True))
+    present = [pair for pair in pairs if not pair[0].absent] or pairs
+    found = [
+        _samples(path, reader, '' if alone else run.name, _trouble(run, reader, trouble))
+        for run, reader in present
+    ]
+    absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
+    if absent and len(present) < len(pairs):
+        note = f'tells how these ended, and has not one step of them: {", ".join(absent)}'
+        found[0] = dataclasses.replace(found[0], note=note)
+    return found
+
+
+def _samples(path: Path, reader: _Reader, run: str, trouble: str) -> RunSamples:
+    if reader.scenario is None:
+        return RunSamples(
+            run=run, duration_ns=0, specs=(), assumptions=NO_ASSUMPTIONS, stamps_ns=(), samples=(),
+            recorded={}, stopped_early=False, unusable_estimates=0,
+            trouble=f'no message on {SCENARIO}, so nothing tells what was run',
+        )
+    try:
+        return reader.run(run, trouble)
+    except _UNREADABLE as error:
+        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+
+
+def _trouble(run: RunPart, reader: _Reader, damage: Sequence[str]) -> str:
+    if damage:
+        return damage[0]
+    if run.unclear and ODOMETRY in reader.steps:
+        return run.unclear
+    if run.stamps_ns and (begins_ns := min(run.stamps_ns)) > 0:
+        return f'begins at {begins_ns / NS_PER_S:g} s: the recorder came late'
+    return ''
+
+
+def _finished(path: Path) -> bool:
+    return path.is_file() or (path / METADATA_FILE).is_file()
 
 
 @dataclass
@@ -135,6 +199,7 @@ class _Reader:
     """What the messages have told so far."""
 
     names: Collection[str] | None
+    plain: bool = False
     scenario: Any = None
     assumptions: Assumptions = NO_ASSUMPTIONS
     steps: dict[str, dict[int, Any]] = field(default_factory=dict)
@@ -162,6 +227,8 @@ class _Reader:
             self.last.append(stored)
             return
         message = decode(stored.topic, stored.cdr)
+        if self.plain:
+            self._check_plain(relative, stored, message)
         if relative == SCENARIO:
             self.scenario = message
             self.assumptions = assumptions_of(message)
@@ -171,20 +238,39 @@ class _Reader:
         elif relative == VERDICT:
             self.verdict = message
         else:
-            self.steps[relative].setdefault(_stamp(message), message)
+            self.steps[relative].setdefault(stamp_of(message), message)
 
-    def run(self, trouble: str) -> RunSamples:
+    def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
+        """Raise :class:`_NotPlainError` where it is of another run, or logged at another time."""
+        if relative == SCENARIO:
+            plain = self.scenario is None
+        else:
+            plain = self.scenario is not None and stamp_of(message) == stored.stamp_ns and (
+                getattr(message, 'run_id', self.scenario.run_id) == self.scenario.run_id
+            )
+        if not plain or stored.topic.name != f'/{relative}':
+            raise _NotPlainError
+
+    def run(self, run: str, trouble: str) -> RunSamples:
         """All of it."""
         whole = set.intersection(*(set(messages) for messages in self.steps.values()))
         stamps = tuple(sorted(whole))
+        duration_ns = round(float(self.scenario.duration) * NS_PER_S)
+        watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
+        samples = [self._sample(stamp) for stamp in stamps]
+        if ESTIMATE in self.steps:
+            for stamp, sample in zip(stamps, samples, strict=True):
+                sample.update(watch.signals(stamp, sample))
         return RunSamples(
-            duration_ns=round(float(self.scenario.duration) * NS_PER_S),
+            run=run,
+            duration_ns=duration_ns,
             specs=tuple(map(str, self.scenario.specs)),
             assumptions=self.assumptions,
             stamps_ns=stamps,
-            samples=tuple(self._sample(stamp) for stamp in stamps),
+            samples=tuple(samples),
             recorded=self._recorded(),
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
+            unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
             trouble=trouble,
         )
 
@@ -207,11 +293,7 @@ class _Reader:
         else:
             told = [decode(stored.topic, stored.cdr) for stored in self.last]
         return {
-            str(one.formula): Recorded(_stamp(one), float(one.rho_lower), float(one.rho_upper))
+            str(one.formula): Recorded(stamp_of(one), float(one.rho_lower), float(one.rho_upper))
             for one in told
         }
 
-
-def _stamp(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)

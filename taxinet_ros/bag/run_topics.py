@@ -7,7 +7,9 @@ from __future__ import annotations
 
 SCENARIO = 'scenario'
 NODE_STATUS = 'node_status'
+CLOCK = 'clock'
 IMAGE = 'camera/image_raw'
+CAMERA_INFO = 'camera/camera_info'
 ODOMETRY = 'ground_truth/odom'
 TRUTH = 'ground_truth/tracking_error'
 ESTIMATE = 'perception/tracking_error'

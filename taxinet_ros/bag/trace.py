@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.bag.decode import decoded_messages
-from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
+from taxinet_ros.bag.message_values import stamp_of
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
@@ -36,8 +37,9 @@ _ALWAYS = (
 def read_trace(path: Path) -> dict[str, Column]:
     """Columns of a run, one row for every control step with a ground truth.
 
-    Messages are matched by the step that they name (``seq``), odometry by its stamp. What is
-    missing is NaN, and so is an estimate that was declared invalid.
+    Messages are matched by the step that they name (``seq``), odometry by the stamp in its header,
+    whoever logged them when. What is missing is NaN, and so is an estimate that was declared
+    invalid.
 
     Args:
         path: a run folder or an ``.mcap`` file.
@@ -51,7 +53,7 @@ def read_trace(path: Path) -> dict[str, Column]:
 
     Raises:
         BagEmpty: the bag holds no ground truth.
-        BagError: the bag is damaged or foreign.
+        BagError: the bag is damaged or foreign, or holds several runs.
     """
     table = _Table()
     for name, stamp_ns, message in _messages(path, _TRACED):
@@ -65,7 +67,7 @@ def read_trace(path: Path) -> dict[str, Column]:
 
 
 def read_images(path: Path) -> Iterator[tuple[int, Frame]]:
-    """Yield stamp [ns] and pixels, (H, W, 3) uint8 in RGB order, of each camera frame.
+    """Yield the stamp in its header [ns] and the pixels, (H, W, 3) uint8 RGB, of each camera frame.
 
     Raises:
         BagCorrupt: an image contradicts its own size.
@@ -151,13 +153,25 @@ _FILL = {
 def _messages(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     """Decoded messages by relative name, for a run may have been recorded in a namespace."""
     chosen: dict[str, str] = {}
+    run_id, latest_ns = '', -1
     messages = decoded_messages(path, lambda topic: any(is_topic(topic, w) for w in wanted))
-    for name, stamp_ns, message in messages:
+    for name, _, message in messages:
         relative = next(w for w in wanted if is_topic(name, w))
         if chosen.setdefault(relative, name) != name:
             raise BagForeign(
                 f'{path}: both {chosen[relative]} and {name}: more than one run in it', path=path
             )
+        try:
+            stamp_ns = stamp_of(message)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
+        run_id = run_id or getattr(message, 'run_id', '')
+        if getattr(message, 'run_id', run_id) != run_id:
+            raise several_runs(path, run_id, message.run_id)
+        if relative == IMAGE:
+            if stamp_ns <= latest_ns:
+                raise several_runs(path, 'one with frames', f'one from {stamp_ns} ns on again')
+            latest_ns = stamp_ns
         yield relative, stamp_ns, message
 
 

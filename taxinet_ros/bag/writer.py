@@ -70,6 +70,7 @@ class BagWriter:
     def __init__(
         self, folder: Path, topics: Sequence[TopicInfo], *, metadata: Mapping[str, str],
         attachments: Mapping[str, bytes], min_free_bytes: int = 1_000_000_000,
+        beside: Mapping[str, str] | None = None,
     ) -> None:
         """Start a bag.
 
@@ -80,17 +81,20 @@ class BagWriter:
             attachments: files to put in, by name; ``manifest.json`` is added unless it is given.
             min_free_bytes: free space to ask of the disk at the start [bytes]; a tenth of it is
                 kept free while recording.
+            beside: words that stand in ``metadata.yaml`` alone: those in which bags of equal runs
+                may differ, such as the commit.
 
         Raises:
             UsageError: the folder exists, there is too little space, or a topic is malformed.
             BagWriteError: the operating system refuses.
         """
         check_topics(topics)
-        _check_words('metadata', metadata)
+        _check_words('metadata', {**metadata, **(beside or {})})
         _make_folder(folder, min_free_bytes)
         self.folder = folder
         self._topics = tuple(topics)
         self._custom = dict(metadata)
+        self._beside = dict(beside or {})
         self._storage = StorageFile(
             mcap_path(folder), topics=self._topics, library=LIBRARY,
             keep_free_bytes=min_free_bytes // 10,
@@ -136,13 +140,13 @@ class BagWriter:
             BagWriteError: now or earlier something could not be written.
             BagCorrupt: the file on the disk tells other numbers than were written.
         """
-        description = record_text(self._content())
-        self.add_metadata('rosbag2', {'serialized_metadata': description})
+        self.add_metadata('rosbag2', {'serialized_metadata': record_text(self._content())})
         self._storage.finish()
         self._storage.output.sync()
         self._storage.output.close()
         self._verify()
         try:
+            description = record_text(self._content(self._beside))
             write_atomically(self.folder / METADATA_FILE, file_text(description))
             sync_folder(self.folder.parent)
         except OSError as error:
@@ -170,7 +174,7 @@ class BagWriter:
         elif self._storage.output.open:
             self.close()
 
-    def _content(self) -> BagContent:
+    def _content(self, beside: Mapping[str, str] | None = None) -> BagContent:
         counts = self._storage.counts
         recorded = any(counts.values())
         return BagContent(
@@ -178,7 +182,7 @@ class BagWriter:
             start_ns=self._storage.start_ns if recorded else NOT_STARTED_NS,
             duration_ns=self._storage.end_ns - self._storage.start_ns,
             topics=[(topic, counts[topic.name]) for topic in self._topics],
-            custom=self._custom,
+            custom={**self._custom, **(beside or {})},
         )
 
     def _manifest(self) -> bytes:

@@ -12,9 +12,14 @@ from taxinet_ros.bench.machine import LOAD
 from taxinet_ros.bench.measure import Figure
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import COMMIT
 
 Report = dict[str, Any]
 """``machine``: facts; ``figures``: what was measured, by name; both ready for JSON."""
+
+
+_APART = (LOAD, COMMIT)
+"""Facts that are never the same twice, or whose comparison is what a report is for."""
 
 
 def make_report(machine: Mapping[str, Any], figures: Mapping[str, Figure]) -> Report:
@@ -76,6 +81,6 @@ def compare(new: Report, old: Report) -> dict[str, Any]:
             if name in before
         },
         'differences': {
-            fact: pair for fact, pair in pairs.items() if fact != LOAD and pair[0] != pair[1]
+            fact: pair for fact, pair in pairs.items() if fact not in _APART and pair[0] != pair[1]
         },
     }

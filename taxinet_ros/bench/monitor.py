@@ -18,6 +18,14 @@ LENGTHS = {'1k': 1_000, '10k': 10_000, '100k': 100_000}
 
 WINDOWS_S = (10, 100, 1_000)
 _GROWING = ('phi_always', 'phi_eventually')
+_NESTED = {
+    'G F': 'always(eventually[0:5](cte < 0))',
+    'G or F': 'always(cte < 1 or eventually[0:5](cte < 0))',
+    'F G F': 'eventually[0:5](always(eventually[0:2](cte < 0)))',
+    '12 until': '(' * 12 + 'cte < 0' + ') until[0:0.5] (cte < 1)' * 12,
+}
+"""Where a window stands in another, by the word that names it."""
+
 _OFFLINE_CALLS = 20
 
 Run = Sequence[tuple[int, dict[str, float]]]
@@ -41,6 +49,10 @@ def subjects() -> list[Subject]:
     for window_s in WINDOWS_S:
         text = f'eventually[0:{window_s}](always(abs(cte) <= 1.5))'
         found.append(_online(f'window of {window_s} s sample of 10k', parse_spec(text), longer))
+    for word in ('1k', '10k'):
+        longer = swinging_run(LENGTHS[word])
+        for name, text in _NESTED.items():
+            found.append(_online(f'{name} sample of {word}', parse_spec(text), longer))
     return found
 
 

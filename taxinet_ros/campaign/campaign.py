@@ -7,7 +7,6 @@ folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``run
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from types import TracebackType
@@ -18,11 +17,12 @@ from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource, first_duration_s
 from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -34,6 +34,7 @@ class Campaign:
     Attributes:
         rows: one row per run taken, in order.
         notes: lines on what the program may mean otherwise than it is run; within the ``with``.
+        check: what is said of the requirements before the first run; only within the ``with``.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Campaign:
         self.options = options
         self.rows: list[RunRow] = []
         self.notes: tuple[str, ...] = ()
+        self.check: SpecCheck
         self._participants = participants
         self._on_row = on_row
         self._source = SceneSource(
@@ -68,13 +70,15 @@ class Campaign:
         """Compile the program, draw the first scene, and only then make the folder.
 
         Raises:
-            UsageError: the program does not compile, or the folder cannot be made.
+            UsageError: the program does not compile, the requirements do not fit its runs, or the
+                folder cannot be made.
         """
         self._source.__enter__()
         try:
-            self._first_scene()
+            self.check = self.options.check(first_duration_s(self._source))
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
+            facts['warnings'] = list(self.check.warnings)
             make_folder(self.options.out, facts)
             self._ledger = Ledger(self.options.out / LEDGER_NAME)
             self._ledger.campaign(facts)
@@ -128,10 +132,6 @@ class Campaign:
         self._ledger.result(row)
         self.rows.append(row)
         self._on_row(row)
-
-    def _first_scene(self) -> None:
-        with contextlib.suppress(Rejected):
-            self._source.scene(0)
 
 
 def exit_code(rows: list[RunRow]) -> int:

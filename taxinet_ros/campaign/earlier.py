@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, STACKS, other_stack, stacks_in
 from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -16,8 +16,9 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'processes', 'program_text'})
-"""Facts that may differ: more runs may be asked for; the text has its digest beside it."""
+_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
+may warn of more than another, and another machine or version is warned of."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
@@ -33,13 +34,18 @@ class Earlier:
         rows: results by index, without those of interrupted runs, which are run again.
         begun: number of runs that were begun or done, counted from run 0.
         attempts: how often each run was begun, by index.
-        perception: facts on the perception, where the graph decided it.
+        facts: those that stay: how many runs were planned at first, and on the perception, where
+            the graph decided it.
+        stacks: records of the machines and versions of earlier sittings, by name.
+        warning: one line where one of them is another than this, or ''.
     """
 
     rows: dict[int, RunRow] = field(default_factory=dict)
     begun: int = 0
     attempts: Mapping[int, int] = field(default_factory=dict)
-    perception: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    stacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    warning: str = ''
 
 
 def check_resumable(out: Path) -> None:
@@ -75,8 +81,17 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
         raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
     return Earlier(
         rows=rows, begun=begun, attempts=content.attempts,
-        perception={key: content.campaign[key] for key in of_graph if key in content.campaign},
+        facts=_staying(content.campaign, of_graph),
+        stacks=stacks_in(content.campaign),
+        warning=other_stack(content.campaign, str(out)) if rows else '',
     )
+
+
+def _staying(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
+    kept = {key: before[key] for key in of_graph if key in before}
+    # A search from before that was written down has its last plan on record only.
+    planned = before.get('first_runs', before.get('runs'))
+    return kept if planned is None else {**kept, 'first_runs': planned}
 
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -13,9 +13,14 @@ from taxinet_ros.campaign.options import CampaignOptions, check_new
 from taxinet_ros.campaign.programs import program_digest, program_text
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import differences, known, provenance, stack_id
 
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
+
+STACKS = 'stacks'
+"""The fact that names every machine, with its libraries and code, on which runs were made."""
 
 
 def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
@@ -28,6 +33,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
     specs = [parse_spec(text) for text in options.specs]
     return {
         'taxinet_ros_version': __version__,
+        STACKS: this_sitting(),
         'program': program.name,
         'program_sha256': program_digest(program),
         'program_text': program_text(program),
@@ -44,6 +50,46 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'processes': options.processes,
         'images': options.images,
     }
+
+
+def this_stack() -> str:
+    """Which of a campaign's stacks this process is."""
+    return stack_id(provenance())
+
+
+def this_sitting() -> dict[str, dict[str, str]]:
+    """The record of this process under its name, to be added to those of earlier sittings."""
+    return {this_stack(): dict(provenance())}
+
+
+def stacks_in(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """All records in a campaign's facts, by name, the oldest first; empty of older versions."""
+    told = facts.get(STACKS)
+    return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
+
+
+def told_stacks(folder: Path) -> dict[str, dict[str, str]]:
+    """All records of the campaign in a folder; empty where nothing can be read."""
+    try:
+        facts = load_json((folder / FACTS_NAME).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return stacks_in(facts) if isinstance(facts, dict) else {}
+
+
+def other_stack(facts: Mapping[str, Any], what: str) -> str:
+    """One line where what is there was made on another machine or version than this; else ''.
+
+    Args:
+        facts: of the campaign as it is there.
+        what: names what is there, at the line's beginning.
+    """
+    before = stacks_in(facts)
+    if not before:
+        return f'{what}: nothing tells on which machine and versions the runs so far were made'
+    found = differences(*before.values(), provenance())
+    return f'{what}: begun on another machine or version: {found}; see docs/determinism.md' if (
+        found) else ''
 
 
 def make_folder(out: Path, facts: Mapping[str, Any]) -> None:

@@ -15,6 +15,7 @@ from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -80,7 +81,13 @@ def find_run(path: Path) -> JudgedRun:
 
 
 def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
-    told = read_info(path).metadata.get('taxinet_outcome', {})
+    told = read_info(path).metadata.get('taxinet_outcome')
+    if told is None and (recording := read_recording(path)).runs and not recording.plain:
+        raise UsageError(
+            f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
+            f'taxinet bag split {path} --out DIR'
+        )
+    told = told or {}
     outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
     run = read_run(path)
     rho: dict[str, float] = {}

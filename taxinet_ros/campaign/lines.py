@@ -10,9 +10,14 @@ from rich.text import Text
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.outcome_words import count_outcomes
-from taxinet_ros.campaign.rates import satisfied
+from taxinet_ros.campaign.rates import ProgramRate, failure_rate
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.spec_check import SpecCheck
+
+_NAMED = 5
+"""Most runs that one line names."""
 
 GRAPH_OF_OTHERS = 'on the graph that runs'
 """Said where the nodes were started by somebody else."""
@@ -37,6 +42,12 @@ def heading(options: CampaignOptions) -> str:
     )
 
 
+def check_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:
+    """How the requirements are understood, and what they may say other than was meant."""
+    lines = [] if quiet else [Text(line, style='dim') for line in check.lines]
+    return [*lines, *(Text(f'warning: {line}', style='yellow') for line in check.warnings)]
+
+
 def row_line(row: RunRow) -> Text:
     """One run: outcome, robustness, worst deviation, speed, scene."""
     text = Text(f'{row.index:5d}  ')
@@ -47,6 +58,10 @@ def row_line(row: RunRow) -> Text:
         text.append(f'{row.real_time_factor:5.1f}x  ')
         if row.stopped_early:
             text.append(f'stopped at {row.stopped_s:.1f} s  ')
+        if row.unusable_share > MOST_UNUSABLE_SHARE:
+            text.append(
+                f'{row.unusable_estimates} of {row.steps} estimates unusable  ', style='yellow'
+            )
     else:
         words = [word for word in (row.kind, row.who) if word]
         text.append(f' {" ".join(words)}: ' if words else ' ')
@@ -70,11 +85,16 @@ def scene_words(row: RunRow) -> str:
     if row.time_of_day is None or row.rain is None:
         return ''
     hours, minutes = divmod(round(row.time_of_day * 60), 60)
-    rain = f' rain {row.rain:.0f} %' if row.rain > 0 else ''
+    rain = f' rain {_percent(row.rain)} %' if row.rain > 0 else ''
     return (
         f'CTE {row.cross_track:+.1f} m  HE {row.heading:+.0f} deg  at {row.distance:.0f} m  '
         f'{hours:02d}:{minutes:02d} {row.clouds}{rain}'
     )
+
+
+def _percent(value: float) -> str:
+    """A percentage without decimals, but never 0 for what is more."""
+    return f'{value:.0f}' if value >= 1 else f'{value:.1g}'
 
 
 def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
@@ -89,15 +109,34 @@ def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     lines = [count_outcomes(rows)]
     speeds = [row.real_time_factor for row in rows if row.outcome.judged]
     if speeds:
-        value, low, high = satisfied(rows)
+        found = failure_rate(rows, options.runs)
         speed = statistics.median(speeds)
         lines.append(
-            f'satisfied {value:.0%} (95 % interval {low:.0%}-{high:.0%}), '
-            f'{off_runway_words(rows)}, median {speed:.1f}x real time'
+            f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
         )
-        lines += stopped_words(rows)
+        lines += [*stopped_words(rows), *blind_words(rows)]
     lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
+
+
+def _satisfied_words(failed: ProgramRate) -> str:
+    if failed.rate is None:
+        return failed.why_not
+    value, low, high = failed.rate.other
+    when = ' that holds wherever a campaign stops' if failed.anytime else ''
+    return f'satisfied {value:.0%} (95 % interval{when} {low:.0%}-{high:.0%})'
+
+
+def blind_words(rows: Sequence[RunRow]) -> list[str]:
+    """How many runs passed though the perception was blind; no line where none did."""
+    blind = [row.index for row in rows if row.passed_blind]
+    if not blind:
+        return []
+    named = ', '.join(map(str, blind[:_NAMED])) + (', …' if len(blind) > _NAMED else '')
+    return [
+        f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their frames '
+        f'without a usable estimate (run {named}); --spec usable fails them'
+    ]
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:

@@ -27,6 +27,7 @@ from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.substituted_perception import (
     AS_RECORDED,
     TRUTH,
@@ -210,8 +211,9 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
     """The trials of before; a new journal is begun with what it is about."""
     path, facts = options.out / TRIALS_NAME, _facts(options)
     if not journal.lines:
-        _append(options, journal, {'event': 'localize', 'facts': facts})
+        _begin_sitting(options, journal, facts)
         return {}
+    before: Provenance = {}
     trials: dict[tuple[str, str], Trial] = {}
     for number, line in enumerate(journal.lines, start=1):
         try:
@@ -224,9 +226,21 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
                     f'--out {options.out}: holds trials of another campaign or network; '
                     'name another folder'
                 )
+            else:
+                before = known(event.get('provenance'))
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+    if before != provenance():
+        _begin_sitting(options, journal, facts)
     return trials
+
+
+def _begin_sitting(
+    options: LocalizeOptions, journal: Journal, facts: Mapping[str, Any]
+) -> None:
+    """Put down what the trials from here on are about, and what they are made on."""
+    made_on = dict(provenance())
+    _append(options, journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
 
 
 def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:

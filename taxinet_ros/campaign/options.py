@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from taxinet_ros.campaign.overrides import check_overrides
+from taxinet_ros.campaign.overrides import check_overrides, doubtful_values
 from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import Assumptions, parse_assumptions
+from taxinet_ros.core.mtl import Assumptions, parse_assumptions, parse_spec
 from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.spec_check import SpecCheck, check_specs
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 
@@ -59,6 +61,20 @@ class CampaignOptions:
     processes: bool = False
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
+
+    def check(self, duration_s: float) -> SpecCheck:
+        """Look at the requirements, and the values that were fixed, before the first run.
+
+        Args:
+            duration_s: length of the first run [s].
+
+        Raises:
+            UsageError: a requirement that no run of this length can be judged by.
+        """
+        gains = None if self.standing_graph else SteeringGains(**self.gains)
+        found = check_specs([parse_spec(text) for text in self.specs], duration_s, gains)
+        doubts = doubtful_values({**self.overrides, **self.laid_over})
+        return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
     @property
     def standing_graph(self) -> bool:

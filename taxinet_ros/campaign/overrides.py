@@ -6,6 +6,7 @@ the joint prior and gives rain from a clear sky. Here every scene passes the sce
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,6 +16,9 @@ from taxinet_ros.core.world import last_step
 
 WEATHER = ('clouds', 'rain')
 """The two keys that bind each other: rain falls from rain clouds only."""
+
+_DOUBTED = ('rain', 'time_of_day', 'heading')
+_RIGHT_ANGLE_RAD = 1.58
 
 
 class Contradiction(UsageError):  # noqa: N818 (a kind of usage error)
@@ -32,6 +36,33 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
         _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
     if all(key in overrides for key in WEATHER):
         _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+
+
+def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
+    """Fixed values that are possible, and look as if they were meant in another unit.
+
+    Args:
+        overrides: checked by :func:`check_overrides`.
+
+    Returns:
+        A line for each.
+    """
+    numbers = {key: float(overrides[key]) for key in _DOUBTED if key in overrides}
+    found = []
+    rain, hours, heading = (numbers.get(key, 0.0) for key in _DOUBTED)
+    if 0 < rain < 1:
+        found.append(f'rain={rain:g} is {rain:g} %, too little to see; for half write rain=50')
+    if 0 < hours < 1:
+        found.append(
+            f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
+        )
+    # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
+    if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
+        found.append(
+            f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
+            f'heading={math.degrees(heading):.1f}'
+        )
+    return found
 
 
 def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], where: str) -> Scenario:

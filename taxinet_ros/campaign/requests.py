@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from taxinet_ros.campaign.facts import this_stack
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -45,7 +46,9 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
     bag = request.run_id if (options.out / request.run_id).is_dir() else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
     perception = options.perception or result.perception
-    return RunRow.of_run(request, result, perception=perception, sim_s=sim_s, bag=bag)
+    return RunRow.of_run(
+        request, result, perception=perception, sim_s=sim_s, bag=bag, stack=this_stack()
+    )
 
 
 def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:
@@ -53,6 +56,7 @@ def rejected_row(options: CampaignOptions, index: int, detail: str) -> RunRow:
     return RunRow(
         run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
         perception=options.perception, outcome=Outcome.REJECTED, detail=detail,
+        stack=this_stack(),
     )
 
 

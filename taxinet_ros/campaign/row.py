@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+
+SIMPLY_DRAWN = ('', 'random')
+"""Samplers of which every run is an independent draw from the program; '' is none at all."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,6 +30,8 @@ class RunRow:
         refused: draws, or points of the sampler, that the program's requirements refused before
             this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
+        drawn: whether the scene was drawn from the program itself, whatever the results before it:
+            what rates rest on. None in a row from before that was written down.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
@@ -46,6 +53,8 @@ class RunRow:
         sim_s: simulated time that passed [s].
         retries: how often the run was begun anew because the bench broke.
         bag: the run's bag, relative to the campaign's folder, or ''.
+        stack: which record of ``stacks`` in ``campaign.json`` says on what machine, libraries and
+            code it was run, or '' in rows of before there were any.
         wall_s: wall-clock time that the run took [s].
     """
 
@@ -59,6 +68,7 @@ class RunRow:
     point: Mapping[str, float] = field(default_factory=dict)
     refused: int = 0
     weight: float | None = None
+    drawn: bool | None = None
     perception_fingerprint: str = ''
     cross_track: float | None = None
     distance: float | None = None
@@ -93,6 +103,7 @@ class RunRow:
     sim_s: float = 0.0
     retries: int = 0
     bag: str = ''
+    stack: str = ''
     wall_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -100,6 +111,16 @@ class RunRow:
             raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
         if bool(self.rho_upper) != bool(self.stopped_early):
             raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
+
+    @property
+    def unusable_share(self) -> float:
+        """Share of the run's frames without a usable estimate; 0 where there is no count."""
+        return (self.unusable_estimates or 0) / self.steps if self.steps else 0.0
+
+    @property
+    def passed_blind(self) -> bool:
+        """Whether the run passed though more frames than ``usable`` allows had no estimate."""
+        return self.outcome is Outcome.PASS and self.unusable_share > MOST_UNUSABLE_SHARE
 
     @property
     def real_time_factor(self) -> float:
@@ -138,13 +159,22 @@ class RunRow:
         return upper if upper <= 0 else lower if lower > 0 else None
 
     @property
+    def from_program(self) -> bool:
+        """Whether the program itself drew the scene; where that is not on record, by the sampler.
+
+        What Halton, Sobol and the grid lay out are no independent draws.
+        """
+        return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
+
+    @property
     def headline(self) -> tuple[float, float] | None:
         """The interval of the first formula."""
         return self.interval(next(iter(self.rho_upper or self.rho), ''))
 
     @classmethod
     def of_run(
-        cls, request: RunRequest, result: RunResult, *, perception: str, sim_s: float, bag: str = ''
+        cls, request: RunRequest, result: RunResult, *, perception: str, sim_s: float,
+        bag: str = '', stack: str = '',
     ) -> Self:
         """The row of a run that had a scenario.
 
@@ -154,6 +184,7 @@ class RunRow:
             perception: the word that was asked for; the result has none if the bench broke.
             sim_s: simulated time that passed [s].
             bag: path of the bag relative to the campaign's folder, or ''.
+            stack: which record says on what it was run, or ''.
         """
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
@@ -162,16 +193,18 @@ class RunRow:
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             rho=dict(result.rho), rho_lower=dict(result.rho_lower),
             rho_upper=dict(result.rho_upper), **_figures(result, sim_s),
-            steps=result.last_seq + 1, sim_s=sim_s, bag=bag, wall_s=result.wall_s,
+            steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
+            wall_s=result.wall_s,
         )
 
     def chosen(
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
-        refused: int = 0,
+        refused: int = 0, drawn: bool | None = None,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
-            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries
+            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries,
+            drawn=drawn,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -212,11 +245,17 @@ def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
         'cte_error_mean_m': _known(cte.mean),
         'cte_error_mean_abs_m': _known(cte.mean_abs),
         'cte_error_max_abs_m': _known(cte.max_abs),
-        'he_error_mean_deg': _known(math.degrees(he.mean)),
-        'he_error_mean_abs_deg': _known(math.degrees(he.mean_abs)),
-        'he_error_max_abs_deg': _known(math.degrees(he.max_abs)),
+        'he_error_mean_deg': _known(_degrees(he.mean)),
+        'he_error_mean_abs_deg': _known(_degrees(he.mean_abs)),
+        'he_error_max_abs_deg': _known(_degrees(he.max_abs)),
         'unusable_estimates': statistics.unusable_estimates,
     }
+
+
+def _degrees(angle_rad: float) -> float:
+    """An angle in degrees; an estimate may be so large that these overflow."""
+    most = sys.float_info.max
+    return max(-most, min(math.degrees(angle_rad), most))
 
 
 def _known(value: float) -> float | None:

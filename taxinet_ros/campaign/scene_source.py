@@ -31,6 +31,7 @@ from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
+from taxinet_ros.core.world import last_step
 
 MEMORY_BYTES = 4 << 30
 """Address space that the child may use; Scenic itself takes about a tenth of it."""
@@ -78,9 +79,9 @@ class SceneSource:
     several threads at once.
 
     Attributes:
+        refused: draws of the last scene without a point that the requirements refused before it.
         sampler: what the program asks for by ``verifaiSamplerType``; None where it asks for none.
         notes: lines on what it may mean otherwise than it says.
-        refused: draws of the last scene without a point that the requirements refused before it.
     """
 
     def __init__(
@@ -116,9 +117,9 @@ class SceneSource:
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
         self._space: SearchSpace | None = None
+        self.refused = 0
         self.sampler: ProgramSampler | None = None
         self.notes: tuple[str, ...] = ()
-        self.refused = 0
 
     def __enter__(self) -> Self:
         """Start the child, compile, and look ahead for overrides that contradict the program.
@@ -352,6 +353,19 @@ def accepted_scene(
         f'{source.program.name}: scene {index}: no point met the requirements in '
         f'{MAX_ITERATIONS} tries', MAX_ITERATIONS,
     )
+
+
+def first_duration_s(source: SceneSource) -> float:
+    """Length of a program's first scene [s], the usual one where no draw of it is accepted.
+
+    Raises:
+        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+    """
+    first = Scenario()
+    with contextlib.suppress(Rejected):
+        first = source.scene(0)
+    last_step(first)
+    return first.duration_s
 
 
 def sample_scenarios(

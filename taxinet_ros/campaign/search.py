@@ -6,7 +6,6 @@ any order; the sequence of scenes depends on neither, nor on how often the searc
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -17,17 +16,28 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.earlier import Earlier, check_resumable, read_earlier
-from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder, write_facts
+from taxinet_ros.campaign.facts import (
+    LEDGER_NAME,
+    STACKS,
+    campaign_facts,
+    make_folder,
+    write_facts,
+)
 from taxinet_ros.campaign.graph_perception import met
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.put_aside import put_aside
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource, accepted_scene
+from taxinet_ros.campaign.scene_source import (
+    Rejected,
+    SceneSource,
+    accepted_scene,
+    first_duration_s,
+)
 from taxinet_ros.campaign.search_options import SearchOptions, with_sampler
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
@@ -37,6 +47,7 @@ from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 3
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -47,11 +58,12 @@ class Search:
 
     Attributes:
         options: what to do; within the ``with``, with the sampler that the program asks for.
-        notes: lines on whose sampler it is, and on what the program may mean otherwise.
+        notes: lines on what is not as it may seem: whose sampler it is, what a program may mean.
         rows: one row per run that is done, in the order in which they were.
         stopped: which rule ended the search before all its runs were done; '' where none did.
         exhausted: whether that was for want of other points.
         interrupted: whether :meth:`interrupt` was called.
+        check: what is said of the requirements before the first run; only within the ``with``.
     """
 
     def __init__(
@@ -68,6 +80,7 @@ class Search:
         self.options = options
         self.notes: tuple[str, ...] = ()
         self.rows: list[RunRow] = []
+        self.check: SpecCheck
         self.stopped = ''
         self.exhausted = False
         self.interrupted = False
@@ -108,7 +121,8 @@ class Search:
             try:
                 self._earlier = read_earlier(out, facts)
                 self._attempts.update(self._earlier.attempts)
-                self._record({**facts, **self._earlier.perception})
+                stacks = {**self._earlier.stacks, **facts[STACKS]}
+                self._record({**facts, **self._earlier.facts, STACKS: stacks})
             except BaseException:
                 self._ledger.__exit__(None, None, None)
                 raise
@@ -142,7 +156,7 @@ class Search:
         if self._again and not self.interrupted:
             return self._again.pop()
         try:
-            while self._more() and self._sampler.ready:
+            while self._sampler.ready and self._more():
                 index, point = self._sampler.next()
                 self._asked, self._points[index] = index + 1, point
                 if self._replayed(index):
@@ -179,6 +193,16 @@ class Search:
         return str(self._facts['perception'])
 
     @property
+    def first_planned(self) -> int:
+        """Number of runs that were planned before the first of them; only within the ``with``."""
+        return int(self._facts['first_runs'])
+
+    @property
+    def warning(self) -> str:
+        """One line where earlier runs were made on another machine or version, or ''."""
+        return self._earlier.warning
+
+    @property
     def facts(self) -> dict[str, Any]:
         """What ``campaign.json`` says of the search; only within the ``with``."""
         return dict(self._facts)
@@ -201,8 +225,10 @@ class Search:
         options = self.options
         if self._broken >= PATIENCE:
             return f'{self._broken} runs in a row were broken by the bench'
-        if options.stop is not None and options.stop.met(self.rows):
-            return f'{options.stop} reached'
+        # By the results that the next run depends on, so workers make no difference.
+        known = [row for row in self.rows if row.index < self._sampler.due]
+        if options.stop is not None and options.stop.met(known):
+            return options.stop.reached
         if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
             return f'the budget of {options.budget_s / 60:g} min is spent'
         return ''
@@ -253,7 +279,8 @@ class Search:
     def _keep(self, row: RunRow, *, retries: int = 0) -> None:
         row = row.chosen(
             sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
-            weight=self._weight(row.index), refused=self._refused[row.index], retries=retries,
+            weight=self._weight(row.index), drawn=self._sampler.drawn(row.index),
+            refused=self._refused[row.index], retries=retries,
         )
         self._ledger.result(row)
         self._remember(row)
@@ -289,15 +316,14 @@ class Search:
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names
         )
-        if options.stop is not None and options.stop.kind == HALF_WIDTH:
-            trial = make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
-            if trial.weight(trial.next()[0]) is None:
-                raise UsageError(
-                    f'--until {options.stop}: with {options.sampler} no rate is known; '
-                    'use failures=K'
-                )
-        with contextlib.suppress(Rejected):
-            self._source.scene(0)
+        if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
+            options.sampler, options.sampler_options
+        ):
+            raise UsageError(
+                f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
+                'all of its runs; add --sampler-option floor=0.3, or use failures=K'
+            )
+        self.check = campaign.check(first_duration_s(self._source))
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts
@@ -309,6 +335,8 @@ class Search:
         word = campaign.perception
         return {
             **campaign_facts(campaign, self._source.program),
+            'first_runs': campaign.runs,
+            'warnings': list(self.check.warnings),
             'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),

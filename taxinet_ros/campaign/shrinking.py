@@ -13,7 +13,16 @@ from typing import Any, Self
 
 from taxinet_ros import __version__
 from taxinet_ros.campaign.earlier import check_resumable
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, make_folder
+from taxinet_ros.campaign.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    make_folder,
+    other_stack,
+    stacks_in,
+    this_sitting,
+    write_facts,
+)
 from taxinet_ros.campaign.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.put_aside import put_aside
 from taxinet_ros.campaign.requests import finished_row, run_request
@@ -28,7 +37,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
 
-_FREE = frozenset({'runs'})
+_FREE = frozenset({'runs', STACKS})
 """Facts that may differ when a shrinking is resumed: more runs may be asked for."""
 
 
@@ -63,6 +72,7 @@ class Shrinking:
         self.rows: list[RunRow] = []
         self.broken: RunRow | None = None
         self.interrupted = False
+        self.warning = ''
         self._participants = participants
         self._on_row = on_row
         self._campaign = options.campaign
@@ -73,6 +83,7 @@ class Shrinking:
         self._retried: set[int] = set()
         self._all: dict[int, RunRow] = {}
         self._next = 0
+        self._stacks: dict[str, dict[str, str]] = {}
 
     def __enter__(self) -> Self:
         """Make the folder, or see that it holds this shrinking.
@@ -88,6 +99,8 @@ class Shrinking:
         self._ledger = Ledger(out / LEDGER_NAME)
         try:
             self._read_earlier(facts)
+            facts[STACKS] = {**self._stacks, **facts[STACKS]}
+            write_facts(out, facts)
             self._ledger.campaign(facts)
         except BaseException:
             self._ledger.__exit__(None, None, None)
@@ -182,6 +195,8 @@ class Shrinking:
                     'before, or name another --out'
                 )
         self._all = {row.index: row for row in content.rows}
+        self._stacks = stacks_in(before)
+        self.warning = other_stack(before, str(out)) if self._all else ''
         self._next = 1 + max((*content.unfinished, *self._all), default=-1)
         self._earlier = {
             json.dumps({key: getattr(row, key) for key in HUMAN_KEYS}): row
@@ -193,6 +208,7 @@ class Shrinking:
         specs = [parse_spec(text) for text in campaign.specs]
         return {
             'taxinet_ros_version': __version__,
+            STACKS: this_sitting(),
             'program': PROGRAM,
             'shrinks': options.run.run_id,
             'original': options.space.original.to_human(),

@@ -6,7 +6,7 @@ A file has two keys, and either may be left out::
       on_centreline: abs(cte) <= 1.5
     specs:
       reach: 'F[0, 10] G on_centreline'
-      gentle: always(abs(steering) <= 0.3)
+      gentle: 'always[10 s:inf](abs(steering) <= 3 deg)'
 
 A predicate may use those above it, in its own file and in files given before. What comes out needs
 no file any more: predicates are written out.

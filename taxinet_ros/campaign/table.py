@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from taxinet_ros.bag.layout import disk_error, sync_folder
+from taxinet_ros.campaign.facts import STACKS, told_stacks
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 
@@ -32,7 +33,7 @@ _RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 _BEFORE_POINT = {
     'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
-    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64',
+    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string',
@@ -48,7 +49,8 @@ _AFTER_RHO = {
     'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
     'he_error_mean_abs_deg': 'float64', 'he_error_max_abs_deg': 'float64',
     'unusable_estimates': 'Int64', 'steps': 'int64', 'sim_s': 'float64',
-    'retries': 'int64', 'bag': 'string', 'wall_s': 'float64', 'real_time_factor': 'float64',
+    'retries': 'int64', 'bag': 'string', 'stack': 'string', 'wall_s': 'float64',
+    'real_time_factor': 'float64',
 }
 
 _ATTRIBUTES = {
@@ -88,12 +90,16 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
 def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
     """Write ``runs.csv`` and ``runs.parquet``; each is whole at any moment, the old or the new.
 
+    The Parquet file has the campaign's records of machine, libraries and code with it, in
+    ``attrs['stacks']``; the column ``stack`` says which of them made a row.
+
     Args:
         rows: of one campaign.
         folder: the campaign's, which exists.
         specs: names of its formulas, as for :func:`table`.
     """
     frame = table(rows, specs)
+    frame.attrs[STACKS] = told_stacks(folder)
     words = frame.apply(
         lambda column: column.map(_no_formula) if column.dtype == 'string' else column
     )

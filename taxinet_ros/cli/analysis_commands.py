@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.option_types import RunOption
+
 CampaignArgument = Annotated[Path, typer.Argument(metavar='CAMPAIGN', help="a campaign's folder")]
 ProcessesCountOption = Annotated[
     int, typer.Option('--workers', help='processes that work at once; same results')
@@ -93,6 +95,7 @@ def explain(
     bag: Annotated[
         Path, typer.Argument(metavar='BAG', help="a run's folder, usually of a counterexample")
     ],
+    run_id: RunOption = None,
     perception: Annotated[
         str | None,
         typer.Option(
@@ -117,11 +120,15 @@ def explain(
     or rain, under another sky and at another hour, which part of the picture it goes by, and the
     training images that come nearest.
     """
+    from taxinet_ros.cli.bag_input import readable_run
     from taxinet_ros.cli.explain import ExplainOptions, run_explain
 
-    raise typer.Exit(run_explain(ExplainOptions(
-        bag=bag, perception=perception, dataset=dataset, frames=frames, out=out, as_json=as_json,
-    )))
+    with readable_run(bag, run_id) as whole:
+        code = run_explain(ExplainOptions(
+            bag=whole, perception=perception, dataset=dataset, frames=frames, out=out,
+            as_json=as_json,
+        ))
+    raise typer.Exit(code)
 
 
 def gate(
@@ -168,7 +175,8 @@ def experiment(
     file: Annotated[
         str,
         typer.Argument(
-            metavar='FILE', help='shipped experiment (shadows, crossing, light) or a YAML file'
+            metavar='FILE', help='shipped experiment (shadows, shadows_afternoon, crossing, '
+            'light) or a YAML file'
         ),
     ],
     out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from taxinet_ros.cli.bag_rerun_commands import compare, golden, render, replay
+from taxinet_ros.cli.option_types import RunOption
 
 bag_app = typer.Typer(
     rich_markup_mode=None,
@@ -48,6 +49,7 @@ def doctor(
         bool,
         typer.Option('--images', help='also render every camera frame once more and compare'),
     ] = False,
+    run_id: RunOption = None,
 ) -> None:
     """Check everything about a bag; say what is wrong, where, and what mends it.
 
@@ -56,7 +58,7 @@ def doctor(
     """
     from taxinet_ros.cli.bag_doctor import run_doctor
 
-    raise typer.Exit(run_doctor(bag, as_json=as_json, images=images))
+    raise typer.Exit(run_doctor(bag, as_json=as_json, images=images, run=run_id))
 
 
 @bag_app.command()
@@ -96,6 +98,7 @@ def export(
         str | None,
         typer.Option('--format', metavar='FORMAT', help='csv, parquet, mp4 or gif'),
     ] = None,
+    run_id: RunOption = None,
 ) -> None:
     """Make tables of topics, or a film of the run.
 
@@ -105,7 +108,26 @@ def export(
     """
     from taxinet_ros.cli.bag_export import run_export
 
-    raise typer.Exit(run_export(bag, out, topics=topics or (), file_format=file_format))
+    raise typer.Exit(run_export(
+        bag, out, topics=topics or (), file_format=file_format, run=run_id
+    ))
+
+
+@bag_app.command()
+def split(
+    bag: BagArgument,
+    out: Annotated[
+        Path, typer.Option(metavar='DIR', help='folder for the new bags; must be new or empty')
+    ],
+) -> None:
+    """Make a bag of each run that a recording holds, as our own recorder would have.
+
+    For what ros2 bag record made: several runs in one bag, logged by the wall clock, with topics of
+    others. Each new bag is named as its run; the recording itself is never touched.
+    """
+    from taxinet_ros.cli.bag_split import run_split
+
+    raise typer.Exit(run_split(bag, out))
 
 
 for command in (render, replay, compare, golden):

@@ -8,9 +8,10 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.bag.compare import TopicComparison, compare_bags, first_step
+from taxinet_ros.bag.facts import made_on
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.cli.bag_input import readable_bags
+from taxinet_ros.cli.bag_input import readable_bags, warn_of_stacks
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 
@@ -34,6 +35,7 @@ def run_compare(one: Path, other: Path, *, tolerance: float, skip: Collection[st
         topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
         if not topics:
             raise UsageError(f'{one} and {other}: no messages to compare')
+        warn_of_stacks(console, made_on(read_info(one)), made_on(read_info(other)))
         print_comparison(console, topics, tolerance)
         if _bytes(one) == _bytes(other):
             console.print('the files are the same byte for byte')

@@ -16,15 +16,19 @@ from taxinet_ros.bag.checkup import check_bag
 from taxinet_ros.bag.findings import Check, Finding
 from taxinet_ros.bag.frame_check import frames_check
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.cli.bag_input import one_run
 
 
-def run_doctor(bag: Path, *, as_json: bool, images: bool = False) -> int:
+def run_doctor(
+    bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
+) -> int:
     """Check a bag and print what was found.
 
     Args:
         bag: a run folder or an ``.mcap`` file.
         as_json: print one JSON object.
         images: render every frame once more, and compare.
+        run: of which run, where the bag holds several.
 
     Returns:
         Exit code: 0 nothing is wrong, 3 something is, 1 not readable.
@@ -32,13 +36,14 @@ def run_doctor(bag: Path, *, as_json: bool, images: bool = False) -> int:
     Raises:
         UsageError: there is nothing at ``bag``.
     """
-    return exit_code_of(bag, lambda: _run(bag, as_json, images))
+    return exit_code_of(bag, lambda: _run(bag, as_json, images, run))
 
 
-def _run(bag: Path, as_json: bool, images: bool) -> int:
+def _run(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
     checks = check_bag(bag).checks
     if images:
-        checks += (frames_check(bag),)
+        with one_run(bag, run) as whole:
+            checks += (frames_check(whole),)
     print_checks(bag, checks, as_json=as_json)
     return LOSSY if any(check.findings for check in checks) else WHOLE
 

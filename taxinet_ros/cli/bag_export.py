@@ -9,8 +9,10 @@ import pandas as pd
 
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.runs import is_run_topic
 from taxinet_ros.bag.tables import read_tables, read_trace_table, titles
 from taxinet_ros.cli.bag_errors import WHOLE, exit_code_of
+from taxinet_ros.cli.bag_input import one_run
 from taxinet_ros.core.errors import UsageError
 
 TABLES = ('csv', 'parquet')
@@ -19,9 +21,16 @@ _PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 
 
 def run_export(
-    bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None
+    bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
 ) -> int:
     """Write what is asked for and say where.
+
+    Args:
+        bag: a bag's folder or an ``.mcap`` file.
+        out: file or folder.
+        topics: to make tables of; where empty, the run's trace or all topics.
+        file_format: where the name of ``out`` does not tell.
+        run: which run, where the bag holds several.
 
     Returns:
         Exit code: 0, 3 the bag is damaged, 1 not readable, 4 no room.
@@ -31,11 +40,20 @@ def run_export(
     """
     kind = _format(out, file_format, topics)
     _check_new(out)
+    if topics and not any(map(is_run_topic, topics)):  # Of others, as /rosout: as recorded.
+        return exit_code_of(bag, lambda: _export(bag, out, kind, topics))
+
+    def export() -> int:
+        with one_run(bag, run) as whole:
+            return _export(whole, out, kind, topics)
+
+    return exit_code_of(bag, export)
+
+
+def _export(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
     if kind in FILMS:
-        return exit_code_of(bag, lambda: _film(bag, out, kind))
-    if out.suffix:
-        return exit_code_of(bag, lambda: _one_table(bag, out, kind, topics))
-    return exit_code_of(bag, lambda: _tables(bag, out, kind, topics))
+        return _film(bag, out, kind)
+    return _one_table(bag, out, kind, topics) if out.suffix else _tables(bag, out, kind, topics)
 
 
 def _format(out: Path, named: str | None, topics: Sequence[str]) -> str:

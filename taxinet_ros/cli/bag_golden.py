@@ -12,8 +12,8 @@ from taxinet_ros.bag.golden import (
     GoldenResult,
     compare_golden,
     golden_bags,
-    read_stack,
-    stack_facts,
+    same_stack,
+    stack_differences,
     write_stack,
 )
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
@@ -42,15 +42,15 @@ def run_golden(folder: Path, *, update: bool) -> int:
     for bag, run in runs.items():
         if run.request.run_id != bag.name:
             raise UsageError(f'{bag}: holds run {run.request.run_id}; name the folder so')
-    here, there = stack_facts(), read_stack(folder)
-    _print_stack(console, here, there)
+    if other := stack_differences(folder):
+        console.print(f'another stack than theirs: {other}', soft_wrap=True, markup=False)
     with tempfile.TemporaryDirectory(prefix='taxinet-golden-') as scratch:
         words = [(run, perception_of(run, None)[0]) for run in runs.values()]
         _check(rerun(words, Path(scratch), images='none'), runs)
         results = [
             compare_golden(
                 bag, Path(scratch) / bag.name, perception=run.perception,
-                same_stack=update or here == there,
+                to_the_bit=update or same_stack(folder),
             )
             for bag, run in runs.items()
         ]
@@ -67,13 +67,6 @@ def run_golden(folder: Path, *, update: bool) -> int:
             console.print(f'{len(changed)} of {len(results)} golden bags recorded anew')
             return EQUAL
     return DIFFERENT if changed else EQUAL
-
-
-def _print_stack(console: Console, here: Mapping[str, str], there: Mapping[str, str]) -> None:
-    names = [name for name in here if here[name] != there.get(name)]
-    if names:
-        words = ', '.join(f'{name} {there.get(name, "untold")} | {here[name]}' for name in names)
-        console.print(f'another stack than theirs: {words}', soft_wrap=True, markup=False)
 
 
 def _check(results: Mapping[str, RunResult], runs: Mapping[Path, RecordedRun]) -> None:

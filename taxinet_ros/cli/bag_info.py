@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from taxinet_ros.bag.facts import Judged, RunFacts, read_facts
+from taxinet_ros.bag.facts import Judged, RunFacts, made_on, read_all_facts, read_facts
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.runs import Recording, read_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.core.provenance import words as stack_words
 
 _LABEL_WIDTH = 11
 
@@ -34,23 +36,33 @@ def show_info(bag: Path, *, as_json: bool) -> int:
 
 def _show(bag: Path, as_json: bool) -> int:
     info = read_info(bag)
-    facts = read_facts(bag)
-    if as_json:
-        print(json.dumps(_plain(info, facts), indent=2))
+    recording = read_recording(bag)
+    if recording.plain or not recording.runs:
+        runs = {'': read_facts(bag)}
     else:
+        runs = {run.words(): facts for run, facts in zip(
+            recording.runs, read_all_facts(recording).values(), strict=True)}
+    if as_json:
+        print(json.dumps(_plain(info, recording, list(runs.values())), indent=2))
+    else:
+        lines = [line for words, facts in runs.items() for line in _run_lines(info, words, facts)]
         console = Console(highlight=False)
-        for label, text in [*_run_lines(info, facts), *_bag_lines(info)]:
+        for label, text in [*lines, *_bag_lines(info, recording)]:
             console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
     return WHOLE if info.complete else LOSSY
 
 
-def _run_lines(info: BagInfo, facts: RunFacts | None) -> Iterator[tuple[str, str]]:
+def _run_lines(
+    info: BagInfo, words: str, facts: RunFacts | None
+) -> Iterator[tuple[str, str]]:
     if facts is None:
-        yield 'run', 'none of taxinet_ros: there is no scenario in it'
+        why = 'there is no scenario in it'
+        yield 'run', f'{words}: {why}' if words else f'none of taxinet_ros: {why}'
         return
     version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
     drawn = f'{facts.program}, seed {facts.seed}, index {facts.index}' if facts.program else 'alone'
-    yield 'run', f'{facts.run_id} ({drawn}), recorded by taxinet_ros {version}'
+    by = '' if words else f', recorded by taxinet_ros {version}'
+    yield 'run', f'{words or facts.run_id} ({drawn}){by}'
     yield 'outcome', _outcome(facts)
     for name, judged in facts.judged.items():
         yield '', f'{name}: {_rho(judged)}, of {judged.formula}'
@@ -64,16 +76,21 @@ def _run_lines(info: BagInfo, facts: RunFacts | None) -> Iterator[tuple[str, str
         yield 'gains', law.implementation or 'as shipped'
     if facts.figures:
         yield 'figures', ', '.join(_figures(facts.figures))
+    if not words:
+        yield 'made on', stack_words(made_on(info)) or 'not told'
 
 
-def _bag_lines(info: BagInfo) -> Iterator[tuple[str, str]]:
+def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:
     yield 'bag', 'whole' if info.complete else f'NOT WHOLE: {info.trouble}'
     if not info.complete:
         yield '', f'taxinet bag recover {info.path} --out NEW'
     for number, file in enumerate(storage_files(info.path)):
         yield ('' if number else 'files'), f'{file.name}  {file.stat().st_size / 1e6:.1f} MB'
     start, end = info.start_ns / 1e9, info.end_ns / 1e9
-    yield 'time', f'{info.duration_s:.1f} s simulated, from {start:.1f} to {end:.1f} s'
+    clock = 'simulated' if recording.plain or not recording.runs else "by the recorder's clock"
+    yield 'time', f'{info.duration_s:.1f} s {clock}, from {start:.1f} to {end:.1f} s'
+    if recording.runs and not recording.plain:
+        yield '', f'a bag of each run: taxinet bag split {info.path} --out DIR'
     yield 'messages', str(sum(info.counts.values()))
     width = max((len(topic.name) for topic in info.topics), default=0)
     for number, topic in enumerate(info.topics):
@@ -131,10 +148,15 @@ def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
         yield f'{figures["unusable_estimates"]:.0f} frames without estimate'
 
 
-def _plain(info: BagInfo, facts: RunFacts | None) -> dict[str, Any]:
+def _plain(
+    info: BagInfo, recording: Recording, runs: Sequence[RunFacts | None]
+) -> dict[str, Any]:
+    only = runs[0] if len(runs) == 1 else None
     return {
         'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,
-        'run': None if facts is None else finite(asdict(facts)),
+        'run': None if only is None else finite(asdict(only)),
+        'runs': [finite(asdict(facts)) for facts in runs if facts is not None],
+        'own_recorder': recording.plain,
         'files': [
             {'name': file.name, 'bytes': file.stat().st_size} for file in storage_files(info.path)
         ],

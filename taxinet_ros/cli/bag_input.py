@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.recorded_run import RecordedRun
+from taxinet_ros.bag.runs import read_recording, write_runs
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import PERCEPTION, check_perception
+from taxinet_ros.core.provenance import Provenance, differences
 
 
 @contextlib.contextmanager
@@ -18,6 +24,56 @@ def readable_bags() -> Iterator[None]:
         yield
     except BagError as error:
         raise UsageError(str(error)) from error
+
+
+@contextlib.contextmanager
+def one_run(bag: Path, run: str | None) -> Iterator[Path]:
+    """A bag of one run, as our recorder makes it: this one, or a copy of what it holds of a run.
+
+    Args:
+        bag: a bag's folder or an ``.mcap`` file, of whatever recorder.
+        run: which run, where it holds several.
+
+    Raises:
+        UsageError: it holds several runs and none is named, or none of that name.
+        BagError: it cannot be read, or is damaged and not our recorder's.
+    """
+    recording = read_recording(bag)
+    if recording.plain or not recording.runs:
+        if run is not None:
+            recording.choose(run)
+        yield bag
+        return
+    chosen = recording.choose(run)
+    if recording.damage:
+        raise recording.damage[0]
+    with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
+        folder = Path(scratch) / chosen.run_id
+        write_runs(recording, {chosen.name: folder})
+        yield folder
+
+
+@contextlib.contextmanager
+def readable_run(bag: Path, run: str | None) -> Iterator[Path]:
+    """:func:`one_run` for commands in which 1 is a difference: what cannot be read is bad input."""
+    with readable_bags(), one_run(bag, run) as whole:
+        yield whole
+
+
+def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
+    """Say in a line what of machine, libraries and code differs between results that are compared.
+
+    Args:
+        console: to print to.
+        stacks: of each result; empty where nothing tells.
+    """
+    if not all(stacks):
+        line = 'nothing tells with which processor and versions all of this was made'
+    elif found := differences(*stacks):
+        line = f'made on different machines or versions: {found}'
+    else:
+        return
+    console.print(f'warning: {line}', soft_wrap=True, markup=False)
 
 
 def perception_of(run: RecordedRun, asked: str | None) -> tuple[str, str]:

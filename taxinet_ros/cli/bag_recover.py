@@ -44,7 +44,8 @@ def _steps(bag: Path) -> str:
     facts = read_facts(bag)
     if facts is None:
         return ''
-    whole = whole_steps(read_record(bag), read_info(bag))
+    topics = [topic.name for topic in read_info(bag).topics]
+    whole = whole_steps(read_record(bag), topics)
     planned = round(facts.scene['duration'] * NS_PER_S) // PERIOD_NS + 1
     ended = f', ended as {facts.outcome}' if facts.outcome else ''
     return f', {whole} whole control steps of {planned} planned{ended},'

@@ -12,11 +12,13 @@ from taxinet_ros.bag.frames import missing_frames, restore_frames, restore_in_pl
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import WHOLE, exit_code_of
+from taxinet_ros.cli.bag_input import one_run
+from taxinet_ros.core.errors import UsageError
 
 _MIN_FREE_BYTES = 1_000_000_000
 
 
-def run_render(bag: Path, out: Path | None) -> int:
+def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     """Render what is missing, in place or into a new bag, and print what came of it.
 
     Returns:
@@ -26,7 +28,13 @@ def run_render(bag: Path, out: Path | None) -> int:
     Raises:
         UsageError: there is nothing at ``bag``, it is damaged, or ``out`` exists.
     """
-    return exit_code_of(bag, lambda: _render(bag, out))
+    def work() -> int:
+        with one_run(bag, run) as whole:
+            if whole != bag and out is None:
+                raise UsageError(f'{bag}: is not a bag of our recorder; name a new one with --out')
+            return _render(whole, out)
+
+    return exit_code_of(bag, work)
 
 
 def _render(bag: Path, out: Path | None) -> int:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from taxinet_ros.cli.option_types import RunOption
+
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
 ]
@@ -18,6 +20,7 @@ def render(
         Path | None,
         typer.Option(metavar='NEW', help='folder for a new bag; without it, BAG itself gets them'),
     ] = None,
+    run_id: RunOption = None,
 ) -> None:
     """Put the camera frames into a bag that was recorded without them.
 
@@ -27,7 +30,7 @@ def render(
     """
     from taxinet_ros.cli.bag_render import run_render
 
-    raise typer.Exit(run_render(bag, out))
+    raise typer.Exit(run_render(bag, out, run_id))
 
 
 def replay(
@@ -36,6 +39,7 @@ def replay(
         str,
         typer.Option(metavar='NODE', help='perception, steering_controller or mtl_monitor'),
     ] = 'perception',
+    run_id: RunOption = None,
     perception: Annotated[
         str | None,
         typer.Option(help="another one than the run's: a word, a weights file or an .onnx network"),
@@ -62,13 +66,16 @@ def replay(
     The regression test for a retrained network. Frames that the bag lacks are rendered. Exit code:
     0 equal within the tolerances, 1 different, 2 bad input, 4 the node broke.
     """
+    from taxinet_ros.cli.bag_input import readable_run
     from taxinet_ros.cli.bag_replay import ReplayOptions, run_replay
 
-    options = ReplayOptions(
-        bag=bag, target=into, perception=perception, out=out, tolerance_cte_m=tolerance_cte,
-        tolerance_he_deg=tolerance_he,
-    )
-    raise typer.Exit(run_replay(options))
+    with readable_run(bag, run_id) as whole:
+        options = ReplayOptions(
+            bag=whole, target=into, perception=perception, out=out, tolerance_cte_m=tolerance_cte,
+            tolerance_he_deg=tolerance_he,
+        )
+        code = run_replay(options)
+    raise typer.Exit(code)
 
 
 def compare(
@@ -81,14 +88,22 @@ def compare(
         list[str] | None,
         typer.Option(metavar='TOPIC', help='leave out (camera/image_raw, …); repeatable'),
     ] = None,
+    run_id: RunOption = None,
+    other_run: Annotated[
+        str | None,
+        typer.Option(metavar='RUN_ID', help='which run of OTHER, where that holds several'),
+    ] = None,
 ) -> None:
     """Say where two bags begin to differ: topic, step and field.
 
     Names of runs are not compared. Exit code: 0 the same, 1 different, 2 bad input.
     """
     from taxinet_ros.cli.bag_compare import run_compare
+    from taxinet_ros.cli.bag_input import readable_run
 
-    raise typer.Exit(run_compare(bag, other, tolerance=tolerance, skip=skip or ()))
+    with readable_run(bag, run_id) as one, readable_run(other, other_run) as two:
+        code = run_compare(one, two, tolerance=tolerance, skip=skip or ())
+    raise typer.Exit(code)
 
 
 def golden(

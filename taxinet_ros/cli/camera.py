@@ -60,6 +60,27 @@ def sheet(
 
 
 @camera_app.command()
+def shadow(
+    hours: Annotated[
+        str, typer.Option(help='local hours, as 13,15.5; each a line')
+    ] = '12,12.5,13,13.5,14,15,16,17,17.5',
+    turbidity: Annotated[
+        float, typer.Option(help="Linke's, of the clear day compared with: 3.3 is the place's in "
+                            'March, 2 very clear, 5 hazy', min=1.5, max=10.0)
+    ] = 3.3,
+    settings: SetOption = None,
+) -> None:
+    """Tell when the aircraft's own shadow is in the picture, how dark it is, and what physics says.
+
+    In the first frame of a run under a clear sky, unless --set says otherwise. The ratios are of
+    light, shaded ground over sunlit ground: 0 is black, 1 no shadow at all.
+    """
+    from taxinet_ros.cli.camera_pictures import print_shadow
+
+    print_shadow(hours=hours, turbidity=turbidity, settings=settings or ())
+
+
+@camera_app.command()
 def compare(
     folder: Annotated[
         Path,

@@ -23,6 +23,7 @@ from taxinet_ros.cli.camera_pictures import new_picture, read_settings, write
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception import Perception, make_perception
+from taxinet_ros.core.provenance import provenance
 
 
 def run_compare(
@@ -52,7 +53,7 @@ def run_compare(
         head = {
             'folder': str(folder), 'perception': perception,
             'weights_sha256': network.fingerprint, 'distance_offset_m': distance_offset_m,
-            'sheet': str(path),
+            'sheet': str(path), 'made_on': dict(provenance()),
         }
         print(json.dumps({**head, **comparison.to_dict()}, indent=2, allow_nan=False))
         notes.print(f'sheet: {path}')

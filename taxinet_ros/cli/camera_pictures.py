@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from PIL import Image
 
-from taxinet_ros.analysis.camera_sheet import HOURS, camera_sheet, scene_picture, sheet_scenes
+from taxinet_ros.analysis.camera_shadow import shadow_looks
+from taxinet_ros.analysis.camera_sheet import (
+    HOURS,
+    camera_sheet,
+    clock,
+    scene_picture,
+    sheet_scenes,
+)
 from taxinet_ros.campaign.options import DEFAULT_ROOT
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, scenario_from_human
@@ -47,6 +55,33 @@ def save_sheet(
     path = new_picture(out, 'camera-sheet')
     write(path, lambda: camera_sheet(scenes, path))
     print(f'sheet: {path}')
+
+
+def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
+    """Print how the aircraft's own shadow looks, hour by hour.
+
+    Raises:
+        UsageError: bad settings or hours.
+    """
+    values = read_settings(settings)
+    for key, option in {'time_of_day': '--hours', 'shadows': 'nothing'}.items():
+        if key in values:
+            raise UsageError(f'--set {key}: varies over the table; use {option} instead')
+    columns = _numbers('--hours', hours)
+    if not columns:
+        raise UsageError(f'--hours {hours!r}: expected numbers with commas, as 13,15.5')
+    print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
+    print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
+    for one in shadow_looks(values, columns, turbidity):
+        print(
+            f'{clock(3600 * one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
+            f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '
+            f'{_ratio(one.physics)}       {_ratio(one.energy)}'
+        )
+
+
+def _ratio(value: float) -> str:
+    return '    -' if math.isnan(value) else f'{value:5.3f}'
 
 
 def read_settings(settings: Iterable[str]) -> dict[str, object]:

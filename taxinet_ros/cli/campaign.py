@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import heading, row_line, summary
+from taxinet_ros.campaign.lines import check_lines, heading, row_line, summary
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core import camera
@@ -62,6 +62,8 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
         ):
             lines = [heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
+            for line in check_lines(campaign.check):
+                progress.console.print(line, soft_wrap=True)
             if foxglove is not None:
                 progress.console.print(f'live at ws://127.0.0.1:{foxglove}', soft_wrap=True)
             while campaign.unfinished and not at_hand.interrupted:

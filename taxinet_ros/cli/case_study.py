@@ -11,7 +11,13 @@ from rich.console import Console
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.config import StudyConfig, resized, scaled
-from taxinet_ros.study.config_file import read_config, read_study, shipped_config, write_study
+from taxinet_ros.study.config_file import (
+    STUDY_NAME,
+    read_config,
+    read_study,
+    shipped_config,
+    write_study,
+)
 from taxinet_ros.study.plan import stages, up_to
 from taxinet_ros.study.stage import Stage
 from taxinet_ros.study.stage_log import StageLog, read_records
@@ -32,6 +38,7 @@ class CaseStudyOptions:
         until: name of the last stage to do, or None for all.
         listed: print the stages only.
         report_only: write the report of what is done only.
+        tables: folder of tables to write the report of, or None.
     """
 
     config: Path | None = None
@@ -44,6 +51,7 @@ class CaseStudyOptions:
     until: str | None = None
     listed: bool = False
     report_only: bool = False
+    tables: Path | None = None
 
 
 def run_case_study(options: CaseStudyOptions) -> int:
@@ -55,6 +63,8 @@ def run_case_study(options: CaseStudyOptions) -> int:
     Raises:
         UsageError: bad input.
     """
+    if options.tables is not None:
+        return _report_tables(options, options.tables)
     if options.report_only:
         return _report(options)
     console = Console(highlight=False)
@@ -66,6 +76,9 @@ def run_case_study(options: CaseStudyOptions) -> int:
         for line in list_lines(wanted, read_records(out), out):
             console.print(line, soft_wrap=True, markup=False)
         return 0
+    from taxinet_ros.nodes.domain import check_workers  # ROS takes time to import
+
+    check_workers(config.workers)
     out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
     if not options.resume:
         check_new(out)
@@ -90,7 +103,9 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
 def _config(options: CaseStudyOptions) -> StudyConfig:
     if options.resume and options.out is None:
         raise UsageError('--resume: say with --out which case study to continue')
-    begun = options.resume or (options.listed and options.out is not None)
+    begun = options.out is not None and (
+        options.resume or (options.listed and (options.out / STUDY_NAME).exists())
+    )
     if begun and options.config is None and options.scale is None:
         assert options.out is not None
         config = read_study(options.out, '--resume' if options.resume else '--list')
@@ -109,6 +124,26 @@ def _report(options: CaseStudyOptions) -> int:
     from taxinet_ros.study.study_report import write_study_report  # pictures take time to import
 
     for line in write_study_report(config, options.out):
+        Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return 0
+
+
+def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
+    """What the tables say, in a new folder."""
+    sizes = {
+        '--scale': options.scale, '--runs': options.runs, '--images': options.images,
+        '--workers': options.workers, '--until': options.until, '--resume': options.resume,
+        '--list': options.listed, '--report-only': options.report_only,
+    }
+    for name, value in sizes.items():
+        if value not in (None, False):
+            raise UsageError(f'--tables {tables}: runs nothing; leave {name} out')
+    config = read_config(options.config or shipped_config())
+    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
+    check_new(out)
+    from taxinet_ros.study.study_report import write_study_report  # pictures take time to import
+
+    for line in write_study_report(config, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
     return 0
 

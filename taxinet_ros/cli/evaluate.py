@@ -13,6 +13,7 @@ from rich.table import Table
 
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.training.evaluate import (
     SliceErrors,
     evaluate_folder,
@@ -53,7 +54,8 @@ def run_evaluate(
     facts = {'perception': perception, 'fingerprint': looker.fingerprint}
     facts |= {'data': str(folder)} if folder else {'program': str(program), 'seed': str(seed)}
     if as_json:
-        print(json.dumps({**facts, 'slices': [asdict(row) for row in rows]}, indent=2))
+        values = {**facts, 'made_on': dict(provenance()), 'slices': [asdict(row) for row in rows]}
+        print(json.dumps(values, indent=2))
         return
     _print(rows, ', '.join(f'{name} {value}' for name, value in facts.items()))
 

@@ -12,13 +12,14 @@ from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.experiment import arm_rows, arm_searches, check_paired
 from taxinet_ros.campaign.experiment_file import Experiment
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
@@ -39,13 +40,14 @@ def run_experiment(
         UsageError: bad input, or arms whose scenes are not the same.
     """
     console = Console(highlight=False, stderr=as_json)
+    check_workers(workers)
     searches = arm_searches(experiment, out, workers=workers, resume=resume)
     for number, (name, options) in enumerate(searches.items(), 1):
         console.print(
             f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
             f'{options.campaign.out}', soft_wrap=True,
         )
-        if not _run_arm(options, console):
+        if not _run_arm(options, console, first=number == 1):
             console.print('interrupted; --resume goes on')
             return INTERRUPTED
     rows = arm_rows(experiment, out)
@@ -55,8 +57,11 @@ def run_experiment(
     return BROKEN if broken else 0
 
 
-def _run_arm(options: SearchOptions, console: Console) -> bool:
-    """Run one arm; False where it was interrupted before its end."""
+def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> bool:
+    """Run one arm; False where it was interrupted before its end.
+
+    The first one says how the requirements are understood, for they are the same in all.
+    """
     live = console.is_terminal
 
     def show(row: RunRow) -> None:
@@ -64,15 +69,17 @@ def _run_arm(options: SearchOptions, console: Console) -> bool:
         if not live or not row.outcome.judged:
             console.print(row_line(row), soft_wrap=True)
 
-    with (
-        Search(options, PARTICIPANTS, show) as search,
-        interrupts(search.interrupt),
-        search_view(console, search, shown=live),
-        Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
-    ):
-        for line in search.notes:
-            console.print(line, soft_wrap=True, markup=False)
-        run_search(search, crew)
+    with Search(options, PARTICIPANTS, show) as search:
+        for line in check_lines(search.check, quiet=not first):
+            console.print(line, soft_wrap=True)
+        for note in (*search.notes, *filter(None, [search.warning])):
+            console.print(note, soft_wrap=True, markup=False)
+        with (
+            interrupts(search.interrupt),
+            search_view(console, search, shown=live),
+            Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+        ):
+            run_search(search, crew)
     return not search.interrupted or len(search.rows) >= options.campaign.runs
 
 

@@ -8,13 +8,14 @@ from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.search_view import search_view
+from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
@@ -33,6 +34,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     Raises:
         UsageError: bad input, or every scene was rejected.
     """
+    check_workers(options.workers)
     console = Console(highlight=False)
     live = console.is_terminal and not quiet
 
@@ -42,9 +44,13 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
             console.print(row_line(row), soft_wrap=True)
 
     with Search(options, PARTICIPANTS, show) as search:
+        if search.warning:
+            console.print(search.warning, soft_wrap=True, markup=False)
         if not quiet:
-            lines = [search_heading(search.options), *search.notes, *space_lines(search.space)]
+            lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
+        for line in check_lines(search.check, quiet=quiet):
+            console.print(line, soft_wrap=True)
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),

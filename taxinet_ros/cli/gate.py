@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.gate import GateAnswer, GateOptions, Verdict, ask_gate
 from taxinet_ros.analysis.junit import junit_xml
 from taxinet_ros.bag.layout import write_whole
-from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.facts import LEDGER_NAME, stacks_in
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import differences
 
 FAILED, INCONCLUSIVE = 1, 3
 INCONCLUSIVE_WORDS = {'pass': 0, 'fail': FAILED, 'report': INCONCLUSIVE}
@@ -38,7 +40,11 @@ def run_gate(
     if not path.is_file():
         raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
     content = read_ledger(path)
-    answer = ask_gate(content.rows, options, planned=int(content.campaign.get('runs', 0)))
+    planned = content.campaign.get('first_runs', content.campaign.get('runs', 0))
+    answer = ask_gate(content.rows, options, planned=int(planned))
+    if found := differences(*stacks_in(content.campaign).values()):
+        note = f'the runs were made on different machines or versions: {found}'
+        answer = replace(answer, notes=(*answer.notes, note))
     if junit is not None:
         document = junit_xml(
             content.rows, answer, folder, content.campaign,
@@ -64,7 +70,7 @@ def _json(answer: GateAnswer, options: GateOptions) -> dict[str, Any]:
     return {
         'verdict': answer.verdict.value,
         'confidence': options.confidence,
-        'bounds': 'one-sided, each at this confidence',
+        'bounds': 'one-sided, each at this confidence over all looks at the campaign',
         'judged': answer.judged,
         'effective': answer.effective,
         'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},

@@ -38,7 +38,12 @@ def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) 
         UsageError: bad input.
     """
     console = Console(highlight=False)
+    from taxinet_ros.nodes.domain import check_workers  # ROS takes time to import
+
+    if options is not None:
+        check_workers(options.workers)
     options, out = _begun(options, out, workers)
+    check_workers(options.workers)
 
     def show(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)

@@ -16,6 +16,7 @@ from taxinet_ros.analysis.fault_report import (
     write_cases,
 )
 from taxinet_ros.bag.layout import write_atomically
+from taxinet_ros.campaign.facts import other_stack
 from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.localize import LocalizeOptions, localize
 from taxinet_ros.cli.progress import stage_bars
@@ -34,6 +35,8 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     """
     console = Console(highlight=False, stderr=as_json)
     console.print(_heading(options), soft_wrap=True, markup=False)
+    if warning := other_stack(options.failed.facts, str(options.failed.folder)):
+        console.print(warning, soft_wrap=True, markup=False)
     asked: list[bool] = []
     with (
         stage_bars(console) as show,

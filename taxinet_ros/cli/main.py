@@ -29,8 +29,8 @@ from taxinet_ros.campaign.interrupts import (
 from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
-from taxinet_ros.cli.given import given_options
-from taxinet_ros.cli.monitor_command import monitor
+from taxinet_ros.cli.given import asks_for, given_options
+from taxinet_ros.cli.monitor_command import monitor, spec
 from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.terminal import outlived_terminal
@@ -47,8 +47,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, demo,
-    train, dataset, evaluate, case_study, improve,
+    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, spec,
+    demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -63,7 +63,8 @@ def bench(
         typer.Argument(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or soak',
+            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or '
+            'soak; or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -96,17 +97,32 @@ def bench(
 
     `taxinet bench soak` runs very many short scenes in one process, or watches a process that runs
     already, for memory, files, threads and shared memory that grow; exit code 1 if any does.
+
+    `taxinet bench intervals` searches landscapes whose failure rate is known, and says how often
+    the intervals of `falsify` hold it and `gate` passes what it should not.
+
+    `taxinet bench searches` searches landscapes whose failure regions are known, and says how many
+    of them each sampler finds in 200 runs.
     """
+    words, given = subjects or [], given_options(context)
+    if asks_for('intervals', words, given):
+        from taxinet_ros.cli.intervals import run_intervals
+
+        raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
+    if asks_for('searches', words, given):
+        from taxinet_ros.cli.searches import run_searches
+
+        raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
     from taxinet_ros.cli.soak import asks_for_soak, run_soak
 
-    if asks_for_soak(subjects or (), given_options(context)):
+    if asks_for_soak(words, given):
         raise typer.Exit(run_soak(
             runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
         ))
     from taxinet_ros.cli.bench import run_bench
 
     raise typer.Exit(run_bench(
-        subjects or (), repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
+        words, repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
     ))
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.text import Text
 
+from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.judged_bag import JudgedBag, judged_spec, signals_of
 from taxinet_ros.bag.judged_bags import judge_bags
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.run_samples import read_samples
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.bag.run_samples import read_run_samples
+from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.lines import check_lines
 from taxinet_ros.campaign.options import check_assumptions
 from taxinet_ros.campaign.requirements import add_requirements, addable, campaign_bags
 from taxinet_ros.campaign.spec_files import read_specs
@@ -19,6 +25,8 @@ from taxinet_ros.cli.monitor_lines import as_document, bag_lines, summary_lines
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
+from taxinet_ros.core.spec_check import SpecCheck, describe_specs
+from taxinet_ros.core.steering import SteeringGains
 
 VIOLATED, LOSSY = 1, 3
 _PICTURE = '.png'
@@ -26,7 +34,7 @@ _PICTURE = '.png'
 
 def run_monitor(
     places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
-    workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (),
+    workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (), run: str | None = None,
 ) -> int:
     """Judge bags and print what they say.
 
@@ -40,10 +48,12 @@ def run_monitor(
         bounds: what is vouched for of the signals' values; without any, and without rates, what
             each bag says was.
         rates: of their change per second.
+        run: which run of the one bag that is named; all of them where None.
 
     Returns:
-        Exit code: 3 where a bag is incomplete, damaged, or contradicts what was recorded in it;
-        else 1 where a requirement is violated; else 0.
+        Exit code: 1 where a run violates a requirement in a bag that holds several; 3 where a bag
+        is incomplete, damaged, or contradicts what was recorded in it; else 1 where a requirement
+        is violated; else 0.
 
     Raises:
         UsageError: bad input.
@@ -53,26 +63,33 @@ def run_monitor(
     vouched = check_assumptions(bounds, rates) if bounds or rates else None
     found = {place: _bags(place) for place in places}
     bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
-    if plot is not None:
-        _check_plot(plot, bags)
+    if run is not None and len(bags) > 1:
+        raise UsageError(f'--run {run}: there are {len(bags)} bags; name the one that holds it')
     to_add = {place: addable(place, chosen) for place in places} if add else {}
     if add and not chosen:
         raise UsageError('--add: say with --spec which requirement to add')
-    judged = _judged(bags, chosen, workers, vouched, as_json=as_json, named=places)
+    told = _Told(chosen)
+    if plot is not None:
+        _check_plot(plot, bags)
+    judged = _judged(
+        bags, chosen, workers, vouched, as_json=as_json, named=places, run=run, told=told,
+    )
+    if plot is not None:
+        _check_one(plot, judged)
     notes = []
     for place, new in to_add.items():
-        counts = add_requirements(place, new, judged)
+        counts = add_requirements(place, new, {bag.path: bag for bag in judged if not bag.run})
         notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
     if plot is not None:
-        notes += [f'picture: {_draw(judged[bag], vouched, plot)}' for bag in bags
-                  if judged[bag].verdicts and judged[bag].end_s >= 0]
+        notes += [f'picture: {_draw(bag, vouched, plot)}' for bag in judged
+                  if bag.verdicts and bag.end_s >= 0]
     if as_json:
-        print(as_document(judged.values()))
+        print(as_document(judged, told.warnings))
     else:
-        lines = summary_lines(list(judged.values())) if len(judged) > 1 else []
+        lines = summary_lines(judged) if len(judged) > 1 else []
         for line in (*lines, *notes):
             Console(highlight=False).print(line, soft_wrap=True, markup=False)
-    return _exit_code(judged.values())
+    return _exit_code(judged)
 
 
 def _bags(place: Path) -> list[Path]:
@@ -81,7 +98,7 @@ def _bags(place: Path) -> list[Path]:
         return [place]
     if not place.is_dir():
         raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
-    if any(place.glob(f'*.{STORAGE_ID}')):
+    if any(place.glob(f'*.{STORAGE_ID}*')):  # compressed ones too, to be refused by name
         return [place]
     bags = campaign_bags(place)
     if not bags:
@@ -92,29 +109,69 @@ def _bags(place: Path) -> list[Path]:
 
 def _judged(
     bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
-    as_json: bool, named: Sequence[Path],
-) -> dict[Path, JudgedBag]:
+    as_json: bool, named: Sequence[Path], run: str | None, told: _Told,
+) -> list[JudgedBag]:
     """Judge all of them, and print each as soon as it is known."""
     console = Console(highlight=False, stderr=as_json)
-    judged = {}
+    chosen = None if run is None else read_recording(bags[0]).choose(run).name
+    judged: list[JudgedBag] = []
     with stage_bars(console) as show:
         for bag in judge_bags(bags, specs, workers, vouched):
             if bag.foreign and bag.path in named:
                 raise UsageError(bag.trouble)
-            judged[bag.path] = bag
+            if chosen is not None and bag.run not in ('', chosen):
+                continue
+            judged.append(bag)
+            news = told.of(bag)
             if not as_json:
-                for line in bag_lines(bag):
+                for line in (*news, *bag_lines(bag)):
                     console.print(line, soft_wrap=True)
             if len(bags) > 1:
-                show('judging', len(judged), len(bags))
+                show('judging', len({one.path for one in judged}), len(bags))
     return judged
+
+
+class _Told:
+    """Says of each requirement once how it is understood, and of each length of run what to mind.
+
+    Attributes:
+        warnings: all that there were.
+    """
+
+    def __init__(self, specs: Sequence[Spec]) -> None:
+        self.warnings: list[str] = []
+        self._specs = specs
+        self._lengths_s: set[float] = set()
+
+    def of(self, bag: JudgedBag) -> list[Text]:
+        """What is to be said before the verdicts of a bag."""
+        if bag.duration_s in self._lengths_s or not bag.duration_s > 0:
+            return []
+        found = describe_specs(self._specs, bag.duration_s, _gains(bag.path))
+        new = tuple(line for line in found.warnings if line not in self.warnings)
+        self.warnings += new
+        lines = check_lines(SpecCheck(lines=found.lines, warnings=new), quiet=bool(self._lengths_s))
+        self._lengths_s.add(bag.duration_s)
+        return lines
+
+
+def _gains(bag: Path) -> SteeringGains | None:
+    """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
+    try:
+        return SteeringGains(**read_run(bag).gains)
+    except (BagError, UsageError):
+        return None
 
 
 def _exit_code(bags: Iterable[JudgedBag]) -> int:
     judged = list(bags)
+    violated = [bag for bag in judged if any(one.verdict.failed for one in bag.verdicts)]
+    # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
+    if any(bag.run for bag in violated):
+        return VIOLATED
     if not all(bag.sound for bag in judged):
         return LOSSY
-    return VIOLATED if any(one.verdict.failed for bag in judged for one in bag.verdicts) else 0
+    return VIOLATED if violated else 0
 
 
 def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
@@ -129,16 +186,23 @@ def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
         raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
 
 
+def _check_one(plot: Path, judged: Sequence[JudgedBag]) -> None:
+    if plot.suffix == _PICTURE and len(judged) > 1:
+        names = ', '.join(bag.run or bag.name for bag in judged)
+        raise UsageError(f'--plot {plot}: the bag holds {names}; name a folder, or one with --run')
+
+
 def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     from taxinet_ros.analysis.robustness_picture import JudgedSpec, robustness_picture
 
     specs = [one.spec for one in bag.verdicts]
-    samples = read_samples(bag.path, signals_of(specs))
+    runs = read_run_samples(bag.path, signals_of(specs))
+    samples = next(one for one in runs if one.run == bag.run)
     judged = []
     for spec in specs:
         verdict, readings = judged_spec(samples, spec, vouched)
         judged.append(JudgedSpec(verdict=verdict, readings=readings))
-    path = plot if plot.suffix else plot / f'{bag.name}{_PICTURE}'
+    path = plot if plot.suffix else plot / f'{_file_name(bag)}{_PICTURE}'
     try:
         robustness_picture(
             samples.stamps_ns, samples.samples, judged, path, title=_title(bag),
@@ -147,6 +211,10 @@ def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     except OSError as error:
         raise UsageError(f'--plot {path}: cannot be written: {error.strerror}') from error
     return path
+
+
+def _file_name(bag: JudgedBag) -> str:
+    return re.sub(r'[^A-Za-z0-9_.-]+', '_', bag.name)
 
 
 def _title(bag: JudgedBag) -> str:

@@ -15,6 +15,7 @@ from taxinet_ros.bag.judged_bag import BagVerdict, JudgedBag, SpecVerdict
 _STYLES = {
     BagVerdict.SATISFIED: 'green', BagVerdict.VIOLATED: 'red', BagVerdict.MARGINAL: 'red',
     BagVerdict.INCOMPLETE: 'yellow', BagVerdict.INVALID: 'bold magenta',
+    BagVerdict.UNCLEAR: 'yellow',
 }
 
 
@@ -31,17 +32,23 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         if one.breach_s is not None:
             text = f'a bound or rate broken at {one.breach_s:g} s counts no more'
             yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
+        if one.verdict is BagVerdict.UNCLEAR:
+            yield Text(f'{name}  {one.why}', style='yellow')
+    if bag.blind:
+        text = f'{bag.blind} of {bag.frames} frames without a usable estimate'
+        yield Text(f'{name}  warning: {text}', style='yellow')
     if bag.stopped_early:
         yield Text(f'{name}  stopped early, at {bag.end_s:g} of {bag.duration_s:g} s', style='dim')
     elif 0 <= bag.end_s < bag.duration_s:
         yield Text(f'{name}  ends at {bag.end_s:g} of {bag.duration_s:g} s', style='yellow')
-    if bag.trouble:
-        yield Text(f'{name}  {bag.trouble}', style='yellow')
+    for words in filter(None, (bag.trouble, bag.note)):
+        yield Text(f'{name}  {words}', style='yellow')
 
 
 def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
     """How many bags say what of each requirement, and how many repeat what was recorded."""
     lines = []
+    unit = 'runs' if any(bag.run for bag in bags) else 'bags'
     names = dict.fromkeys(one.spec.name for bag in bags for one in bag.verdicts)
     for name in names:
         own = [one for bag in bags for one in bag.verdicts if one.spec.name == name]
@@ -50,14 +57,15 @@ def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
         recorded = [one for one in own if one.same is not None]
         same = sum(bool(one.same) for one in recorded)
         again = f'; {same} of {len(recorded)} as recorded, to the bit' if recorded else ''
-        lines.append(f'{name}: {words} of {len(own)} bags{again}')
+        lines.append(f'{name}: {words} of {len(own)} {unit}{again}')
     unread = sum(not bag.verdicts for bag in bags)
     return lines + ([f'{unread} bags tell of no run'] if unread else [])
 
 
-def as_document(bags: Iterable[JudgedBag]) -> str:
+def as_document(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> str:
     """All of it as JSON; an end of an interval that is not known is null."""
-    return json.dumps({'bags': [_bag(bag) for bag in bags]}, indent=2, allow_nan=False)
+    values = {'warnings': list(warnings), 'bags': [_bag(bag) for bag in bags]}
+    return json.dumps(values, indent=2, allow_nan=False)
 
 
 def _rho(one: SpecVerdict) -> str:
@@ -82,15 +90,16 @@ def _recorded(one: SpecVerdict) -> str:
 
 def _bag(bag: JudgedBag) -> dict[str, Any]:
     return {
-        'bag': str(bag.path), 'end_s': bag.end_s, 'duration_s': _known(bag.duration_s),
-        'stopped_early': bag.stopped_early, 'trouble': bag.trouble,
+        'bag': str(bag.path), 'run': bag.run or None, 'end_s': bag.end_s,
+        'duration_s': _known(bag.duration_s), 'stopped_early': bag.stopped_early,
+        'trouble': bag.trouble, 'note': bag.note, 'unusable_estimates': bag.blind or None,
         'verdicts': [
             {
                 'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
                 'rho_lower': _known(one.lower), 'rho_upper': _known(one.upper),
                 'decided_s': one.decided_s, 'breach_s': one.breach_s,
                 'recorded': None if one.recorded is None else [*map(_known, one.recorded)],
-                'as_recorded': one.same,
+                'as_recorded': one.same, 'why_unclear': one.why,
             }
             for one in bag.verdicts
         ],

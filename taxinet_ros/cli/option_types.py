@@ -22,6 +22,10 @@ FromOption = Annotated[
         'given, and compare',
     ),
 ]
+RunOption = Annotated[
+    str | None,
+    typer.Option('--run', metavar='RUN_ID', help='which run, where the bag holds several'),
+]
 RunsOption = Annotated[int, typer.Option(min=1, help='number of scenes to draw and run')]
 SeedOption = Annotated[int, typer.Option(min=0, help='seed of the scenes')]
 OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table; must be new')]
@@ -44,8 +48,9 @@ SpecOption = Annotated[
     list[str] | None,
     typer.Option(
         '--spec', metavar='FORMULA',
-        help='phi_eventually (default), phi_always, on_runway, NAME=FORMULA, a formula, or a YAML '
-        'file of them; repeatable, the first is the headline',
+        help='phi_eventually (default), phi_always, on_runway, usable, NAME=FORMULA, a formula '
+        'such as "always[10 s:inf](abs(steering) <= 3 deg)", or a YAML file of them; repeatable, '
+        'the first is the headline',
     ),
 ]
 StopOnOption = Annotated[

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.bag.compare import compare_bags
+from taxinet_ros.bag.facts import made_on
 from taxinet_ros.bag.frames import IMAGE
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recorded_run import read_run
@@ -15,13 +16,19 @@ from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.bag_compare import DIFFERENT, EQUAL, print_comparison
-from taxinet_ros.cli.bag_input import perception_of, perception_words, readable_bags
+from taxinet_ros.cli.bag_input import (
+    perception_of,
+    perception_words,
+    readable_bags,
+    warn_of_stacks,
+)
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.nodes.rerun import rerun
 
-_TAKEN = frozenset({'bag', 'perception', 'out', 'images', 'processes'})
+_TAKEN = frozenset({'bag', 'run_id', 'perception', 'out', 'images', 'processes'})
 """Options of ``taxinet run`` that mean something beside ``--from``."""
 
 
@@ -74,6 +81,7 @@ def run_again(
         f'once more {run.request.run_id}, perception {before}'
         + (f', now {now}' if now != before else '') + f' -> {out}', soft_wrap=True,
     )
+    warn_of_stacks(console, made_on(info), provenance())
     result = rerun([(run, word)], out, images=images, processes=processes)[run.request.run_id]
     new = out / run.request.run_id
     row = RunRow.of_run(

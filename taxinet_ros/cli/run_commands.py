@@ -26,6 +26,7 @@ from taxinet_ros.cli.option_types import (
     QuietOption,
     RateOption,
     ResumeOption,
+    RunOption,
     RunsOption,
     SamplerOption,
     SamplerSettingOption,
@@ -44,6 +45,7 @@ def run(
     context: typer.Context,
     scenario: SceneArgument = None,
     bag: FromOption = None,
+    run_id: RunOption = None,
     runs: RunsOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
@@ -71,6 +73,8 @@ def run(
         raise UsageError('--foxglove: not with --from; the bag_player shows what a bag holds')
     if bag is not None:
         raise typer.Exit(_run_from(context, bag))
+    if run_id is not None:
+        raise UsageError('--run: says which run of the bag of --from; name one, or leave it out')
     if scenario is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
@@ -82,14 +86,16 @@ def run(
 
 
 def _run_from(context: typer.Context, bag: Path) -> int:
+    from taxinet_ros.cli.bag_input import readable_run
     from taxinet_ros.cli.rerun import check_options, run_again
 
     given = given_options(context)
     check_options(given)
-    return run_again(
-        bag, perception=given.get('perception'), out=given.get('out'),
-        images=given.get('images'), processes=context.params['processes'],
-    )
+    with readable_run(bag, given.get('run_id')) as whole:
+        return run_again(
+            whole, perception=given.get('perception'), out=given.get('out'),
+            images=given.get('images'), processes=context.params['processes'],
+        )
 
 
 def falsify(

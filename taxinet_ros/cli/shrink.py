@@ -27,6 +27,7 @@ from taxinet_ros.campaign.shrink_options import ShrinkOptions
 from taxinet_ros.campaign.shrink_report import Report, report
 from taxinet_ros.campaign.shrinking import Shrinking
 from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
@@ -46,9 +47,12 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         UsageError: bad input, or the run does not fail again.
         InfraError: the bench broke.
     """
+    check_workers(options.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
     with _view(console, quiet=quiet) as show, Shrinking(options, PARTICIPANTS, show) as shrinking:
+        if shrinking.warning:
+            console.print(shrinking.warning, soft_wrap=True, markup=False)
         if not quiet:
             console.print(shrink_heading(options), soft_wrap=True)
         with (

@@ -40,6 +40,11 @@ def case_study(
     report_only: Annotated[
         bool, typer.Option('--report-only', help='write the report of what is done in --out')
     ] = False,
+    tables: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='write the report of the tables in DIR, as the shipped '
+                     "bags/, and judge the paper's statements by them; runs nothing"),
+    ] = None,
 ) -> None:
     """Run the paper's case study: falsify, debug, retrain, learn, report.
 
@@ -51,7 +56,7 @@ def case_study(
 
     raise typer.Exit(run_case_study(CaseStudyOptions(
         config=config, scale=scale, runs=runs, images=images, workers=workers, out=out,
-        resume=resume, until=until, listed=listed, report_only=report_only,
+        resume=resume, until=until, listed=listed, report_only=report_only, tables=tables,
     )))
 
 

@@ -8,8 +8,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Monitor, Reading, Spec
-from taxinet_ros.core.run_statistics import RunStatistics, RunStatisticsCollector
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import (
+    NO_ASSUMPTIONS,
+    Assumptions,
+    Monitor,
+    Reading,
+    Spec,
+    signal_names,
+)
+from taxinet_ros.core.mtl.lint import check_windows
+from taxinet_ros.core.run_statistics import (
+    EstimateWatch,
+    RunStatistics,
+    RunStatisticsCollector,
+)
 from taxinet_ros.core.stop_on import StopOn, stops
 
 
@@ -19,7 +32,7 @@ class Judgement:
 
     Attributes:
         readings: newest reading of each formula, in the order of the specs.
-        complete: the horizon was reached and every sample was usable.
+        complete: the horizon was reached, every sample was usable, and every formula judged any.
         stopped_early: not complete, but at the newest sample the judge's rule to stop was met.
         satisfied: complete or stopped early, and every formula has robustness > 0.
         statistics: of the samples seen.
@@ -47,7 +60,12 @@ class Judge:
             max_gap_ns: longest time without a sample [ns]; a longer one voids the run.
             stop_on: what ends the run before its horizon.
             assumptions: what the user vouches for.
+
+        Raises:
+            UsageError: a window of a formula lies beyond the run.
         """
+        for spec in specs:
+            check_windows(spec, horizon_ns)
         self._monitors = [
             Monitor(
                 spec, horizon_ns, assumptions.bounds, assumptions.rates, max_gap_ns=max_gap_ns
@@ -57,9 +75,20 @@ class Judge:
         self._stop_on = stop_on
         self._breaches: set[str] = set()
         self._collector = RunStatisticsCollector()
+        read = {name for spec in specs for name in signal_names(spec.formula)}
+        watched = not read.isdisjoint(EstimateWatch.NAMES)
+        self._watch = EstimateWatch(horizon_ns, CONTROL_PERIOD_NS) if watched else None
 
     def push(self, stamp_ns: int, sample: Mapping[str, float]) -> tuple[Reading, ...]:
-        """Take the signals at ``stamp_ns``; answer one reading per formula."""
+        """Take the signals at ``stamp_ns``; answer one reading per formula.
+
+        Args:
+            stamp_ns: time since the start of the run [ns].
+            sample: the signals as :func:`.loop.signals` gives them; those that depend on the
+                frames before are added here, where a formula reads them.
+        """
+        if self._watch is not None:
+            sample = {**sample, **self._watch.signals(stamp_ns, sample)}
         self._readings = tuple(monitor.push(stamp_ns, sample) for monitor in self._monitors)
         self._collector.push(stamp_ns, sample)
         return self._readings
@@ -78,7 +107,9 @@ class Judge:
     @property
     def judgement(self) -> Judgement:
         """The verdict so far; PASS or FAIL only if the run is complete or stopped early."""
-        complete = bool(self._readings) and all(r.final and r.valid for r in self._readings)
+        complete = bool(self._readings) and all(
+            r.final and r.valid and not r.unclear for r in self._readings
+        )
         stopped_early = self.stopped_early
         return Judgement(
             readings=self._readings,

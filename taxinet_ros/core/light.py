@@ -21,7 +21,9 @@ from taxinet_ros.core.sun import sun_direction, sun_position
 Colour = NDArray[np.float64]
 
 GAMMA = 2.2
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""What linear red, green and blue (sRGB's) have of brightness."""
+
 _OPTICAL_DEPTH = np.array([0.09, 0.17, 0.36])
 _SKY_BLUE = np.array([0.80, 0.94, 1.12])
 _DAWN_GLOW = np.array([1.35, 0.92, 0.70])
@@ -126,7 +128,7 @@ def scenario_light(scenario: Scenario) -> Light:
     azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s)
     direct, diffuse = _weathered(scenario, elevation)
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))
-    level = float(_LUMINANCE @ ((direct + diffuse) / reference))
+    level = float(LUMINANCE @ ((direct + diffuse) / reference))
     gain = min(level**-_EXPOSURE_COMPENSATION, _EXPOSURE_LIMIT) / reference
     cloud = _CLOUDS[scenario.clouds]
     low, high = _sky(cloud, diffuse * gain, direct * gain, elevation)
@@ -161,9 +163,9 @@ def _weathered(scenario: Scenario, elevation_rad: float) -> tuple[Colour, Colour
     cloud = _CLOUDS[scenario.clouds]
     direct, diffuse = _clear(elevation_rad)
     thinned = 1 - 0.45 * scenario.rain
-    grey = float(_LUMINANCE @ (direct + diffuse)) * np.array(cloud.tint)
+    grey = float(LUMINANCE @ (direct + diffuse)) * np.array(cloud.tint)
     # Under a closed cover the colour of a low sun only tints the clouds a little.
-    grey *= 0.75 + 0.25 * (direct + diffuse) / float(_LUMINANCE @ (direct + diffuse))
+    grey *= 0.75 + 0.25 * (direct + diffuse) / float(LUMINANCE @ (direct + diffuse))
     diffuse = cloud.clear_diffuse * diffuse + cloud.cloud_diffuse * grey
     # Rain falls from the thick parts of a cover, which let hardly any beam through.
     return direct * cloud.beam * (1 - scenario.rain) ** 2, diffuse * thinned
@@ -174,7 +176,7 @@ def _sky(
 ) -> tuple[Colour, Colour]:
     """Display colours of the sky at the horizon and 15 degrees above it."""
     clear = cloud.clear_diffuse
-    grey = float(_LUMINANCE @ diffuse) * np.array(cloud.tint)
+    grey = float(LUMINANCE @ diffuse) * np.array(cloud.tint)
     # A sky as a lamp: level ground under radiance L receives L (in units where white reflects it).
     horizon = clear * (0.35 * direct + 2.6 * diffuse) + (1 - clear) * 1.15 * grey
     above = clear * 2.4 * diffuse * np.array([0.80, 0.98, 1.12]) + (1 - clear) * 1.25 * grey

@@ -275,3 +275,6 @@ def add_shine(
     picture: _Bytes, by_row: _Floats, by_column: _Floats, tint: tuple[float, float, float]
 ) -> None:
     """Add light, in place: the product of a strength by row, one by column, one by channel."""
+
+def instruction_sets() -> list[str]:
+    """What is taken here of the code that is written for newer processors; none on old ones."""

@@ -10,6 +10,8 @@ from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 
+_SCALE = 2.0**-64
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ErrorStatistics:
@@ -93,18 +95,61 @@ class RunStatisticsCollector:
 class _ErrorSum:
     def __init__(self) -> None:
         self._count, self._sum, self._sum_abs, self._max_abs = 0, 0.0, 0.0, 0.0
+        # The same sums in a unit in which no sum of a run's errors overflows.
+        self._small, self._small_abs = 0.0, 0.0
 
     def add(self, error: float) -> None:
         self._count += 1
         self._sum += error
         self._sum_abs += abs(error)
+        self._small += error * _SCALE
+        self._small_abs += abs(error) * _SCALE
         self._max_abs = max(self._max_abs, abs(error))
 
     @property
     def statistics(self) -> ErrorStatistics:
         if not self._count:
             return ErrorStatistics()
-        return ErrorStatistics(
-            mean=self._sum / self._count, mean_abs=self._sum_abs / self._count,
-            max_abs=self._max_abs,
-        )
+        mean, mean_abs = self._sum / self._count, self._sum_abs / self._count
+        if not math.isfinite(mean_abs):
+            # A mean is no greater than the greatest, by which rounding must not take it to inf.
+            least = self._max_abs * _SCALE
+            mean = max(-least, min(self._small / self._count, least)) / _SCALE
+            mean_abs = min(self._small_abs / self._count, least) / _SCALE
+        return ErrorStatistics(mean=mean, mean_abs=mean_abs, max_abs=self._max_abs)
+
+
+class EstimateWatch:
+    """How long, and how often, a run was without a usable estimate: two of its signals.
+
+    Args:
+        horizon_ns: last stamp of the run [ns].
+        period_ns: time between its frames [ns].
+    """
+
+    NAMES = ('estimate_gap', 'unusable_share')
+
+    __slots__ = ('_frames', '_last_ns', '_period_ns', '_unusable')
+
+    def __init__(self, horizon_ns: int, period_ns: int) -> None:
+        self._frames = horizon_ns // period_ns + 1
+        self._period_ns = period_ns
+        self._last_ns: int | None = None
+        self._unusable = 0
+
+    def signals(self, stamp_ns: int, sample: Mapping[str, float]) -> dict[str, float]:
+        """``estimate_gap`` [s] and ``unusable_share`` [1] at the next sample.
+
+        The gap is the time since the last frame with a usable estimate; where there was none yet,
+        as if there had been one just before the first frame.
+        """
+        if math.isfinite(sample['cte_estimate']) and math.isfinite(sample['he_estimate']):
+            self._last_ns = stamp_ns
+        else:
+            self._unusable += 1
+        if self._last_ns is None:
+            self._last_ns = stamp_ns - self._period_ns
+        return {
+            'estimate_gap': (stamp_ns - self._last_ns) / NS_PER_S,
+            'unusable_share': self._unusable / self._frames,
+        }

@@ -23,7 +23,7 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 
 AIRCRAFT = ('caravan', 'c172p')
 
-_RANGES: dict[str, tuple[float, float, str]] = {
+RANGES: dict[str, tuple[float, float, str]] = {
     'cross_track_m': (-15.0, 15.0, 'm left of the centreline (on the runway)'),
     'distance_m': (0.0, 2600.0, 'm past the threshold'),
     'heading_rad': (-math.pi / 2, math.pi / 2, 'rad, nose left positive'),
@@ -31,6 +31,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     'time_of_day_s': (0.0, 86400.0, 's after local midnight'),
     'duration_s': (0.1, 600.0, 's'),
 }
+"""Least and greatest value of each number of a scenario, both allowed, with the unit."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +69,7 @@ class Scenario:
     duration_s: float = 30.0
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit) in _RANGES.items():
+        for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise UsageError(f'scenario: {name} is {value:g}, outside {low:g}..{high:g} {unit}')

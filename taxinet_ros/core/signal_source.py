@@ -1,4 +1,4 @@
-"""Where a signal comes from: ``NAME=/topic:field.path*factor`` as a user writes it."""
+"""Where a signal comes from: ``NAME[unit]=/topic:field.path*factor`` as a user writes it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from typing import Any
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.field_path import FieldPath, number_at, parse_field_path
 from taxinet_ros.core.mtl.lexer import RESERVED
+from taxinet_ros.core.mtl.units import DIMENSIONS, dimension_of, si_unit
 
 _EXAMPLE = 'cte=/robot/odom:pose.pose.position.y'
 _FORM = re.compile(
-    r'\s*(?P<name>[^=\s]+)\s*=\s*(?P<topic>[^:\s]+)\s*:\s*(?P<path>[^*]+?)\s*'
+    r'\s*(?P<name>[^=\s\[]+)\s*(?:\[\s*(?P<unit>[^\]]*?)\s*\]\s*)?=\s*(?P<topic>[^:\s]+)\s*:\s*(?P<path>[^*]+?)\s*'
     r'(?:\*\s*(?P<factor>\S+)\s*)?'
 )
 _NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
@@ -28,17 +29,20 @@ class SignalSource:
         name: what formulas call it.
         topic: topic, as the user wrote it.
         path: the field.
-        factor: what the field is multiplied with, e.g. 57.29578 for degrees.
+        factor: what the field is multiplied with, e.g. 0.01745329 for a field in degrees.
+        unit: SI unit of the product, such as ``m`` or ``rad``; '' where nobody said.
     """
 
     name: str
     topic: str
     path: FieldPath
     factor: float = 1.0
+    unit: str = ''
 
     def __str__(self) -> str:
         factor = '' if self.factor == 1.0 else f'*{self.factor:g}'
-        return f'{self.name}={self.topic}:{self.path}{factor}'
+        unit = f'[{self.unit}]' if self.unit else ''
+        return f'{self.name}{unit}={self.topic}:{self.path}{factor}'
 
     def read(self, message: Any) -> tuple[float, str]:
         """The signal's value in a message, and '' or why it is none (then the value is NaN)."""
@@ -51,7 +55,7 @@ class SignalSource:
 
 
 def parse_signals(texts: Iterable[str]) -> tuple[SignalSource, ...]:
-    """Read sources, each ``NAME=/topic:field.path`` with ``*factor`` behind it if need be.
+    """Read sources, each ``NAME=/topic:field.path``; ``NAME[unit]``, and ``*factor`` at the end.
 
     Raises:
         UsageError: a text of another form, a name that formulas cannot use, or one used twice.
@@ -77,8 +81,20 @@ def _source(text: str) -> SignalSource:
         raise UsageError(f'name {name!r}: letters, digits and _, and none that formulas reserve')
     return SignalSource(
         name=name, topic=match['topic'], path=parse_field_path(match['path']),
-        factor=_factor(match['factor'] or '1'),
+        factor=_factor(match['factor'] or '1'), unit=_unit(match['unit']),
     )
+
+
+def _unit(text: str | None) -> str:
+    if text is None:
+        return ''
+    dimension = dimension_of(text)
+    if dimension is None or text not in ('1', si_unit(dimension)):
+        known = ', '.join(filter(None, map(si_unit, DIMENSIONS)))
+        raise UsageError(
+            f'unit {text!r}: formulas compare in SI: one of {known} or 1; scale with *factor'
+        )
+    return text
 
 
 def _factor(text: str) -> float:

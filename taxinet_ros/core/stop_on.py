@@ -40,7 +40,7 @@ def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
 
     A run with an unusable sample is never stopped: it has no verdict, early or late.
     """
-    if any(reading.final or not reading.valid for reading in readings):
+    if any(reading.final or not reading.valid or reading.unclear for reading in readings):
         return False
     if stop_on is StopOn.VIOLATED:
         return readings[0].upper <= 0

@@ -88,6 +88,22 @@ def domain_by_hand() -> int | None:
     return domain
 
 
+def check_workers(workers: int) -> None:
+    """See that as many graphs can have domains, before anything is begun.
+
+    Raises:
+        UsageError: a domain is set by hand, and there is more than one worker; or it is none, or
+            belongs to another graph.
+    """
+    text = os.environ.get(BY_HAND)
+    if text and workers > 1:
+        raise UsageError(
+            f'{BY_HAND} {text}: one domain takes one graph, and there are {workers} workers; say '
+            f'--workers 1, or unset {BY_HAND} and each worker gets a domain of its own'
+        )
+    domain_by_hand()
+
+
 def domain_number(text: str, where: str) -> int:
     """Read a ROS domain id.
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_assumptions, parse_spec
+from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.signal_source import SignalSource, parse_signals
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
@@ -47,7 +48,7 @@ def declared_options(node: Node) -> AloneOptions:
     Raises:
         UsageError: a parameter is unknown, missing or wrong.
     """
-    text = 'NAME=/topic:field.path*factor, one for each signal that formulas read'
+    text = 'NAME[unit]=/topic:field.path*factor, one for each signal that formulas read'
     sources = _texts(node, 'signals', text)
     specs = _texts(node, 'specs', 'NAME=FORMULA over the signals, one for each requirement')
     bounds = _texts(node, 'bounds', 'vouched for: SIGNAL=LOW:HIGH')
@@ -65,11 +66,11 @@ def declared_options(node: Node) -> AloneOptions:
     refuse_unknown(node)
     try:
         found = parse_signals(sources)
-        names = [source.name for source in found]
+        names = {source.name: source.unit for source in found}
         return AloneOptions(
             sources=found,
-            specs=_parse_specs(specs, names),
-            assumptions=_parse_assumptions(bounds, rates, names),
+            specs=_parse_specs(specs, names, round(horizon_s * NS_PER_S)),
+            assumptions=_parse_assumptions(bounds, rates, list(names)),
             sampled_on=_sampler(sampled_on, period_s, found),
             period_ns=round(period_s * NS_PER_S),
             max_age_ns=round(max_age_s * NS_PER_S),
@@ -86,13 +87,18 @@ def _texts(node: Node, name: str, description: str) -> list[str]:
     return [text for text in declare(node, name, [''], description) if text]
 
 
-def _parse_specs(texts: Sequence[str], signals: Sequence[str]) -> tuple[Spec, ...]:
+def _parse_specs(
+    texts: Sequence[str], signals: Mapping[str, str], horizon_ns: int
+) -> tuple[Spec, ...]:
     if not signals:
         raise UsageError('signals: give one at least, e.g. cte=/robot/odom:pose.pose.position.y')
     if not texts:
-        raise UsageError(f'specs: give one at least, e.g. near=always(abs({signals[0]}) <= 1.5)')
+        first = next(iter(signals))
+        raise UsageError(f'specs: give one at least, e.g. near=always(abs({first}) <= 1.5)')
     try:
         specs = tuple(parse_spec(text, signals=signals) for text in texts)
+        for spec in specs if horizon_ns else ():
+            check_windows(spec, horizon_ns)
     except UsageError as error:
         raise UsageError(f'specs: {error}') from None
     names = [spec.name for spec in specs]

@@ -49,6 +49,11 @@ def open_bag(path: str) -> BagInfo:
     if not info.complete:
         hint = f'save what is sound: taxinet bag recover {path} --out NEW'
         raise UsageError(f'{info.trouble}; {hint}')
+    if info.back_ns > NS_PER_S:
+        raise UsageError(
+            f'{path}: its time begins anew {info.back_ns / NS_PER_S:g} s earlier, so it holds '
+            f'several runs; a bag of each makes: taxinet bag split {path} --out DIR'
+        )
     if not any(info.counts.values()):
         raise UsageError(f'{path}: no messages to play')
     return info

@@ -27,6 +27,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
@@ -124,6 +125,7 @@ class Recorder(Participant):
             metadata=self._facts(scenario),
             attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
+            beside=_commit(),
         )
 
     def close(self) -> None:
@@ -281,12 +283,18 @@ class Recorder(Participant):
     def _facts(self, scenario: Scenario) -> dict[str, str]:
         return {
             'taxinet_ros_version': __version__,
+            **{name: value for name, value in without_commit(provenance()).items()
+               if name != 'taxinet_ros'},
             'run_id': scenario.run_id,
             'program': scenario.program,
             'seed': str(scenario.seed),
             'index': str(scenario.index),
             'specs': json.dumps(list(scenario.specs)),
         }
+
+
+def _commit() -> dict[str, str]:
+    return {name: value for name, value in provenance().items() if name == COMMIT}
 
 
 def main() -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from taxinet_msgs.msg import Scenario
 
-from taxinet_ros.bag.message_values import scenario_of
+from taxinet_ros.bag.message_values import scenario_json
 from taxinet_ros.campaign.facts import FACTS_NAME
 from taxinet_ros.campaign.programs import SUFFIX
 from taxinet_ros.core.plain_values import load_json
@@ -23,7 +22,7 @@ def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
         scenario: the run's.
         out: the folder that takes the bags.
     """
-    files = {'scenario.json': _scenario_json(scenario)}
+    files = {'scenario.json': scenario_json(scenario)}
     text = _program_text(scenario.program, out / FACTS_NAME)
     if text:
         files[f'{scenario.program}{SUFFIX}'] = text.encode()
@@ -37,19 +36,3 @@ def _program_text(program: str, facts_file: Path) -> str:
         return str(facts['program_text']) if Path(facts['program']).stem == program else ''
     except (OSError, ValueError, KeyError, TypeError):
         return ''
-
-
-def _scenario_json(scenario: Scenario) -> bytes:
-    values = {
-        **scenario_of(scenario).to_human(),
-        'run_id': scenario.run_id,
-        'index': scenario.index,
-        'program': scenario.program,
-        'seed': scenario.seed,
-        'specs': list(scenario.specs),
-        'stop_on': scenario.stop_on,
-        'bounds': list(scenario.bounds),
-        'rates': list(scenario.rates),
-        'participants': list(scenario.participants),
-    }
-    return json.dumps(values, indent=2).encode() + b'\n'

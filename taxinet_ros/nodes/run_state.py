@@ -13,7 +13,9 @@ from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.lockstep import Lockstep
+from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.spec_check import check_specs
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
@@ -29,14 +31,17 @@ class ActiveRun:
         """Build the world that the goal's scenario describes.
 
         Raises:
-            UsageError: the scenario has a value out of range, or an unknown rule to stop.
+            UsageError: the scenario has a value out of range, an unknown rule to stop, or a
+                formula that is none or that a run of this length cannot be judged by.
             InfraError: the world cannot be built.
         """
         message = goal.request.scenario
         self.goal = goal
         self.run_id: str = message.run_id
         self.participants = tuple(message.participants)
-        self.world = World(scenario_of(message))
+        scenario = scenario_of(message)
+        check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
+        self.world = World(scenario)
         may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
         self.lockstep = Lockstep(
             participants=self.participants,

@@ -8,7 +8,7 @@ from typing import Any
 from taxinet_ros.analysis.learned import write_learned
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.lines import heading, row_line, summary
+from taxinet_ros.campaign.lines import check_lines, heading, row_line, summary
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
@@ -43,7 +43,8 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """The scenes that the program draws, as ``taxinet run`` has them."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
     with interrupts(node.interrupt, node.give_up), campaign:
-        _say(node, [heading(node.campaign), *campaign.notes])
+        checked = [line.plain for line in check_lines(campaign.check)]
+        _say(node, [heading(node.campaign), *campaign.notes, *checked])
         answers = _Answers(node, campaign.take)
         _drive(node, executor, campaign.requests(), answers)
     if campaign.rows:
@@ -69,9 +70,9 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
-        _say(node, [
-            search_heading(search.options), *search.notes, *space_lines(search.space),
-        ])
+        heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+        warning = [search.warning] if search.warning else []
+        _say(node, [*warning, *heading_lines, *(line.plain for line in check_lines(search.check))])
         answers = _Answers(node, take)
         _drive(node, executor, iter(search.next, None), answers)
         learned = write_learned(search)

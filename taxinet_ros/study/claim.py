@@ -1,26 +1,33 @@
-"""How a statement of the paper is judged on our runs.
+"""How statements of the paper are judged on our runs: tests of each, and Holm's rule over all.
 
-Figures of two different worlds need not agree. What can be compared is which of two things is
-greater; that is judged by the 95 % interval of their difference on our runs alone.
+Figures of two different worlds need not agree. What can be compared is the kind: which of two
+things is greater, or whether something happens mostly. Each statement is either true or false of
+our networks in our world, and is tested from both sides: how likely are runs like ours, at most, if
+it is false, and if it is true? All these tests are one family (Holm, Scandinavian Journal of
+Statistics 6, 1979, pp. 65-70), so that in at most 5 % of studies any verdict at all is wrong,
+however the tests depend on each other.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2_contingency
+from scipy.stats import binom, brunnermunzel, hypergeom, norm
+from scipy.stats import t as student
 
-from taxinet_ros.analysis.group_rates import Difference, difference
-from taxinet_ros.analysis.paired_rates import Interval, PairedRates
-from taxinet_ros.study.paper import CROSSING_M
-from taxinet_ros.study.results import Network, Results
+from taxinet_ros.analysis.paired_rates import PairedRates
 
 SIGNIFICANT = 0.05
-_LEAST_PER_BIN, _MOST_SMALL = 5, 0.2
+"""Probability that any verdict of a study is wrong."""
+
+
+_LEAST_ERROR = 1e-9
+"""Standard error of a mean below which values are the same but for rounding."""
 
 
 class Verdict(Enum):
@@ -31,16 +38,53 @@ class Verdict(Enum):
     UNCLEAR = 'not clear from these runs'
 
 
+class Sides(NamedTuple):
+    """Greatest probability of runs like ours, or plainer ones, if a statement is false or true.
+
+    Attributes:
+        if_false: a small one speaks for the statement.
+        if_true: a small one speaks against it.
+    """
+
+    if_false: float
+    if_true: float
+
+    @property
+    def opposite(self) -> Sides:
+        """Those of the opposite statement."""
+        return Sides(self.if_true, self.if_false)
+
+
+NOTHING_KNOWN = Sides(1.0, 1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Claim:
+class Question:
     """A statement of the paper, and what our runs say of it.
 
     Attributes:
         name: unique, for files.
-        statement: the paper's, with its figures.
+        statement: what the paper says, with its figures, as it is tested.
         source: where it stands there.
+        evidence: our figures, with 95 % intervals and numbers of runs.
+        sides: its tests.
+    """
+
+    name: str
+    statement: str
+    source: str
+    evidence: str
+    sides: Sides
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """A statement of the paper, judged.
+
+    Attributes:
+        name, statement, source, evidence: as of its :class:`Question`.
         verdict: ours.
-        evidence: our figures, with intervals and numbers of runs.
+        p_value: of the nearer verdict, adjusted for all statements (Holm).
     """
 
     name: str
@@ -48,74 +92,141 @@ class Claim:
     source: str
     verdict: Verdict
     evidence: str
+    p_value: float
 
     def sentence(self) -> str:
         """The whole in words."""
         verdict = self.verdict.value[0].upper() + self.verdict.value[1:]
-        return f'{verdict}: {self.statement} ({self.source}). Here: {self.evidence}'
+        return (
+            f'{verdict} (p {p_words(self.p_value)}): {self.statement} ({self.source}). '
+            f'Here: {self.evidence}'
+        )
 
 
-def paired(
-    results: Results, first: str, second: str, sign: int, name: str, source: str, statement: str, *,
-    off: bool = False, where: str = '',
-) -> Iterator[Claim]:
-    """Whether the second network does better (+1) or worse, or leaves the runway less (-1)."""
-    pair = results.pair(first, second)
-    if pair is None:
-        return
-    at = pair.at(*CROSSING_M)
-    among = {'at': at, 'off': ~at}.get(where)
-    rates = pair.off_runway() if off else pair.satisfied(among)
-    verb = 'leave the runway' if off else 'satisfy'
-    place = {'at': ' that start at 1,200-1,600 m', 'off': ' that start elsewhere'}.get(where, '')
-    yield Claim(
-        name=name, statement=statement, source=source, verdict=_verdict(rates.difference, sign),
-        evidence=_pair_words(rates, first, second, verb, place),
-    )
+def judge(questions: Sequence[Question]) -> tuple[Claim, ...]:
+    """The verdicts of all questions of a study together."""
+    sides = [side for question in questions for side in question.sides]
+    adjusted = holm(sides)
+    claims = []
+    for question, if_false, if_true in zip(
+        questions, adjusted[::2], adjusted[1::2], strict=True
+    ):
+        p_value = min(if_false, if_true)
+        verdict = Verdict.AGREES if if_false < if_true else Verdict.DIFFERS
+        claims.append(Claim(
+            name=question.name, statement=question.statement, source=question.source,
+            evidence=question.evidence, p_value=p_value,
+            verdict=verdict if p_value <= SIGNIFICANT else Verdict.UNCLEAR,
+        ))
+    return tuple(claims)
 
 
-def by_groups(
-    network: Network, worse: np.ndarray, better: np.ndarray, there: str, elsewhere: str, name: str,
-    source: str, statement: str,
-) -> Claim:
-    """Whether a network fails more in one group of runs than in another."""
-    rates = network.runs.rate(worse), network.runs.rate(better)
-    if not (rates[0].runs and rates[1].runs):
-        verdict, evidence = Verdict.UNCLEAR, 'one of the two groups has no run.'
-    else:
-        verdict = _verdict(difference(*rates), +1)
-        evidence = f'{rates[0].words()} of {rates[0].runs:,} runs {there} fail, '
-        evidence += f'{rates[1].words()} of {rates[1].runs:,} {elsewhere}.'
-    return Claim(name=name, statement=statement, source=source, verdict=verdict, evidence=evidence)
+def holm(p_values: Sequence[float]) -> list[float]:
+    """The p values of a family, adjusted by Holm's step-down rule."""
+    found = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(found, kind='stable')
+    stepped = found[order] * np.arange(len(found), 0, -1)
+    adjusted = np.empty_like(found)
+    adjusted[order] = np.minimum(np.maximum.accumulate(stepped), 1.0)
+    return [float(one) for one in adjusted]
 
 
-def even_p(counts: np.ndarray) -> float:
-    """How likely rows of counts differ as much if all have the same shares; NaN for too few.
+# Tests -------------------------------------------------------------------------------------------
 
-    Pearson's chi-square test, whose approximation asks for five expected in most cells (Cochran,
-    Biometrics 10, 1954, pp. 417-451).
+
+def share_above(hits: int, count: int, share: float) -> Sides:
+    """Whether a probability is above ``share``: the binomial test, exact."""
+    return Sides(
+        float(binom.sf(hits - 1, count, share)), float(binom.cdf(hits, count, share))
+    ) if count else NOTHING_KNOWN
+
+
+def mostly(hits: int, others: int) -> Sides:
+    """Whether something happens in more than half of the cases: the sign test, exact."""
+    return share_above(hits, hits + others, 0.5)
+
+
+def more_often(first: np.ndarray, second: np.ndarray) -> Sides:
+    """Whether something happens more often in one group than in another: Fisher's exact test.
+
+    Args:
+        first: in which cases of the one group it happens.
+        second: in which of the other.
     """
-    if len(counts) < 2 or not (counts.sum(axis=0) > 0).all():
-        return math.nan
-    found = chi2_contingency(counts, correction=False)
-    if (found.expected_freq < _LEAST_PER_BIN).mean() > _MOST_SMALL or found.expected_freq.min() < 1:
-        return math.nan
-    return float(found.pvalue)
-
-
-def _verdict(found: Interval | Difference, sign: int) -> Verdict:
-    low, high = sorted((sign * found.low, sign * found.high))
-    if low > 0:
-        return Verdict.AGREES
-    return Verdict.DIFFERS if high < 0 else Verdict.UNCLEAR
-
-
-def _pair_words(rates: PairedRates, first: str, second: str, verb: str, place: str) -> str:
-    if not rates.pairs:
-        return f'no scene{place} was judged with both.'
-    value, low, high = (100 * part for part in rates.difference)
-    return (
-        f'of {rates.pairs:,} scenes{place} {100 * rates.first / rates.pairs:.1f} % {verb} with '
-        f'{first} and {100 * rates.second / rates.pairs:.1f} % with {second}: {value:+.1f} points '
-        f'({low:+.1f} to {high:+.1f}, McNemar p = {rates.p_value:.2g}).'
+    hits, total = int(first.sum()), len(first) + len(second)
+    both = hits + int(second.sum())
+    return Sides(
+        float(hypergeom.sf(hits - 1, total, both, len(first))),
+        float(hypergeom.cdf(hits, total, both, len(first))),
     )
+
+
+def pairs_more_often(rates: PairedRates) -> Sides:
+    """Whether the second of two arms says yes more often: McNemar's exact test."""
+    return mostly(rates.only_second, rates.only_first)
+
+
+def mean_above(values: Sequence[float], level: float) -> Sides:
+    """Whether a mean is above ``level``: Student's t; nothing is known from one value."""
+    if len(values) < 2:
+        return NOTHING_KNOWN
+    error = max(float(np.std(values, ddof=1)) / math.sqrt(len(values)), _LEAST_ERROR)
+    distance = (float(np.mean(values)) - level) / error
+    return Sides(
+        float(student.sf(distance, len(values) - 1)), float(student.cdf(distance, len(values) - 1))
+    )
+
+
+def lower(first: np.ndarray, second: np.ndarray) -> Sides:
+    """Whether a figure is mostly lower in one group than in another.
+
+    True where a value of the one group is below one of the other more often than above it (Brunner
+    and Munzel, Biometrical Journal 42, 2000, pp. 17-25).
+    """
+    if min(len(first), len(second)) < 2:
+        return NOTHING_KNOWN
+    apart = 1.0 / math.comb(len(first) + len(second), len(first))  # by permutation, exact
+    if first.max() < second.min():
+        return Sides(apart, 1.0)
+    if second.max() < first.min():
+        return Sides(1.0, apart)
+    if np.ptp(first) == np.ptp(second) == 0.0:
+        return NOTHING_KNOWN
+    p_value = float(brunnermunzel(first, second, alternative='less').pvalue)
+    return Sides(p_value, 1.0 - p_value)
+
+
+def even(groups: Sequence[np.ndarray], margin: float) -> Sides:
+    """Whether something happens as often in each group as in the rest, but for a margin.
+
+    Both sides of each difference are tested against the margin, with one hit and one miss added to
+    each group (Agresti and Caffo, American Statistician 54, 2000, pp. 280-288). That all
+    differences are within it needs each test; that one is beyond it, one of them, times their
+    number.
+    """
+    inside, beyond = [], []
+    for number, group in enumerate(groups):
+        others = [other for at, other in enumerate(groups) if at != number]
+        rest = np.concatenate(others) if others else np.zeros(0, bool)
+        shares = [(one.sum() + 1) / (len(one) + 2) for one in (group, rest)]
+        spread = math.sqrt(sum(
+            share * (1 - share) / (len(one) + 2)
+            for share, one in zip(shares, (group, rest), strict=True)
+        ))
+        for difference in (shares[0] - shares[1], shares[1] - shares[0]):
+            inside.append(float(norm.cdf((difference - margin) / spread)))
+            beyond.append(float(norm.sf((difference - margin) / spread)))
+    return Sides(max(inside), min(1.0, len(beyond) * min(beyond)))
+
+
+def all_of(parts: Sequence[Sides]) -> Sides:
+    """Whether several things are true together: each has to be shown, one false one is enough."""
+    return Sides(
+        max(part.if_false for part in parts),
+        min(1.0, len(parts) * min(part.if_true for part in parts)),
+    )
+
+
+def p_words(p_value: float) -> str:
+    """A p value for people."""
+    return f'{p_value:.2g}' if p_value >= 1e-4 else '< 0.0001'

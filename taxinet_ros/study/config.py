@@ -31,8 +31,10 @@ class StudyConfig:
         seed: of these scenes.
         localized: failed runs of the original network that are run again on the true state.
         experiments: scenes by the word or file of the experiment.
-        learning_program, sampler, learning_runs, learning_seed: of the search for the distribution
-            of the generic network's failures.
+        learning_program, learning_runs: of every search for the distribution of the generic
+            network's failures.
+        samplers, learning_seeds: there is a search for each two; further training adds what the
+            first one has learned.
         further_epochs: of training the generic network on.
         share: of images that are added then.
         crossing: program of the images at the crossing.
@@ -53,9 +55,9 @@ class StudyConfig:
     seed: int
     localized: int
     learning_program: str
-    sampler: str
+    samplers: tuple[str, ...]
     learning_runs: int
-    learning_seed: int
+    learning_seeds: tuple[int, ...]
     further_epochs: int
     share: float
     crossing: str

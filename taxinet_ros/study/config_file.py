@@ -40,7 +40,6 @@ _WHOLE: Mapping[str, tuple[str, int, int]] = {
     'seed': ('evaluation.seed', 0, 2**63 - 1),
     'localized': ('debugging.localize', 1, 10_000_000),
     'learning_runs': ('learning.runs', 1, 10_000_000),
-    'learning_seed': ('learning.seed', 0, 2**63 - 1),
     'further_epochs': ('iteration.epochs', 1, 10_000),
     'workers': ('workers', 1, LAG),
 }
@@ -50,8 +49,8 @@ _PROGRAMS: Mapping[str, str] = {
     'learning_program': 'learning.program', 'crossing': 'iteration.crossing',
 }
 _OTHERS: Mapping[str, str] = {
-    'experiments': 'debugging.experiments', 'sampler': 'learning.sampler',
-    'share': 'iteration.share', 'best': 'best',
+    'experiments': 'debugging.experiments', 'samplers': 'learning.sampler',
+    'learning_seeds': 'learning.seed', 'share': 'iteration.share', 'best': 'best',
 }
 _PLACES = {**{name: place for name, (place, _, _) in _WHOLE.items()}, **_PROGRAMS, **_OTHERS}
 
@@ -93,13 +92,15 @@ def read_study(out: Path, option: str) -> StudyConfig:
     """
     path = out / STUDY_NAME
     try:
-        return StudyConfig(**load_json(path.read_bytes()))
+        values = dict(load_json(path.read_bytes()))
+        lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
+        return StudyConfig(**{**values, **lists})
     except FileNotFoundError:
         raise UsageError(
             f'{option}: {path}: no such file, so no case study was begun there; '
             f'{"leave --resume out" if option == "--resume" else "name its folder with --out"}'
         ) from None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
 
 
@@ -128,8 +129,8 @@ class _Values(YamlFile):
             if place in self._leaves:
                 found[name] = self._program(place, self._leaves[place])
         others: dict[str, Callable[[object], object]] = {
-            'experiments': self._experiments, 'sampler': self._sampler, 'share': self._share,
-            'best': self._best,
+            'experiments': self._experiments, 'samplers': self._samplers,
+            'learning_seeds': self._learning_seeds, 'share': self._share, 'best': self._best,
         }
         for name, read in others.items():
             if _OTHERS[name] in self._leaves:
@@ -139,14 +140,15 @@ class _Values(YamlFile):
     def check_seeds(self, config: StudyConfig) -> None:
         """No network may be judged, nor a search begun, on the scenes that it has learned from."""
         seeds = {
-            'training.seed': config.training_seed, 'evaluation.seed': config.seed,
-            'learning.seed': config.learning_seed,
+            'training.seed': (config.training_seed,), 'evaluation.seed': (config.seed,),
+            'learning.seed': config.learning_seeds,
         }
-        for place, seed in seeds.items():
-            for other, value in seeds.items():
-                if other < place and seed == value:
-                    raise self._wrong(place, f'is {seed}, as {other} is; give it another, or a '
-                                      'network is judged on scenes that it has seen')
+        for place, own in seeds.items():
+            for other, others in seeds.items():
+                for seed in own if other < place else ():
+                    if seed in others:
+                        raise self._wrong(place, f'is {seed}, as {other} is; give it another, or a '
+                                          'network is judged on scenes that it has seen')
 
     def _put(self, key: str, value: object, known: set[str], groups: set[str]) -> None:
         if key not in known:
@@ -182,12 +184,25 @@ class _Values(YamlFile):
             raise self._wrong(where, 'two experiments have the same name; rename one of the files')
         return found
 
-    def _sampler(self, value: object) -> str:
-        word = self._word(_OTHERS['sampler'], value)
-        if word not in _LEARNERS:
-            what = f'expected one that tells what it learned ({", ".join(_LEARNERS)}), got {word}'
-            raise self._wrong(_OTHERS['sampler'], what)
-        return word
+    def _samplers(self, value: object) -> tuple[str, ...]:
+        where = _OTHERS['samplers']
+        words = tuple(self._word(where, word) for word in self._some(where, value))
+        for word in words:
+            if word not in _LEARNERS:
+                what = f'expected one that tells what it learned ({", ".join(_LEARNERS)})'
+                raise self._wrong(where, f'{what}, got {word}')
+        return words
+
+    def _learning_seeds(self, value: object) -> tuple[int, ...]:
+        where = _OTHERS['learning_seeds']
+        return tuple(self._whole(where, seed, 0, 2**63 - 1) for seed in self._some(where, value))
+
+    def _some(self, where: str, value: object) -> list[object]:
+        """One thing or several, each once."""
+        found = value if isinstance(value, list) else [value]
+        if not found or any(one in found[:at] for at, one in enumerate(found)):
+            raise self._wrong(where, f'expected one or several, each once, got {value!r:.60}')
+        return found
 
     def _share(self, value: object) -> float:
         if (

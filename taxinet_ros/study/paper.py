@@ -42,6 +42,9 @@ PAPER_NETWORKS = {
 PAPER_RUNS = 4_000
 """About so many runs were made with each network."""
 
+PAPER_RULE = 'ce-verifai'
+"""The sampler that learns as the paper's did."""
+
 LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
 """Ends of the stretches of runway that the paper tells apart."""
 
@@ -54,6 +57,21 @@ PAPER_ELSEWHERE = 0.01
 CROSSING_M = (1200.0, 1600.0)
 """Starts that bracket the crossing near 1,450 m (Fig. 8)."""
 
+START_M = (0.0, 400.0)
+"""Starts at which the paper's model also has difficulty (Figs. 6 and 8)."""
+
 EARLY_H, LATE_MORNING_H = (6.0, 8.0), (9.5, 12.0)
 """Where the original network consistently fails and where it works well (section 3.3, Fig. 4); the
 limits are ours, the paper has none."""
+
+EIGHT_H, TWO_H, AFTERNOON_H = (7.0, 9.0), (13.0, 15.0), (12.0, 18.0)
+"""About 8 am and 2 pm (Fig. 5), and the afternoon of Fig. 7; the limits are ours."""
+
+ALMOST_ALL = 0.95
+"""Share of runs that "almost all" and "always" ask for; ours, the paper has none."""
+
+SEVERAL_M = 2.0
+"""What "several meters" ask for at least [m]; ours."""
+
+EVEN = 0.10
+"""Share by which parts of a day may differ that is "consistent across the entire day"; ours."""

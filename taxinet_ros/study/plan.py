@@ -22,10 +22,9 @@ BEST = 'best'
 NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
 """Names of the networks; their campaigns are ``evaluate-<name>``, but of the original one."""
 
-FALSIFY, ANALYZE, LOCALIZE, LEARN, REPORT = (
-    'falsify-original', 'analyze-original', 'localize-original', 'learn-failures', 'report'
+FALSIFY, ANALYZE, LOCALIZE, REPORT = (
+    'falsify-original', 'analyze-original', 'localize-original', 'report'
 )
-LEARNED_PROGRAM = f'{LEARN}/learned.scenic'
 
 _TRIALS = 4
 """Runs that `taxinet localize` makes of one failed run: as it was, and three substitutions."""
@@ -41,10 +40,20 @@ def weights_of(network: str) -> str:
     return f'train-{network}/{network}.safetensors'
 
 
+def search_of(sampler: str, seed: int) -> str:
+    """Folder of a search for the generic network's failures."""
+    return f'learn-{sampler}-{seed}'
+
+
+def learned_program(config: StudyConfig) -> str:
+    """What the first search has learned, whose pictures are added for further training."""
+    return f'{search_of(config.samplers[0], config.learning_seeds[0])}/learned.scenic'
+
+
 def stages(config: StudyConfig) -> tuple[Stage, ...]:
     """All stages of a study, each after those whose files it needs."""
     found = [*_falsification(config), *_debugging(config), *_retraining(config)]
-    found += [_learning(config), *_iteration(config)]
+    found += [*_learning(config), *_iteration(config)]
     if config.best:
         found.append(_evaluation(config, BEST, config.best))
     everything = tuple(name for stage in found for name in stage.outputs)
@@ -106,16 +115,21 @@ def _retraining(config: StudyConfig) -> Iterator[Stage]:
         yield _evaluation(config, network)
 
 
-def _learning(config: StudyConfig) -> Stage:
-    return campaign_stage(
-        LEARN, config.learning_program, sampler=config.sampler, seed=config.learning_seed,
-        runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
-        outputs=(f'{LEARN}/learned.json', LEARNED_PROGRAM),
-    )
+def _learning(config: StudyConfig) -> Iterator[Stage]:
+    program = learned_program(config)
+    for sampler in config.samplers:
+        for seed in config.learning_seeds:
+            name = search_of(sampler, seed)
+            outputs = [f'{name}/learned.json']
+            yield campaign_stage(
+                name, config.learning_program, sampler=sampler, seed=seed,
+                runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
+                outputs=[*outputs, program] if Path(program).parent.name == name else outputs,
+            )
 
 
 def _iteration(config: StudyConfig) -> Iterator[Stage]:
-    programs = (config.generic, config.crossing, LEARNED_PROGRAM)
+    programs = (config.generic, config.crossing, learned_program(config))
     for network, program in zip(ITERATIVE, programs, strict=True):
         # The same seed: the images of the generic network once more, and others.
         yield _training(
@@ -130,7 +144,7 @@ def _training(
     config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
 ) -> Stage:
     """The training of a network; further training of the generic one where images are added."""
-    inputs = [weights_of(GENERIC)] * bool(added) + [added] * (added == LEARNED_PROGRAM)
+    inputs = [weights_of(GENERIC)] * bool(added) + [added] * (added == learned_program(config))
     others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
     return training_stage(
         weights_of(network), program, *more, images=config.images, validation=config.validation,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.campaign_runs import CampaignRuns, runs_of
+from taxinet_ros.analysis.campaign_runs import CampaignRuns, Weighting, runs_of
 from taxinet_ros.analysis.paired_rates import PairedRates, paired_rates
 from taxinet_ros.analysis.settled import settled_cross_track_m
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
@@ -19,8 +19,18 @@ from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.weights import weights_path
 from taxinet_ros.study.config import StudyConfig
-from taxinet_ros.study.plan import ANALYZE, LEARN, LOCALIZE, NETWORKS, campaign_of, weights_of
+from taxinet_ros.study.plan import (
+    ANALYZE,
+    BEST,
+    LOCALIZE,
+    NETWORKS,
+    ORIGINAL,
+    campaign_of,
+    search_of,
+    weights_of,
+)
 
 SETTLED_RUNS = 400
 """Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
@@ -106,22 +116,37 @@ class Pair:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LearningSearch:
+    """A search for the generic network's failures.
+
+    Attributes:
+        learned: the distribution that its sampler came to.
+        table: its runs.
+    """
+
+    learned: LearnedResult
+    table: pd.DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
 class Results:
     """Everything that is there; what is not done yet is missing.
 
     Attributes:
         networks: by name, in the study's order.
-        learned: distribution of the generic network's failures, or None.
+        searches: for the generic network's failures, by sampler, one for each seed.
         localized: values of ``localize.json``, or None.
         analysis: values of ``analysis.json``, or None.
         experiments: values of ``experiment.json`` by the experiment's name.
+        experiment_pairs: the pairs of runs of these experiments.
     """
 
     networks: Mapping[str, Network]
-    learned: LearnedResult | None
+    searches: Mapping[str, tuple[LearningSearch, ...]]
     localized: Mapping[str, Any] | None
     analysis: Mapping[str, Any] | None
     experiments: Mapping[str, Mapping[str, Any]]
+    experiment_pairs: Mapping[str, pd.DataFrame]
 
     def pair(self, first: str, second: str) -> Pair | None:
         """Two networks on the scenes that were judged with both; None if one is missing.
@@ -136,9 +161,10 @@ class Results:
     @property
     def distances(self) -> Choice | None:
         """The choice of where to start along the runway, of what was learned."""
-        for choice in self.learned.choices if self.learned else ():
-            if 'distance' in choice.feeds and choice.pieces:
-                return choice
+        for found in self.searches.values():
+            for choice in found[0].learned.choices:
+                if 'distance' in choice.feeds and choice.pieces:
+                    return choice
         return None
 
 
@@ -148,53 +174,138 @@ def read_results(config: StudyConfig, out: Path) -> Results:
     Raises:
         UsageError: a table or a file is damaged.
     """
-    networks = {
-        name: _network(name, out) for name in NETWORKS
-        if (out / campaign_of(name) / PARQUET_NAME).is_file()
-    }
+    networks = {}
+    for name in NETWORKS:
+        folder = out / campaign_of(name)
+        if (folder / PARQUET_NAME).is_file():
+            card = (out / weights_of(name)).with_suffix('.json')
+            networks[name] = _network(name, folder, card, bags=True)
     names = [Path(word).stem for word in config.experiments]
-    found = {name: _values(out / f'experiment-{name}' / 'experiment.json') for name in names}
-    learned = (out / LEARN / LEARNED_NAME).is_file()
+    folders = {name: out / f'experiment-{name}' for name in names}
+    values = {name: _values(folder / 'experiment.json') for name, folder in folders.items()}
     return Results(
-        networks=networks,
-        learned=LearnedResult.read(out / LEARN) if learned else None,
+        networks=networks, searches=_searches(config, out),
         localized=_values(out / LOCALIZE / 'localize.json'),
         analysis=_values(out / ANALYZE / 'analysis.json'),
-        experiments={name: values for name, values in found.items() if values is not None},
+        experiments={name: found for name, found in values.items() if found is not None},
+        experiment_pairs=_pairs({
+            name: folder / 'pairs.parquet' for name, folder in folders.items()
+        }),
     )
 
 
-def _network(name: str, out: Path) -> Network:
-    folder = out / campaign_of(name)
-    table = read_table(folder)
-    runs = runs_of(table, folder)
+def read_tables(config: StudyConfig, folder: Path) -> Results:
+    """What a study's tables say, where its folder is not at hand: those that the package ships.
+
+    Of a network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``, and that
+    of ``truth`` says whether the original network's failures are its own. ``experiment_<name>
+    .parquet`` has the pairs of an experiment; the searches have folders, as in a study.
+
+    Args:
+        config: what was run.
+        folder: of the tables.
+
+    Raises:
+        UsageError: there is none, or one is damaged or was not drawn at random.
+    """
+    networks = {}
+    for name in NETWORKS:
+        word = config.best if name == BEST else name
+        path = _largest(folder, word)
+        if path is not None:
+            card = weights_path(word).with_suffix('.json')
+            networks[name] = _network(name, path, card, bags=False)
+    if not networks:
+        raise UsageError(f'--tables {folder}: has no s_falsif_NETWORK_RUNS.parquet')
+    names = [Path(word).stem for word in config.experiments]
+    return Results(
+        networks=networks, searches=_searches(config, folder),
+        localized=_on_truth(networks.get(ORIGINAL), _largest(folder, 'truth')), analysis=None,
+        experiments={}, experiment_pairs=_pairs({
+            name: folder / f'experiment_{name}.parquet' for name in names
+        }),
+    )
+
+
+def _largest(folder: Path, word: str) -> Path | None:
+    start, end = f's_falsif_{word}_', '.parquet'
+    found = {
+        int(runs): path for path in folder.glob(f'{start}*{end}')
+        if (runs := path.name.removeprefix(start).removesuffix(end)).isdecimal()
+    }
+    return found[max(found)] if found else None
+
+
+def _on_truth(original: Network | None, path: Path | None) -> dict[str, Any] | None:
+    """The original network's failed scenes on the true state, as ``taxinet localize`` has them."""
+    if original is None or path is None:
+        return None
+    truth = _network('truth', path, None, bags=False)
+    frame = _pair(original, truth).frame
+    again = frame[~frame['satisfied_first']]
+    passed = share_of(again['satisfied_second'].to_numpy())
+    count = len(again)
+    shares = {
+        'substitution': 'truth', 'judged': count, 'passed': int(again['satisfied_second'].sum()),
+        'low': passed.low, 'high': passed.high,
+    }
+    return {
+        'failed': int(original.runs.failed.sum()), 'judged': len(original.table),
+        'looked_into': count, 'counted': count, 'sentences': [], 'substitutions': [shares],
+    }
+
+
+def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearningSearch, ...]]:
+    found = {
+        sampler: tuple(
+            LearningSearch(learned=LearnedResult.read(folder), table=read_table(folder))
+            for seed in config.learning_seeds
+            if ((folder := out / search_of(sampler, seed)) / LEARNED_NAME).is_file()
+        )
+        for sampler in config.samplers
+    }
+    return {sampler: searches for sampler, searches in found.items() if searches}
+
+
+def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
+    return {name: read_table(path) for name, path in paths.items() if path.is_file()}
+
+
+def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:
+    """The runs in a campaign's folder, or in a table of one."""
+    table = read_table(path)
+    runs = runs_of(table, path)
+    if runs.weighting is not Weighting.DRAWN:
+        raise UsageError(f'{path}: its runs were chosen by a sampler, and a study judges networks '
+                         'on scenes that were drawn at random; evaluate with --sampler random')
     judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
-    card = _values((out / weights_of(name)).with_suffix('.json'))
-    ids = judged['run_id'].tolist()
+    ids = judged['run_id'].tolist() if bags else []
     some = ids[:: max(1, -(-len(ids) // SETTLED_RUNS))]
     return Network(
-        name=name, runs=runs, table=judged.reset_index(drop=True), card=card or {},
-        settled_m=settled_cross_track_m(folder, some),
+        name=name, runs=runs, table=judged.reset_index(drop=True),
+        card=(_values(card) if card else None) or {}, settled_m=settled_cross_track_m(path, some),
     )
 
 
 def _pair(first: Network, second: Network) -> Pair:
-    frames = []
-    for network, end in ((first, '_first'), (second, '_second')):
-        frame = network.runs.frame[['index', *_SCENE]].copy()
-        frame['satisfied'], frame['off'] = ~network.runs.failed, network.off
-        frames.append(frame.add_suffix(end).rename(columns={f'index{end}': 'index'}))
-    both = frames[0].merge(frames[1], on='index')
+    one, other = (
+        network.runs.frame[['index', *_SCENE]]
+        .assign(satisfied=~network.runs.failed, off=network.off).set_index('index')
+        for network in (first, second)
+    )
+    common = one.index.intersection(other.index)
+    one, other = one.loc[common], other.loc[common]
     for name in _SCENE:
-        if not both[f'{name}_first'].equals(both[f'{name}_second'].rename(f'{name}_first')):
+        if not one[name].equals(other[name]):
             raise UsageError(
                 f'{first.runs.path} and {second.runs.path}: have not the same {name}; evaluate '
                 'both networks on one program with one seed'
             )
-    return Pair(
-        first=first.name, second=second.name,
-        frame=both.rename(columns={'distance_m_first': 'distance_m'}),
-    )
+    return Pair(first=first.name, second=second.name, frame=pd.DataFrame({
+        'distance_m': one['distance_m'],
+        'satisfied_first': one['satisfied'], 'satisfied_second': other['satisfied'],
+        'off_first': one['off'], 'off_second': other['off'],
+    }))
 
 
 def _values(path: Path) -> dict[str, Any] | None:

@@ -14,6 +14,7 @@ from taxinet_ros.bag.layout import disk_error, sync_folder
 from taxinet_ros.campaign.journal import JournalOwner, open_journal, whole_lines
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.provenance import Provenance, differences, known, provenance
 
 LOG_NAME = 'stages.jsonl'
 
@@ -30,6 +31,7 @@ class StageRecord:
         sittings: how many they were. One that was killed outright has left no time.
         killed: whether one was.
         facts: of its last end: command, date, cores, version.
+        stacks: machine, libraries and code of each sitting; empty where one did not tell.
         skipped: why there was nothing to do, or ''.
     """
 
@@ -42,6 +44,7 @@ class StageRecord:
     killed: bool = False
     facts: Mapping[str, Any] = field(default_factory=dict)
     skipped: str = ''
+    stacks: tuple[Provenance, ...] = ()
     _open: bool = False
 
     def take(self, event: Mapping[str, Any]) -> None:
@@ -49,8 +52,9 @@ class StageRecord:
         if event['event'] == 'begin':
             self.killed = self._open or (self.killed and event['resumed'])
             if not event['resumed']:
-                self.wall_s, self.sittings, self.killed = 0.0, 0, False
+                self.wall_s, self.sittings, self.killed, self.stacks = 0.0, 0, False, ()
             self.identity, self.runs, self._open = event['identity'], event['runs'], True
+            self.stacks = (*self.stacks, known(event.get('provenance')))
             self.key, self.outputs, self.skipped = '', {}, ''
             return
         self._open = False
@@ -82,12 +86,23 @@ class StageLog(JournalOwner):
             'date': datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds'),
             'cores': len(os.sched_getaffinity(0)), 'version': __version__,
         }
+        if event == 'begin':
+            line['provenance'] = dict(provenance())
         try:
             self._journal.append(line)
             self._journal.sync()
         except OSError as error:
             raise disk_error(self._path, error) from error
         self.records.setdefault(stage, StageRecord()).take(line)
+
+
+def other_stack(records: Mapping[str, StageRecord]) -> str:
+    """One line where a stage was begun on another machine or version than this; else ''."""
+    before = [stack for record in records.values() for stack in record.stacks]
+    if not all(before):
+        return 'nothing tells on which machine and versions all the stages so far were made'
+    found = differences(*before, provenance())
+    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
 
 
 def read_records(out: Path) -> dict[str, StageRecord]:

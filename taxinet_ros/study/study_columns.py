@@ -30,9 +30,17 @@ MORE_COLUMNS: Columns = (
 )
 LEARNED_COLUMNS: Columns = (
     ('from_m', 'from [m]', 0, False), ('to_m', 'to [m]', 0, False),
-    ('program', 'the program', 1, True), ('learned', 'learned', 1, True),
+    ('program', 'the program', 1, True),
+    *(
+        column for sampler in ('ce', 'ce-verifai', 'mab') for column in (
+            (sampler, f'learned by {sampler}', 1, True), (f'{sampler}_least', 'least', 1, True),
+            (f'{sampler}_greatest', 'greatest', 1, True),
+        )
+    ),
     ('of_failures', 'failures of random runs', 1, True), ('of_failures_low', 'from', 1, True),
-    ('of_failures_high', 'to', 1, True), ('paper', 'learned in the paper', 1, True),
+    ('of_failures_high', 'to', 1, True), ('weighted', 'failures that ce found, weighted', 1, True),
+    ('weighted_low', 'from', 1, True), ('weighted_high', 'to', 1, True),
+    ('paper', 'learned in the paper', 1, True),
 )
 PAIR_COLUMNS: Columns = (
     ('first', 'first', None, False), ('second', 'second', None, False),

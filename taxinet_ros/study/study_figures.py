@@ -85,15 +85,24 @@ def learned_picture(learned: pd.DataFrame) -> Picture:
     def draw(figure: Figure, theme: Theme) -> None:
         axes = figure.subplots()
         places = np.arange(len(learned))
-        kinds = [('program', theme.faint, 'the program'), ('learned', theme.passed, 'learned here')]
+        kinds = [('program', theme.faint, 'the program', ('', ''))]
+        samplers = [
+            name.removesuffix('_least') for name in map(str, learned) if name.endswith('_least')
+        ]
+        kinds += [
+            (name, colour, f'learned by {name}', ('_least', '_greatest'))
+            for name, colour in zip(samplers, (theme.passed, *theme.others[1:]), strict=False)
+        ]
         if 'of_failures' in learned:
-            kinds.append(('of_failures', theme.others[0], 'failures of random runs'))
-        for number, (name, colour, label) in enumerate(kinds):
+            kinds.append(('of_failures', theme.others[0], 'failures of random runs',
+                          ('_low', '_high')))
+        width = 0.84 / len(kinds)
+        for number, (name, colour, label, ends) in enumerate(kinds):
             values = learned[name].to_numpy(dtype=float)
-            where = places + (number - 1) * 0.25
-            axes.bar(where, values, width=0.23, color=colour, label=label)
-            if name == 'of_failures':
-                axes.errorbar(where, values, yerr=_ends(learned, name), fmt='none',
+            where = places + (number - (len(kinds) - 1) / 2) * width
+            axes.bar(where, values, width=0.92 * width, color=colour, label=label)
+            if ends[0]:
+                axes.errorbar(where, values, yerr=_ends(learned, name, ends), fmt='none',
                               ecolor=theme.ink, capsize=3, elinewidth=1)
         axes.plot(places, learned['paper'].to_numpy(dtype=float), 'D', color=theme.failed,
                   markersize=7, label='learned in the paper', clip_on=False)
@@ -109,9 +118,10 @@ def learned_picture(learned: pd.DataFrame) -> Picture:
 
     return Picture(
         name='learned', title="Where the generic network's failures start", draw=draw,
-        caption="The distribution that cross-entropy has learned, the program's own, the failures "
-        "among random runs with 95 % intervals, and the paper's; of the stretches without a "
-        'diamond it says about 1 % in all.',
+        caption='What cross-entropy has learned: the mean over searches that differ in their seed, '
+        "and the least and greatest of them. Beside it the program's own distribution, the "
+        "failures among random runs with 95 % intervals, and what the paper's search learned; of "
+        'the stretches without a diamond it says about 1 % in all.',
     )
 
 
@@ -170,9 +180,11 @@ def _campaigns(results: Results, names: Sequence[str]) -> list[CampaignRuns]:
     ]
 
 
-def _ends(frame: pd.DataFrame, name: str) -> np.ndarray:
+def _ends(
+    frame: pd.DataFrame, name: str, ends: tuple[str, str] = ('_low', '_high')
+) -> np.ndarray:
     """Lengths of the error bars, below and above."""
     value = frame[name].to_numpy(dtype=float)
-    ends = [value - frame[f'{name}_low'].to_numpy(dtype=float),
-            frame[f'{name}_high'].to_numpy(dtype=float) - value]
-    return np.clip(np.nan_to_num(np.array(ends)), 0, None)
+    lengths = [value - frame[f'{name}{ends[0]}'].to_numpy(dtype=float),
+               frame[f'{name}{ends[1]}'].to_numpy(dtype=float) - value]
+    return np.clip(np.nan_to_num(np.array(lengths)), 0, None)

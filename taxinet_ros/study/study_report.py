@@ -14,11 +14,12 @@ from taxinet_ros.analysis.plain_values import plain_values
 from taxinet_ros.analysis.report_parts import Report
 from taxinet_ros.bag.layout import write_atomically, write_whole
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.provenance import provenance
 from taxinet_ros.study.claim import Claim
 from taxinet_ros.study.claims import judge_claims
 from taxinet_ros.study.config import StudyConfig
 from taxinet_ros.study.plan import REPORT, stages
-from taxinet_ros.study.results import Results, read_results
+from taxinet_ros.study.results import Results, read_results, read_tables
 from taxinet_ros.study.stage_log import read_records
 from taxinet_ros.study.stage_times import stages_frame
 from taxinet_ros.study.study_sections import StudyFindings, study_facts, study_sections
@@ -35,15 +36,18 @@ PAGE_NAME, JSON_NAME = 'case_study.html', 'case_study.json'
 SCHEMA, VERSION = 'taxinet-case-study', 1
 
 
-def write_study_report(config: StudyConfig, out: Path) -> list[str]:
+def write_study_report(
+    config: StudyConfig, out: Path, tables: Path | None = None
+) -> list[str]:
     """Write the report of what is done so far, in place of an earlier one.
 
     Args:
         config: of the study.
         out: its folder.
+        tables: folder of tables to report in place of what is in ``out``, or None.
 
     Returns:
-        Lines to print: the summary, and where the report is.
+        Lines to print: the summary, with ``tables`` every claim, and where the report is.
 
     Raises:
         UsageError: no network was evaluated yet, or a file of the study is damaged.
@@ -52,10 +56,10 @@ def write_study_report(config: StudyConfig, out: Path) -> list[str]:
     from taxinet_ros.analysis.picture_files import LIGHT, write_png
     from taxinet_ros.analysis.report_page import write_report_page
 
-    found = find(config, out)
+    found = find(config, out, tables)
     folder = out / REPORT
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f'{folder}: cannot be made: {error.strerror}') from error
     for name, frame in found.frames().items():
@@ -67,19 +71,23 @@ def write_study_report(config: StudyConfig, out: Path) -> list[str]:
     write_report_page(report, folder / PAGE_NAME)
     text = json.dumps(study_values(found), indent=2, allow_nan=False, ensure_ascii=False)
     write_atomically(folder / JSON_NAME, text + '\n')
-    return [*report.summary, f'report: {folder / PAGE_NAME}']
+    claims = [f'{claim.name}: {claim.sentence()}' for claim in found.claims] if tables else []
+    return [*report.summary, *claims, f'report: {folder / PAGE_NAME}']
 
 
-def find(config: StudyConfig, out: Path) -> StudyFindings:
-    """Everything that the report says.
+def find(config: StudyConfig, out: Path, tables: Path | None = None) -> StudyFindings:
+    """Everything that the report says; of tables alone there are no stages.
 
     Raises:
         UsageError: no network was evaluated yet, or a file of the study is damaged.
     """
-    results = read_results(config, out)
+    results = read_results(config, out) if tables is None else read_tables(config, tables)
     if not results.networks:
         raise UsageError(f'{out}: no network was evaluated yet, so there is nothing to report')
-    found = [stage for stage in stages(config) if stage.name != REPORT]
+    found = [stage for stage in stages(config) if stage.name != REPORT and tables is None]
+    if tables is not None:  # as many runs as there are: none of them is still to come
+        runs = min(len(network.table) + network.unjudged for network in results.networks.values())
+        config = dataclasses.replace(config, runs=runs)
     return StudyFindings(
         config=config, out=out, results=results, claims=judge_claims(results),
         networks=networks_frame(results), hours=hours_frame(results),
@@ -100,6 +108,7 @@ def study_values(found: StudyFindings) -> dict[str, Any]:
     """The findings as plain values; shares are fractions, and what is not known is None."""
     return plain_values({
         'schema': SCHEMA, 'version': VERSION, 'taxinet_ros_version': __version__,
+        'made_on': dict(provenance()),
         'config': dataclasses.asdict(found.config), 'summary': list(study_summary(found)),
         'claims': [_claim(claim) for claim in found.claims],
         **{name: _records(frame) for name, frame in found.frames().items()},
@@ -110,10 +119,10 @@ def study_values(found: StudyFindings) -> dict[str, Any]:
     })
 
 
-def _claim(claim: Claim) -> dict[str, str]:
+def _claim(claim: Claim) -> dict[str, str | float]:
     return {
         'name': claim.name, 'statement': claim.statement, 'source': claim.source,
-        'verdict': claim.verdict.name.lower(), 'evidence': claim.evidence,
+        'verdict': claim.verdict.name.lower(), 'p': claim.p_value, 'evidence': claim.evidence,
     }
 
 

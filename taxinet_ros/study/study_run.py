@@ -13,7 +13,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.child import run_child
 from taxinet_ros.study.progress import State, can_resume, seconds_left, state_of
 from taxinet_ros.study.stage import Resume, Stage
-from taxinet_ros.study.stage_log import StageLog
+from taxinet_ros.study.stage_log import StageLog, other_stack
 from taxinet_ros.study.study_lines import clock, stage_line, time_line
 
 BROKEN = 4
@@ -54,6 +54,8 @@ class StudyRun:
             UsageError: a stage cannot be begun.
         """
         self._check_runs()
+        if warning := other_stack(self._log.records):
+            self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):
             state = state_of(stage, self._log.records, self._out)

@@ -15,8 +15,9 @@ from taxinet_ros.analysis.paired_arms import paired_arms
 from taxinet_ros.analysis.report_parts import Column, Picture, Section, Table
 from taxinet_ros.campaign.experiment import arm_rows
 from taxinet_ros.campaign.experiment_file import find_experiment, read_experiment
-from taxinet_ros.study.claim import Claim, Verdict
+from taxinet_ros.study.claim import Claim, Verdict, p_words
 from taxinet_ros.study.config import StudyConfig
+from taxinet_ros.study.paper import PAPER_RULE
 from taxinet_ros.study.results import Results
 from taxinet_ros.study.study_columns import (
     LEARNED_COLUMNS,
@@ -47,7 +48,7 @@ class StudyFindings:
         results: of its stages.
         claims: the paper's statements, judged.
         networks, hours, distances, pairs, learned: of :mod:`.study_tables`.
-        stages: of :mod:`.stage_times`.
+        stages: of :mod:`.stage_times`; empty where there are tables only.
     """
 
     config: StudyConfig
@@ -73,14 +74,15 @@ class StudyFindings:
 def study_facts(found: StudyFindings) -> Mapping[str, str]:
     """What was run."""
     config = found.config
-    done = found.stages[found.stages['done']]
-    dates = sorted(date[:10] for date in done['date'] if date)
-    versions = ', '.join(sorted({str(version) for version in done['version'] if version}))
+    done = found.stages[found.stages['done']] if len(found.stages) else found.stages
+    dates = sorted(date[:10] for date in done.get('date', ()) if date)
+    versions = ', '.join(sorted({str(version) for version in done.get('version', ()) if version}))
     facts = {
         'program': config.program, 'scale': f'{config.scale:g}',
         'images': f'{config.images:,} and {config.validation:,} held back, per network',
-        'epochs': str(config.epochs), 'seeds': f'training {config.training_seed}, evaluation '
-        f'{config.seed}, learning {config.learning_seed}', 'version': versions,
+        'epochs': str(config.epochs), 'version': versions,
+        'seeds': f'training {config.training_seed}, evaluation {config.seed}, '
+        f'learning {", ".join(map(str, config.learning_seeds))}',
         'dates': ' to '.join(dict.fromkeys(dates[:1] + dates[-1:])),
         'paper': 'Fremont, Chiu, Margineantu, Osipychev and Seshia, CAV 2020',
     }
@@ -130,19 +132,22 @@ def _claims(found: StudyFindings) -> Section:
     claims = sorted(found.claims, key=lambda claim: order[claim.verdict])
     return Section(
         name='claims', heading='What the paper says, and what we see', sentences=(
-            'Each is judged by the 95 % interval of a difference on our runs: in kind as in the '
-            'paper if all of the interval is on its side, not as in the paper if all of it is on '
-            'the other, else not clear from these runs. No allowance is made for there being '
-            'several statements.',
+            'Each is tested on our runs from both sides: in kind as in the paper if runs like ours '
+            'were unlikely were the statement false, not as in the paper if they were unlikely '
+            'were it true, else not clear from these runs. All tests of all statements are one '
+            'family (Holm), so in at most 5 % of studies any of these verdicts is wrong; p is '
+            'adjusted for that, the intervals beside it are 95 % each by itself.',
         ),
         tables=(Table(
             name='claims', title='Statements of the paper', caption='', columns=(
                 Column(name='verdict', title='verdict'),
+                Column(name='p', title='p'),
                 Column(name='statement', title='the paper'),
                 Column(name='evidence', title='our runs'),
             ),
             rows=tuple(
-                (claim.verdict.value, f'{claim.statement} ({claim.source})', claim.evidence)
+                (claim.verdict.value, p_words(claim.p_value),
+                 f'{claim.statement} ({claim.source})', claim.evidence)
                 for claim in claims
             ),
         ),),
@@ -185,7 +190,7 @@ def _debugging(found: StudyFindings) -> Section:
 def _experiments(found: StudyFindings) -> Iterator[Picture]:
     for word in found.config.experiments:
         name = Path(word).stem
-        if name in found.results.experiments:
+        if name in found.results.experiments:  # in a study's folder, with its arms
             experiment = read_experiment(find_experiment(word))
             rows = arm_rows(experiment, found.out / f'experiment-{name}')
             picture = arms_picture(paired_arms(experiment, rows))
@@ -197,13 +202,20 @@ def _experiments(found: StudyFindings) -> Iterator[Picture]:
 def _learned(found: StudyFindings) -> Section:
     if found.learned.empty:
         return Section(name='learned', heading='')
-    config = found.config
+    kinds = [
+        f'{len(searches)} {"search" if len(searches) == 1 else "searches"} by {sampler} '
+        f'({min(len(one.table) for one in searches):,} runs each)'
+        for sampler, searches in found.results.searches.items()
+    ]
     return Section(
         name='learned', heading="Where the generic network's failures are, as learned",
         sentences=(
-            f'One search of {config.learning_runs:,} runs by {config.sampler}, seed '
-            f'{config.learning_seed}; how much such searches differ is not in it. The paper '
-            "learned with VerifAI's rule, which goes for the likeliest bin (ce-verifai here).",
+            f'{" and ".join(kinds)}, which differ in their seed: mean, least and greatest. '
+            f'{PAPER_RULE} is the rule by which the paper learned; it goes for the likeliest '
+            'failures and remembers some ten of them. ce estimates where all failures are, but a '
+            'bin in which it has found none keeps a share of the program, by a constant of its '
+            'own. So both are what a sampler goes by, not estimates; these are the failures among '
+            'random runs, and those that ce found with their weights, with 95 % intervals.',
         ),
         pictures=(learned_picture(found.learned),),
         tables=(table_of(found.learned, 'learned', 'Where on the runway', 'Shares in percent.',
@@ -227,6 +239,8 @@ def _p_words(value: float) -> str:
 
 
 def _stages(found: StudyFindings) -> Section:
+    if found.stages.empty:
+        return Section(name='stages', heading='')
     lines = found.stages.to_dict('records')
     titles = ('stage', 'wall time', 'sittings', 'runs', 'cores', 'workers', 'date')
     return Section(

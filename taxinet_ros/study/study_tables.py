@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.campaign.rates import CONFIDENCE, Rate, share_bounds
+from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.study.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
 from taxinet_ros.study.plan import (
     BEST,
@@ -37,6 +38,9 @@ _MEDIANS = {
     'median_rho': 'rho', 'median_settle_s': 'settle_time_s',
     'median_cte_error_m': 'cte_error_mean_abs_m',
 }
+
+WEIGHTED = 'ce'
+"""The sampler whose weights have a bound, so that what it found tells of the program itself."""
 
 HOURS = tuple(float(hour) for hour in range(6, 19))
 DISTANCES_M = tuple(float(metre) for metre in range(0, 2001, 100))
@@ -72,25 +76,57 @@ def pairs_frame(results: Results) -> pd.DataFrame:
 
 
 def learned_frame(results: Results) -> pd.DataFrame:
-    """One line for each stretch of runway of which the paper tells what was learned."""
-    choice, learned = results.distances, results.learned
-    generic = results.networks.get(GENERIC)
-    if choice is None or learned is None:
+    """One line for each stretch of runway of which the paper tells what was learned.
+
+    Of each sampler the mean of its searches, the least and the greatest: how much such searches
+    differ by chance, which is no interval of where the failures are. That is in ``of_failures``,
+    from random runs, and in ``weighted``, from the runs of ``ce`` with their weights, both as the
+    runs have it: no bin is given anything where nothing was found.
+    """
+    choice = results.distances
+    if choice is None:
         return pd.DataFrame()
-    probabilities = learned.probabilities[choice.dimension.name]
+    generic = results.networks.get(GENERIC)
     lines = []
     for (low, high), paper in zip(
         itertools.pairwise(LEARNED_EDGES_M), PAPER_LEARNED, strict=True
     ):
         line = {
             'from_m': low, 'to_m': high, 'program': choice.probability_within(low, high),
-            'learned': choice.probability_within(low, high, probabilities), 'paper': paper,
+            'paper': paper,
         }
+        for sampler, searches in results.searches.items():
+            found = [
+                choice.probability_within(
+                    low, high, search.learned.probabilities[choice.dimension.name])
+                for search in searches
+            ]
+            line |= {sampler: sum(found) / len(found), f'{sampler}_least': min(found),
+                     f'{sampler}_greatest': max(found)}
         if generic is not None:
             there = generic.within('distance_m', low, high)[generic.runs.failed]
             line |= {'failures': int(there.sum()), **_named('of_failures', share_of(there))}
+        if WEIGHTED in results.searches:
+            tables = [search.table for search in results.searches[WEIGHTED]]
+            line |= _named('weighted', _weighted_share(pd.concat(tables), low, high))
         lines.append(line)
     return pd.DataFrame(lines)
+
+
+def _weighted_share(table: pd.DataFrame, low: float, high: float) -> Rate:
+    """Share of the failures under the program that start in [low, high), from a biased search.
+
+    Its interval is Clopper and Pearson's for as many failures as the weights are worth (Korn and
+    Graubard, Survey Methodology 24, 1998).
+    """
+    failed = table[table['outcome'] == Outcome.FAIL]
+    weights = failed['weight'].to_numpy(dtype=float)
+    if not len(failed) or np.isnan(weights).any():
+        return Rate(math.nan, math.nan, math.nan)
+    there = failed['distance_m'].between(low, high, inclusive='left').to_numpy()
+    share = float(weights[there].sum() / weights.sum())
+    worth = float(weights.sum() ** 2 / (weights**2).sum())
+    return Rate(share, *share_bounds(share * worth, (1 - share) * worth, (1 - CONFIDENCE) / 2))
 
 
 def _network_line(network: Network) -> dict[str, Any]:

@@ -34,6 +34,8 @@ def percent(value: float, low: float, high: float) -> str:
 
 
 def _incomplete(found: StudyFindings) -> Iterator[str]:
+    if found.stages.empty:
+        return
     todo = found.stages[~found.stages['done']]['stage'].tolist()
     if todo:
         done = len(found.stages) - len(todo)
@@ -87,6 +89,8 @@ def _counts(found: StudyFindings) -> Iterator[str]:
 
 
 def _cost(found: StudyFindings) -> Iterator[str]:
+    if found.stages.empty:
+        return
     done = found.stages[found.stages['done']]
     if done.empty:
         return

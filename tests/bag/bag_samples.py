@@ -108,10 +108,12 @@ def frame(step: int, shape: tuple[int, int] = (4, 6)) -> np.ndarray[Any, np.dtyp
 def step_messages(step: int, shape: tuple[int, int] = (4, 6)) -> dict[str, Any]:
     """Message by topic of one step."""
     pixels = frame(step, shape)
-    named = {'run_id': 'r', 'seq': step}
+    sec, nanosec = divmod(step * STEP_NS, 10**9)
+    stamp = {'header__stamp__sec': sec, 'header__stamp__nanosec': nanosec}
+    named = {**stamp, 'run_id': 'r', 'seq': step}
     return {
         '/ground_truth/odom': make(
-            'nav_msgs/msg/Odometry', pose__pose__position__x=10.0 * step,
+            'nav_msgs/msg/Odometry', **stamp, pose__pose__position__x=10.0 * step,
             pose__pose__position__y=-0.5 * step, twist__twist__linear__x=5.0 + step,
         ),
         '/ground_truth/tracking_error': make(
@@ -130,7 +132,7 @@ def step_messages(step: int, shape: tuple[int, int] = (4, 6)) -> dict[str, Any]:
             rho_upper=8.0 - step, **named,
         ),
         '/camera/image_raw': make(
-            'sensor_msgs/msg/Image', height=shape[0], width=shape[1], encoding='rgb8',
+            'sensor_msgs/msg/Image', **stamp, height=shape[0], width=shape[1], encoding='rgb8',
             step=3 * shape[1], data=pixels.reshape(-1),
         ),
     }

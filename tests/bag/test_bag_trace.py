@@ -63,7 +63,7 @@ def test_given_late_or_missing_answers_when_traced_then_matched_by_step_and_else
 def test_given_several_formulas_when_traced_then_each_has_its_columns(tmp_path: Path) -> None:
     messages = samples(2)
     for seq in range(2):
-        other = make('taxinet_msgs/msg/Robustness', seq=seq, spec='phi_always',
+        other = make('taxinet_msgs/msg/Robustness', run_id='r', seq=seq, spec='phi_always',
                      rho_lower=-np.inf, rho_upper=3.0 - seq)
         messages.append(('/monitor/robustness', seq * STEP_NS, serialise(other)))
     write_bag(tmp_path / 'run', messages)
@@ -104,17 +104,17 @@ def test_given_frames_when_read_then_pixels_and_stamps_are_right(tmp_path: Path)
         np.testing.assert_array_equal(pixels, frame(step))
 
 
-def _image(**fields: Any) -> tuple[str, int, bytes]:
+def _image(stamp_ns: int = 7, **fields: Any) -> tuple[str, int, bytes]:
     values: dict[str, Any] = {
-        'height': 2, 'width': 2, 'encoding': 'rgb8', 'step': 6,
+        'header__stamp__nanosec': stamp_ns, 'height': 2, 'width': 2, 'encoding': 'rgb8', 'step': 6,
         'data': np.arange(12, dtype=np.uint8), **fields,
     }
-    return ('/camera/image_raw', 7, serialise(make('sensor_msgs/msg/Image', **values)))
+    return ('/camera/image_raw', stamp_ns, serialise(make('sensor_msgs/msg/Image', **values)))
 
 
 def test_given_padded_rows_or_bgr_when_read_then_pixels_are_rgb(tmp_path: Path) -> None:
     padded = np.arange(16, dtype=np.uint8)
-    write_bag(tmp_path / 'run', [_image(step=8, data=padded), _image(encoding='bgr8')])
+    write_bag(tmp_path / 'run', [_image(step=8, data=padded), _image(8, encoding='bgr8')])
     first, second = (pixels for _, pixels in read_images(tmp_path / 'run'))
     assert first.tolist() == [[[0, 1, 2], [3, 4, 5]], [[8, 9, 10], [11, 12, 13]]]
     assert second[0].tolist() == [[2, 1, 0], [5, 4, 3]]

@@ -49,16 +49,22 @@ def test_given_a_file_then_its_arms_differ_in_what_they_set_only(tmp_path):
 
 
 def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
-    assert known_experiments() == ('crossing', 'light', 'shadows')
+    assert known_experiments() == ('crossing', 'light', 'shadows', 'shadows_afternoon')
     found = {name: read_experiment(find_experiment(name)) for name in known_experiments()}
     varied = {name: {key for arm in one.arms for key in arm.laid_over}
               for name, one in found.items()}
-    assert varied == {'crossing': {'crossing'}, 'light': {'time_of_day'}, 'shadows': {'shadows'}}
+    assert varied == {'crossing': {'crossing'}, 'light': {'time_of_day'}, 'shadows': {'shadows'},
+                      'shadows_afternoon': {'shadows'}}
     assert found['light'].arms[1].laid_over == {'time_of_day': '10'}
     with SceneSource(found['crossing'].program, seed=0) as source:
         starts = [source.scene(index).distance_m for index in range(20)]
     assert 1100 <= min(starts) < 1300
     assert 1500 < max(starts) <= 1700
+    with SceneSource(found['shadows_afternoon'].program, seed=0) as source:
+        scenes = [source.scene(index) for index in range(20)]
+    assert min(scene.time_of_day_s for scene in scenes) > 12 * 3600
+    assert {(scene.clouds, scene.rain) for scene in scenes} == {('clear', 0.0)}
+    assert max(scene.distance_m for scene in scenes) <= 1000
 
 
 @pytest.mark.parametrize(

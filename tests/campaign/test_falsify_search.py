@@ -13,6 +13,7 @@ import pytest
 from taxinet_ros.campaign import scene_source
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.search import PATIENCE
 from taxinet_ros.campaign.search_lines import search_summary
@@ -224,12 +225,53 @@ def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule,
     search = toy.finish(chosen)
     assert 3 <= len(search.rows) < runs
     assert search.stopped == f'{rule} reached'
-    assert chosen.stop.met(search.rows)
-    assert not chosen.stop.met(search.rows[:-1])
+    assert chosen.stop.met(search.rows[:1 - LAG])
+    assert not chosen.stop.met(search.rows[:-LAG])
     again = toy.finish(
         toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=chosen.stop, resume=True)
     )
     assert len(again.rows) == len(search.rows)
+
+
+@pytest.mark.parametrize('rule', ['failures=2', 'half-width=0.3'])
+def test_t15_given_a_stop_rule_then_workers_make_no_difference(rule, tmp_path):
+    """One worker stopped after 10 runs, two after 11."""
+    folders = []
+    for workers, pick in ((1, toy.first), (2, toy.last), (8, toy.last)):
+        chosen = toy.options(
+            tmp_path / str(workers), runs=200, workers=workers, stop=parse_stop_rule(rule))
+        search = toy.finish(chosen, workers, pick)
+        assert search.stopped == f'{rule} reached'
+        folders.append(tmp_path / str(workers))
+    for folder in folders[1:]:
+        toy.same_table(folders[0], folder)
+
+
+def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(tmp_path):
+    stop = parse_stop_rule('failures=1')
+    words = '\n'.join(search_summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop))))
+    assert 'too high on average; the interval holds all the same' in words
+    assert 'wide enough to hold wherever a search stops' in words
+    words = '\n'.join(
+        search_summary(toy.finish(toy.options(tmp_path / 'b', sampler='random'))))
+    assert 'too high' not in words
+    assert '(95 % intervals)' in words
+
+
+def test_t15_given_a_search_that_was_given_more_runs_then_its_interval_is_for_any_stop(tmp_path):
+    toy.finish(toy.options(tmp_path / 'c', runs=20))
+    search = toy.finish(toy.options(tmp_path / 'c', runs=30, resume=True))
+    assert search.first_planned == 20
+    words = '\n'.join(search_summary(search))
+    assert 'wide enough to hold wherever a search stops' in words
+    assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign['first_runs'] == 20
+
+
+def test_t1_given_a_search_without_draws_then_its_summary_says_that_there_is_no_rate(tmp_path):
+    lines = search_summary(toy.finish(toy.options(tmp_path / 'c', sampler='grid')))
+    (line,) = [line for line in lines if 'rate' in line]
+    assert line.startswith('no rate from this search: grid chose all of its')
+    assert not any('%' in line for line in lines)
 
 
 def test_given_a_budget_then_no_run_begins_after_it_is_spent(tmp_path, monkeypatch):
@@ -327,8 +369,8 @@ def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refu
         toy.finish(toy.options(whole, resume=True))
 
 
-@pytest.mark.parametrize('sampler', ['bo', 'tpe', 'cmaes'])
-def test_given_a_sampler_without_weights_then_no_rate_can_be_waited_for(sampler, tmp_path):
+@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid', 'ce-verifai'])
+def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, tmp_path):
     chosen = toy.options(
         tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')
     )

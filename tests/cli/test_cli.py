@@ -33,6 +33,11 @@ def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags
     assert (done.returncode, done.stderr) == (0, '')
     lines = done.stdout.splitlines()
     assert lines[0].startswith('2 runs of s_falsif, seed 3, perception truth')
+    assert lines[1] == (
+        'phi_eventually: at some time from 0 s to 10 s: always from then on: |cte| <= 1.5 m; '
+        'cte within ±105 m; horizon 12 s'
+    )
+    lines = lines[:1] + lines[2:]
     assert [line.split()[:2] for line in lines[1:3]] == [['0', 'PASS'], ['1', 'PASS']]
     assert lines[3] == '2 PASS'
 

@@ -16,9 +16,9 @@ import pandas as pd
 import pytest
 from taxinet_process import TAXINET
 
-from taxinet_ros.bag.judged_bag import BagVerdict, judge_bag, judged_spec
+from taxinet_ros.bag.judged_bag import BagVerdict, judge_runs, judged_spec
 from taxinet_ros.bag.judged_bags import judge_bags
-from taxinet_ros.bag.run_samples import read_samples
+from taxinet_ros.bag.run_samples import read_run_samples
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
@@ -38,6 +38,11 @@ def call(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, 
     code = _exit_code(lambda: app(['monitor', *map(str, words)], standalone_mode=False))
     captured = capsys.readouterr()
     return code, captured.out, captured.err
+
+
+def told(out: str, bag: Path) -> list[str]:
+    """The lines about a bag."""
+    return [line for line in out.splitlines() if line.startswith(bag.name)]
 
 
 def falsify(out: Path, runs: int, *words: str) -> str:
@@ -104,7 +109,10 @@ def test_given_new_requirements_then_each_gets_a_verdict_that_the_bag_had_never_
     file = tmp_path / 'new.yaml'
     file.write_text('predicates: {slow: speed <= 6}\nspecs:\n  slow_taxi: G slow\n')
     code, out, _ = call(capsys, whole, '--spec', file, '--spec', 'phi_always', '--spec', SOON)
-    lines = [line.split() for line in out.splitlines()]
+    assert [line.split(':')[0] for line in out.splitlines()[:3]] == [
+        'slow_taxi', 'phi_always', 'soon'
+    ], 'how they are understood'
+    lines = [line.split() for line in told(out, whole)]
     assert [line[1:3] for line in lines[:2]] == [
         ['slow_taxi', 'SATISFIED'], ['phi_always', lines[1][2]]
     ]
@@ -122,10 +130,11 @@ def test_given_a_stopped_run_when_a_new_requirement_is_open_then_it_is_incomplet
     stopped = campaign / table.loc[table['stopped_early'], 'bag'].iloc[0]
     code, out, _ = call(capsys, stopped, '--spec', 'on_runway', '--spec', SOON)
     assert code == 3
-    assert [line.split()[1:3] for line in out.splitlines()[:2]] == [
+    lines = told(out, stopped)
+    assert [line.split()[1:3] for line in lines[:2]] == [
         ['on_runway', 'INCOMPLETE'], ['soon', 'VIOLATED']
     ]
-    assert 'stopped early, at' in out.splitlines()[2]
+    assert 'stopped early, at' in lines[2]
 
 
 def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_pass(
@@ -139,7 +148,7 @@ def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_p
     assert one['rho_lower'] is None
     assert 0 < bag['end_s'] < 2
     assert one['as_recorded'] is True, 'the interval was recorded step by step'
-    rho = judge_bag(whole).verdicts[0].upper
+    rho = judge_runs(whole)[0].verdicts[0].upper
     assert rho <= one['rho_upper']
     assert 'torn_0.mcap' in bag['trouble']
 
@@ -154,14 +163,14 @@ def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_p
 
 def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path):
     data = bytearray((whole / f'{whole.name}_0.mcap').read_bytes())
-    expected = judge_bag(whole).verdicts[0]
+    expected = judge_runs(whole)[0].verdicts[0]
     path = tmp_path / 'flipped.mcap'
     places = range(40, len(data) - 40, len(data) // 12)
     for place in places:
         damaged = data.copy()
         damaged[place] ^= 0x10
         path.write_bytes(damaged)
-        found = judge_bag(path)
+        (found,) = judge_runs(path)
         assert found.trouble
         for one in found.verdicts:
             assert one.verdict is BagVerdict.INCOMPLETE
@@ -169,7 +178,7 @@ def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path
 
 
 def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
-    samples = read_samples(whole)
+    (samples,) = read_run_samples(whole)
     spec = parse_spec(samples.specs[0])
     assert judged_spec(samples, spec)[0].same is True
     newest = samples.recorded[spec.text]
@@ -179,7 +188,7 @@ def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
 
 
 def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(whole):
-    samples = read_samples(whole)
+    (samples,) = read_run_samples(whole)
     spec = parse_spec(samples.specs[0])
     values = [dict(sample) for sample in samples.samples]
     values[10]['cte'] = math.nan
@@ -246,7 +255,7 @@ def test_given_bounds_that_a_run_keeps_or_breaks_then_that_shows(whole, capsys):
     assert kept['rho_lower'] == kept['rho_upper'] == plain['rho_lower']
     code, out, _ = call(capsys, whole, '--spec', spec, '--rate', 'cte=0.001')
     assert code == 0
-    assert out.splitlines()[1] == (
+    assert told(out, whole)[1] == (
         f'{whole.name}  wide  a bound or rate broken at 0.1 s counts no more'
     )
 
@@ -260,6 +269,41 @@ def test_given_bad_assumptions_then_one_line_names_the_option(whole, capsys, wor
     assert code == 2
     assert told in err
     assert len(err.splitlines()) == 1
+
+
+def test_t17_given_a_window_beyond_a_recorded_run_then_it_is_unclear_and_no_pass(whole, capsys):
+    for text in ('far=always[35:40](cte < 1)', 'far=cte < 99 or always[35:40](cte < 1)'):
+        code, out, _ = call(capsys, whole, '--spec', text)
+        assert code == 3
+        assert told(out, whole)[0].split()[1:3] == ['far', 'UNCLEAR']
+        assert 'begins 35 s into the run, which lasts 2 s; nothing' in told(out, whole)[1]
+        (one,) = json.loads(call(capsys, whole, '--spec', text, '--json')[1])['bags'][0]['verdicts']
+        assert (one['verdict'], one['why_unclear'][:9]) == ('UNCLEAR', 'spec far:')
+
+
+def test_people2_given_a_vacuous_requirement_then_monitor_warns_once(campaign, capsys):
+    spec = 'gentle=always(abs(steering) <= 0.3)'
+    warning = (
+        'gentle: no run can violate it: |steering| <= 0.3 rad (17.19 deg) always holds '
+        '(steering within ±0.261799 rad (15 deg))'
+    )
+    code, out, _ = call(capsys, campaign, '--spec', spec)
+    assert code == 3, 'some runs were stopped'
+    assert out.splitlines().count(f'warning: {warning}') == 1
+    assert json.loads(call(capsys, campaign, '--spec', spec, '--json')[1])['warnings'] == [warning]
+
+
+def test_ros10_given_a_bag_of_a_seeing_perception_then_usable_is_judged_and_nothing_warned_of(
+    whole, capsys
+):
+    code, out, _ = call(capsys, whole, '--spec', 'usable')
+    assert code == 0
+    (line,) = told(out, whole)
+    assert line.split()[1:5] == ['usable', 'SATISFIED', 'rho', '+0.050']
+    (samples,) = read_run_samples(whole, ['estimate_gap'])
+    values = [dict(sample, estimate_gap=0.1 * row) for row, sample in enumerate(samples.samples)]
+    blind = dataclasses.replace(samples, samples=tuple(values), unusable_estimates=20)
+    assert judged_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].lower < 0
 
 
 def test_given_several_processes_then_the_answers_are_the_same_and_in_order(campaign):

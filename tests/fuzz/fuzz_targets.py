@@ -142,7 +142,7 @@ _SPECS = b"""predicates:
   on_centreline: abs(cte) <= 1.5
 specs:
   reach: 'F[0, 10] G on_centreline'
-  gentle: always(abs(steering) <= 0.3)
+  gentle: 'always[10 s:inf](abs(steering) <= 3 deg)'
 """
 
 

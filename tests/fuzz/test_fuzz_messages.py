@@ -22,16 +22,16 @@ from whole_runs import SCENE, _scenario, run_messages, run_topics
 from taxinet_ros.bag.cdr_gaps import walk_of
 from taxinet_ros.bag.facts import read_facts
 from taxinet_ros.bag.image_cdr import frame_of_cdr, image_cdr
-from taxinet_ros.bag.judged_bag import judge_bag
+from taxinet_ros.bag.judged_bag import judge_runs
 from taxinet_ros.bag.recorded_run import read_run
-from taxinet_ros.bag.run_samples import read_samples
+from taxinet_ros.bag.run_samples import read_run_samples
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.trace import read_images, read_trace
 from taxinet_ros.bag.writer import BagWriter
 
 MUTANTS = 12
 READERS: dict[str, Callable[[Path], object]] = {
-    'trace': read_trace, 'samples': read_samples, 'judge': judge_bag, 'run': read_run,
+    'trace': read_trace, 'samples': read_run_samples, 'judge': judge_runs, 'run': read_run,
     'facts': read_facts, 'images': lambda path: deque(read_images(path), maxlen=0),
 }
 TRUTH = '/ground_truth/tracking_error'

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.bag.golden import compare_golden, golden_bags, read_stack, stack_facts
+from taxinet_ros.bag.golden import compare_golden, golden_bags, same_stack
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.trace import read_trace
 from taxinet_ros.core.outcome import Outcome
@@ -39,7 +39,7 @@ def test_given_a_golden_scene_when_run_again_then_the_bag_is_the_same(name, agai
     assert results[name].outcome.judged, results[name]
     found = compare_golden(
         GOLDEN / name, out / name, perception=runs[name].perception,
-        same_stack=read_stack(GOLDEN) == stack_facts(),
+        to_the_bit=same_stack(GOLDEN),
     )
     assert sum(topic.counts[0] for topic in found.topics) == 975
     assert found.equal, [str(topic) for topic in found.topics if not topic.equal]
@@ -60,7 +60,7 @@ def test_given_a_changed_controller_then_the_check_bites(again, tmp_path):
     run = dataclasses.replace(runs['truth-nominal'], gains={'heading_gain': 1.5})
     rerun([(run, 'truth')], tmp_path, images='none')
     found = compare_golden(
-        GOLDEN / 'truth-nominal', tmp_path / 'truth-nominal', perception='truth', same_stack=False
+        GOLDEN / 'truth-nominal', tmp_path / 'truth-nominal', perception='truth', to_the_bit=False
     )
     differing = {topic.topic: topic for topic in found.topics if not topic.equal}
     assert '/taxi_command' in differing

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bag.checkup import check_bag
-from taxinet_ros.bag.judged_bag import judge_bag
+from taxinet_ros.bag.judged_bag import judge_runs
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.trace import read_trace
 from taxinet_ros.core.loop import run_closed_loop
@@ -123,10 +123,10 @@ def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_wit
     assert broken.rho['wide'] > 0, 'the run goes on without what it has broken'
 
     for request, early in zip(asked, (True, False), strict=True):
-        judged = judge_bag(tmp_path / request.run_id)
+        (judged,) = judge_runs(tmp_path / request.run_id)
         assert judged.stopped_early is early
         assert judged.verdicts[0].same is True
         assert (judged.verdicts[0].breach_s is None) is early
         assert check_bag(tmp_path / request.run_id).findings == ()
-    other = judge_bag(tmp_path / 'run-1', assumptions=Assumptions())
+    (other,) = judge_runs(tmp_path / 'run-1', assumptions=Assumptions())
     assert other.verdicts[0].same is None, 'an open interval is another one without the rates'

@@ -20,7 +20,8 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.study.config import StudyConfig
 from taxinet_ros.study.config_file import read_config, shipped_config, write_study
-from taxinet_ros.study.plan import LEARN, LOCALIZE, campaign_of
+from taxinet_ros.study.paper import PAPER_RULE
+from taxinet_ros.study.plan import LOCALIZE, campaign_of, search_of
 from taxinet_ros.study.stage_log import StageLog
 
 RUNS = 900
@@ -49,7 +50,9 @@ def made_up_study(out: Path) -> StudyConfig:
         folder = out / campaign_of(name)
         folder.mkdir()
         made_up_table(name, failing).to_parquet(folder / 'runs.parquet', index=False)
-    _learned(out / LEARN)
+    for number, seed in enumerate(config.learning_seeds):
+        for sampler in config.samplers:
+            _learned(out / search_of(sampler, seed), 0.01 * number * (sampler == PAPER_RULE))
     _localized(out / LOCALIZE)
     _experiment(out / 'experiment-shadows')
     with StageLog(out) as log:
@@ -70,15 +73,22 @@ def made_up_table(name: str, failing: Callable[[pd.DataFrame], object]) -> pd.Da
     )
 
 
-def _learned(folder: Path) -> None:
+def _learned(folder: Path, less: float) -> None:
+    """What a search came to, with so much less at 1,400-1,600 m and more at 1,200-1,400 m."""
     folder.mkdir()
+    probabilities = list(PROBABILITIES)
+    probabilities[6] += less
+    probabilities[7] -= less
     choice = Choice(
         dimension=Dimension(name='ego.position.y', low=0, high=2000, buckets=10),
         feeds=frozenset({'distance'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
     )
     result = LearnedResult(
-        facts={}, choices=(choice,), probabilities={'ego.position.y': PROBABILITIES})
+        facts={}, choices=(choice,), probabilities={'ego.position.y': tuple(probabilities)})
     (folder / 'learned.json').write_text(result.to_json())
+    table = made_up_table('generic', FAILING['generic'])[:60]
+    table.assign(weight=np.where(table['distance_m'] < 1000, 2.0, 0.5)).to_parquet(
+        folder / 'runs.parquet', index=False)
 
 
 def _localized(folder: Path) -> None:
@@ -96,10 +106,13 @@ def _experiment(folder: Path) -> None:
         with Ledger(folder / arm / 'ledger.jsonl') as ledger:
             for index in range(12):
                 ledger.result(_row(index, arm))
-    rho = {'change': 0.2, 'low': 0.1, 'high': 0.4, 'wilcoxon_p': 0.002}
     (folder / 'experiment.json').write_text(json.dumps({
-        'comparisons': [{'pairs': 12, 'rho': rho}], 'sentences': ['Rho is greater.'],
+        'comparisons': [{'pairs': 12}], 'sentences': ['Rho is greater.'],
     }))
+    hours = np.arange(6, 18, 0.2)
+    pd.DataFrame({
+        'time_of_day': hours, 'rho_shadows': 0.5, 'rho_no_shadows': np.where(hours < 12, 0.5, 0.7),
+    }).to_parquet(folder / 'pairs.parquet', index=False)
 
 
 def _row(index: int, arm: str) -> RunRow:

@@ -48,7 +48,7 @@ with StageLog(Path('study')) as log:
 def test_given_list_then_all_stages_are_named_with_their_commands_and_nothing_is_done(tmp_path):
     done = taxinet('case-study', '--list', '--scale', '0.02', '--runs', '7', cwd=tmp_path)
     lines = done.stdout.splitlines()
-    assert (done.returncode, len(lines)) == (0, 21), done.stderr
+    assert (done.returncode, len(lines)) == (0, 30), done.stderr
     assert lines[1].split()[:5] == ['2', 'falsify-original', 'to', 'do', 'taxinet']
     assert '--runs 7 --workers 2' in lines[1]
     assert '--images 240 ' in lines[0]
@@ -139,3 +139,9 @@ def test_given_a_campaign_interrupted_when_the_study_is_resumed_then_it_goes_on_
 def _results(out: Path) -> list[str]:
     lines = (out / 'evaluate-best' / 'ledger.jsonl').read_text().splitlines()
     return [line for line in lines if json.loads(line)['event'] == 'result']
+
+
+def test_s11_given_list_for_a_folder_without_a_study_then_all_stages_are_named(tmp_path):
+    done = taxinet('case-study', '--list', '--out', 'new', cwd=tmp_path)
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 21), done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -25,7 +25,18 @@ def written(folder: Path, text: str) -> Path:
 def test_given_the_shipped_study_then_its_sizes_are_the_paper_s():
     assert (SHIPPED.runs, SHIPPED.learning_runs, SHIPPED.epochs) == (4000, 1200, 20)
     assert (SHIPPED.added, SHIPPED.further_epochs) == (2400, 20)
-    assert len({SHIPPED.training_seed, SHIPPED.seed, SHIPPED.learning_seed}) == 3
+    assert SHIPPED.training_seed != SHIPPED.seed
+    assert not {SHIPPED.training_seed, SHIPPED.seed} & set(SHIPPED.learning_seeds)
+
+
+def test_t14_study_given_the_shipped_one_then_it_learns_by_both_rules_with_five_seeds_each():
+    assert SHIPPED.samplers == ('ce', 'ce-verifai')
+    assert len(set(SHIPPED.learning_seeds)) == 5
+
+
+def test_t14_study_given_one_sampler_and_seed_then_there_is_one_search(tmp_path):
+    own = read_config(written(tmp_path, 'learning: {sampler: mab, seed: 7}'))
+    assert (own.samplers, own.learning_seeds) == (('mab',), (7,))
 
 
 def test_given_a_file_that_says_little_then_the_rest_is_as_shipped(tmp_path):
@@ -52,6 +63,11 @@ def test_given_programs_beside_the_file_then_they_are_found_from_anywhere(tmp_pa
     ('debugging: {experiments: {moon: 3}}', "debugging.experiments.moon: experiment 'moon'"),
     ('debugging: {experiments: {off: 3}}', 'debugging.experiments: expected words as keys, got F'),
     ('learning: {sampler: random}', 'learning.sampler: expected one that tells what it learned'),
+    ('learning: {sampler: [ce, random]}', 'learning.sampler: expected one that tells what it'),
+    ('learning: {sampler: []}', 'learning.sampler: expected one or several, each once, got []'),
+    ('learning: {seed: [3, 3]}', 'learning.seed: expected one or several, each once, got [3, 3]'),
+    ('learning: {seed: [3, x]}', 'learning.seed: expected a whole number, 0 to '),
+    ('learning: {seed: [3, 1]}', 'is 1, as learning.seed is; give it another'),
     ('iteration: {share: 0}', 'iteration.share: expected a number above 0, at most 10, got 0'),
     ('iteration: {share: .nan}', 'iteration.share: expected a number above 0'),
     ('best: worst', "best: perception: 'worst' is unknown; known: truth, "),

@@ -14,9 +14,11 @@ from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.cli.main import app
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.config_file import read_config, shipped_config
-from taxinet_ros.study.plan import LEARNED_PROGRAM, NETWORKS, stages, up_to, weights_of
+from taxinet_ros.study.plan import NETWORKS, learned_program, stages, up_to, weights_of
 
-FOUND = {stage.name: stage for stage in stages(read_config(shipped_config()))}
+SHIPPED = read_config(shipped_config())
+FOUND = {stage.name: stage for stage in stages(SHIPPED)}
+LEARNED_PROGRAM = learned_program(SHIPPED)
 
 
 def command(name: str) -> str:
@@ -62,6 +64,19 @@ def test_given_further_training_then_it_begins_with_the_generic_network_and_adds
         words = command(f'train-iterative-{kind}')
         assert words.startswith('train s_falsif ')
         assert f'{start} --add {program}=2400' in words
+
+
+def test_t14_study_given_the_searches_then_there_is_one_for_each_rule_and_seed():
+    searches = {name: command(name) for name in FOUND if name.startswith('learn-')}
+    assert len(searches) == 10
+    for sampler in ('ce', 'ce-verifai'):
+        for seed in (2, 3, 4, 5, 6):
+            words = searches[f'learn-{sampler}-{seed}']
+            assert words.startswith(f'falsify s_falsif_ce --sampler {sampler} --seed {seed} ')
+            assert f'--perception {weights_of("generic")} ' in words
+            assert ' --runs 1200 ' in words
+    assert LEARNED_PROGRAM == 'learn-ce-2/learned.scenic'
+    assert LEARNED_PROGRAM in FOUND['learn-ce-2'].outputs
 
 
 def test_given_until_then_the_stages_end_there_and_an_unknown_one_lists_them():

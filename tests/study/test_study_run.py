@@ -26,7 +26,7 @@ def first_sitting(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[
     """A study that was run to its end, and what it printed."""
     out = tmp_path_factory.mktemp('study') / 'whole'
     code, lines = run_study(out)
-    assert (code, len(asked(out))) == (0, 21), lines
+    assert (code, len(asked(out))) == (0, 30), lines
     return out, lines
 
 
@@ -48,17 +48,17 @@ def test_given_a_whole_study_when_run_again_then_nothing_is_done_twice(finished)
     code, lines = run_study(finished)
     assert code == 0
     assert asked(finished) == []
-    assert len(lines) == 21
+    assert len(lines) == 30
     assert all('done, kept' in line for line in lines)
 
 
 def test_given_a_whole_study_then_headings_number_its_stages_and_tell_the_time(first_sitting):
     _, lines = first_sitting
     headings = [line for line in lines if line.startswith('[')]
-    assert len(headings) == 21
-    assert headings[1].startswith('[2/21] falsify-original: taxinet falsify s_falsif --sampler ')
+    assert len(headings) == 30
+    assert headings[1].startswith('[2/30] falsify-original: taxinet falsify s_falsif --sampler ')
     assert ' --runs 20 --workers 2' in headings[1]
-    assert sum(' to go' in line for line in lines) == 21
+    assert sum(' to go' in line for line in lines) == 30
 
 
 def test_given_another_training_when_resumed_then_what_rests_on_it_is_done_anew(

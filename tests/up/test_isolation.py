@@ -16,6 +16,7 @@ from standing import ended, taxinet
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.campaign import run_campaign
+from taxinet_ros.cli.main import app
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import BY_HAND, own_domain
@@ -125,3 +126,24 @@ def test_given_two_campaigns_at_once_then_each_is_what_it_is_alone(tmp_path):
         pd.testing.assert_frame_equal(table, expected)
         assert bags == expected_bags
     assert not set(made(alone, 'first')[1].values()) & set(made(alone, 'second')[1].values())
+
+
+@pytest.mark.parametrize('words', [
+    ('falsify', 'nominal', '--out', 'new'), ('experiment', 'crossing', '--out', 'new'),
+    ('case-study', '--scale', '0.02', '--out', 'new'),
+])
+def test_t17_domain_by_hand_takes_one_worker_and_nothing_is_written(words, tmp_path, monkeypatch):
+    monkeypatch.setenv(BY_HAND, '77')
+    monkeypatch.chdir(tmp_path)
+    message = 'TAXINET_DOMAIN_ID 77: one domain takes one graph, and there are 2 workers; say'
+    with pytest.raises(UsageError, match=message):
+        app([*words, '--workers', '2'], standalone_mode=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_t17_domain_by_hand_that_is_none_is_refused_before_a_search_begins(tmp_path, monkeypatch):
+    monkeypatch.setenv(BY_HAND, 'banana')
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="TAXINET_DOMAIN_ID 'banana': a ROS domain is a whole"):
+        app(['falsify', 'nominal', '--out', 'new'], standalone_mode=False)
+    assert list(tmp_path.iterdir()) == []

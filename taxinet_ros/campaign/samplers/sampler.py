@@ -59,5 +59,13 @@ class Sampler(Protocol):
         (self-normalised) still tend to the mean of the prior where the requirements hold.
         """
 
+    def drawn(self, index: int) -> bool:
+        """Whether the point of run ``index`` was drawn from the program itself.
+
+        That is: from the prior, independently of all other points, and whether it is drawn was
+        settled by seed and index alone, never by a result. Rates rest on these runs and no others
+        (:mod:`taxinet_ros.campaign.rates`).
+        """
+
     def learned(self) -> Probabilities:
         """Where failures are, by what has been told; empty where the sampler has no idea of it."""

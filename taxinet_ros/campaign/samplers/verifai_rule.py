@@ -15,20 +15,24 @@ class VerifaiRule(HistogramSampler):
     This is the rule by which Fremont et al. (Formal Analysis and Redesign of a Neural Network-Based
     Aircraft Taxiing System with VerifAI, CAV 2020) learned their failure distribution; it starts
     from the prior, and a robustness of 0 is a failure. It ends on the likeliest failures alone, and
-    drifts in dimensions that do not matter: the closer ``alpha`` is to 1, the slower. VerifAI's own
-    default is 0.9, whose outcome depends on chance; 0.995 is steady over a thousand runs and gives
-    histograms as uneven as the paper's. The weights are exact, and grow without bound.
+    drifts in dimensions that do not matter: the closer ``alpha`` is to 1, the slower. The default
+    is VerifAI's own, for the paper names no other. It remembers some ten failures, so that what one
+    search comes to depends on chance: ask several, that differ in their seed. The rule has no plain
+    draws; a ``floor`` gives it some.
     """
 
-    def __init__(self, space: Space, seed: int, *, alpha: float = 0.995) -> None:
+    def __init__(
+        self, space: Space, seed: int, *, alpha: float = 0.9, floor: float = 0.0,
+    ) -> None:
         """Know nothing yet.
 
         Args:
             space: what to search.
             seed: of the campaign.
             alpha: what one failure leaves of the histograms, above 0, below 1.
+            floor: share of the runs drawn from the prior, 0..1.
         """
-        super().__init__(space, seed, floor=0.0)
+        super().__init__(space, seed, floor)
         self._alpha = alpha
         self._current = prior_product(space)
 

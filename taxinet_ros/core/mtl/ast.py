@@ -194,6 +194,28 @@ def atoms(formula: Formula) -> tuple[Compare, ...]:
     return tuple(found)
 
 
+def size(formula: Formula) -> int:
+    """How many nodes of formulas there are if it is written out; those of expressions not counted.
+
+    Takes no longer where one object stands in many places, as the left side of an ``unless`` does.
+    """
+    done: dict[int, int] = {}
+
+    def visit(node: Formula) -> int:
+        if id(node) not in done:
+            match node:
+                case Compare():
+                    below = 0
+                case Not(child) | Temporal(_, _, child):
+                    below = visit(child)
+                case Logic(_, left, right) | TemporalPair(_, _, left, right):
+                    below = visit(left) + visit(right)
+            done[id(node)] = below + 1
+        return done[id(node)]
+
+    return visit(formula)
+
+
 def signal_names(formula: Formula) -> tuple[str, ...]:
     """Names of the signals that a formula reads, sorted."""
     names: set[str] = set()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lower import Asked, AtomBound, JoinBound, LowerBound
 from taxinet_ros.core.mtl.lower_chain import ChainAheadBound, ChainBackBound
 from taxinet_ros.core.mtl.lower_shift import ShiftAheadBound, ShiftBackBound
@@ -15,11 +17,17 @@ from taxinet_ros.core.mtl.normal import (
     CoreJoin,
     CoreShift,
     CoreWindow,
+    normalise,
     window_offsets,
 )
 from taxinet_ros.core.mtl.window import INF
 
 MakeAtom = Callable[[CoreAtom, Asked], AtomBound]
+
+MAX_NODES = 1_000
+"""Most nodes of one formula: a sample may cost a millisecond or so, and not more."""
+
+_NO_END_NS = 2**62
 
 
 class Root:
@@ -30,17 +38,19 @@ class Root:
         wake_ns: before this time the bound cannot change, and :meth:`follow` need not be called.
     """
 
-    __slots__ = ('_node', 'bound', 'wake_ns')
+    __slots__ = ('_node', '_steps', 'bound', 'wake_ns')
 
-    def __init__(self, node: LowerBound) -> None:
-        self._node = node
+    def __init__(self, core: Core, builder: Builder, first_ns: int) -> None:
+        self._node = node = builder.build(core, first_ns, first_ns)
+        self._steps = [part.step for part in builder.nodes]
         self.bound = node.floor
         self.wake_ns = node.wake_ns
 
     def follow(self, now_ns: int) -> None:
         """Follow the trace, of which all is known up to ``now_ns``."""
         node = self._node
-        node.step(now_ns)
+        for step in self._steps:
+            step(now_ns)
         if node.low < node.high:
             # Adding zero turns -0.0 into 0.0, as offline.
             self.bound = node.value[0] + 0.0
@@ -49,21 +59,45 @@ class Root:
 
 
 class Builder:
-    """Builds nodes over one growing trace.
+    """Builds the nodes of one core formula over one growing trace.
+
+    A subformula that is asked at the same samples from several places is one node.
 
     Args:
         stamps_ns: stamps of the trace, which the owner appends to.
         horizon_ns: end of the run [ns].
         make_atom: makes the node of a predicate.
+
+    Attributes:
+        nodes: all of them, operands first: the order in which they are to be stepped.
     """
 
     def __init__(self, stamps_ns: list[int], horizon_ns: int, make_atom: MakeAtom) -> None:
         self._stamps_ns = stamps_ns
         self._horizon_ns = horizon_ns
         self._make_atom = make_atom
+        self._built: dict[tuple[int, float, float], LowerBound] = {}
+        self.nodes: list[LowerBound] = []
 
     def build(self, core: Core, begin_ns: float, end_ns: float) -> LowerBound:
-        """Node for a core formula that is asked at samples within [begin, end]."""
+        """Node for a core formula that is asked at samples within [begin, end].
+
+        Raises:
+            UsageError: there would be more than :data:`MAX_NODES`.
+        """
+        key = id(core), begin_ns, end_ns
+        node = self._built.get(key)
+        if node is None:
+            node = self._built[key] = self._made(core, begin_ns, end_ns)
+            self.nodes.append(node)
+            if len(self.nodes) > MAX_NODES:
+                raise UsageError(
+                    f'formula: nested until[a:b] and since[a:b] with a > 0 make more than '
+                    f'{MAX_NODES:,} parts, each level twice as many; write fewer levels'
+                )
+        return node
+
+    def _made(self, core: Core, begin_ns: float, end_ns: float) -> LowerBound:
         asked = self._asked(begin_ns, end_ns)
         match core:
             case CoreAtom():
@@ -115,3 +149,16 @@ class Builder:
         child = self.build(core.child, asked.begin_ns + delay_ns, end_ns)
         kind = ShiftBackBound if core.past else ShiftAheadBound
         return kind(asked, lowest=core.lowest, delay_ns=core.delay_ns, child=child)
+
+
+def check_parts(formula: ast.Formula) -> None:
+    """See that a formula can be followed.
+
+    Raises:
+        UsageError: it would take more than :data:`MAX_NODES` nodes on some run.
+    """
+    def blank(core: CoreAtom, asked: Asked) -> AtomBound:
+        return AtomBound(asked, margins=(), floor=-INF, outlook=None)
+
+    # The end of a run only ever makes ranges of samples equal that are not without it.
+    Builder([], _NO_END_NS, blank).build(normalise(formula), 0, 0)

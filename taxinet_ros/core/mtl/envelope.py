@@ -100,22 +100,23 @@ def _least(atom: ast.Compare, negated: bool, box: Mapping[str, Range]) -> float:
 def margin_range(atom: ast.Compare, box: Mapping[str, Range]) -> Range:
     """Every finite margin of an atom for signals in a box lies in the returned range."""
     small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
-    return _arithmetic('-', _enclose(large, box), _enclose(small, box))
+    return _arithmetic('-', enclose(large, box), enclose(small, box))
 
 
-def _enclose(expr: ast.Expr, box: Mapping[str, Range]) -> Range:
+def enclose(expr: ast.Expr, box: Mapping[str, Range]) -> Range:
+    """Every finite value of an expression for signals in a box lies in the returned range."""
     match expr:
         case ast.Number(value):
             return value, value
         case ast.Signal(name):
             return box[name]
         case ast.Negative(child):
-            low, high = _enclose(child, box)
+            low, high = enclose(child, box)
             return -high, -low
         case ast.Arithmetic(op, left, right):
-            return _arithmetic(op, _enclose(left, box), _enclose(right, box))
+            return _arithmetic(op, enclose(left, box), enclose(right, box))
         case ast.Function(name, args):
-            return _function(name, [_enclose(arg, box) for arg in args])
+            return _function(name, [enclose(arg, box) for arg in args])
 
 
 def _arithmetic(op: ast.ArithmeticOp, left: Range, right: Range) -> Range:

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Collection
 
 from taxinet_ros.core.mtl.lexer import WORDS, Token
+from taxinet_ros.core.mtl.units import MEANT, UNITS
 
 _NO_STEP = 'samples have stamps and no fixed step: write a window, such as once[0.1:0.1]'
 _SAYS = {
@@ -41,15 +42,17 @@ def hint(token: Token, before: Token | None, names: Collection[str] = ()) -> str
     """
     said = _SAYS.get(token.raw)
     if said is None and token.kind == 'name' and token.raw not in names:
-        said = _resembling(token.raw, names)
-        if said is None and before is not None and before.kind == 'number':
-            said = 'numbers have no unit: that of the signal counts'
+        of_number = before is not None and before.kind == 'number'
+        said = _resembling(token.raw, [*names, *(UNITS if of_number else ())], of_number)
+        if said is None and of_number:
+            said = f'units are {", ".join(UNITS)}'
     return '' if said is None else f'; {said}'
 
 
-def _resembling(word: str, names: Collection[str]) -> str | None:
-    if _MEANS.get(word) in names:
-        return f'did you mean {_MEANS[word]!r}?'
+def _resembling(word: str, names: Collection[str], of_number: bool) -> str | None:
+    meant = MEANT.get(word) if of_number else _MEANS.get(word)
+    if meant in names:
+        return f'did you mean {meant!r}?'
     known = {name.lower(): name for name in [*WORDS, *names]}
     close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.7)
     return f'did you mean {known[close[0]]!r}?' if close else None

@@ -41,6 +41,8 @@ class Asked:
 class LowerBound(ABC):
     """One node. After each :meth:`step` its public face holds for the trace so far.
 
+    Each node is stepped once for every sample, and its operands before it (:class:`.build.Root`).
+
     Attributes:
         value: lower bound by sample index; entries before :attr:`first` mean nothing, and samples
             after ``end_ns`` have none that counts.
@@ -56,6 +58,8 @@ class LowerBound(ABC):
     """
 
     __slots__ = (
+        '_asked_ns',
+        '_told',
         'begin_ns',
         'end_ns',
         'final_ns',
@@ -84,6 +88,7 @@ class LowerBound(ABC):
         self.low, self.high = _NONE, 0
         self.monotone = self.settled = False
         self.floor = self.steady_ns = self.wake_ns = -INF
+        self._asked_ns, self._told = -1, -INF
         # A window behind asks its operand earlier than it is asked itself.
         self.final_ns = max([asked.end_ns, *(node.final_ns for node in operands)])
 
@@ -92,8 +97,15 @@ class LowerBound(ABC):
         """Follow the trace, to which samples were added; all is known up to ``now_ns``."""
 
     def future(self, now_ns: int) -> float:
-        """Lower bound at every sample that may still come and matter; +inf if none can."""
-        return INF if now_ns >= self.end_ns else self._future(now_ns)
+        """Lower bound at every sample that may still come and matter; +inf if none can.
+
+        To be asked after the step to ``now_ns``. Kept until the next one, for several may ask.
+        """
+        if now_ns >= self.end_ns:
+            return INF
+        if self._asked_ns != now_ns:
+            self._asked_ns, self._told = now_ns, self._future(now_ns)
+        return self._told
 
     @abstractmethod
     def _future(self, now_ns: int) -> float:
@@ -201,7 +213,6 @@ class JoinBound(ListedBound):
         """See the base."""
         self._grow()
         for child in self._children:
-            child.step(now_ns)
             self._touch(child.low, child.high)
         low, high = self.low, self.high
         if low < high:

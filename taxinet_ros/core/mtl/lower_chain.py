@@ -29,11 +29,10 @@ class ChainBound(ListedBound):
         self._own, self._other = picks
         self._left, self._right = left, right
 
-    def _step_operands(self, now_ns: int) -> None:
+    def _follow_operands(self) -> None:
         self._grow()
         for child in (self._left, self._right):
             if child is not None:
-                child.step(now_ns)
                 self._touch(child.low, child.high)
 
 
@@ -53,7 +52,7 @@ class ChainAheadBound(ChainBound):
 
     def step(self, now_ns: int) -> None:
         """See the base."""
-        self._step_operands(now_ns)
+        self._follow_operands()
         # After the newest sample nothing may follow, which is the worst for until; for the dual
         # the worst is the least that the right operand can still do.
         beyond = self._right.future(now_ns) if self._lowest else -INF
@@ -94,7 +93,7 @@ class ChainBackBound(ChainBound):
 
     def step(self, now_ns: int) -> None:
         """See the base."""
-        self._step_operands(now_ns)
+        self._follow_operands()
         if self.low >= self.high:
             return
         right, value, row = self._right.value, self.value, self.low

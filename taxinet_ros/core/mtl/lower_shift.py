@@ -30,7 +30,6 @@ class ShiftAheadBound(ShiftBound):
 
     def step(self, now_ns: int) -> None:
         """See the base."""
-        self._child.step(now_ns)
         self._grow()
         stamps, rows = self.stamps_ns, self.rows
         # The samples whose delay had not passed with the last one known may see a change.
@@ -71,7 +70,6 @@ class ShiftBackBound(ShiftBound):
 
     def step(self, now_ns: int) -> None:
         """See the base."""
-        self._child.step(now_ns)
         self._grow()
         stamps, rows = self.stamps_ns, self.rows
         if self._child.low < self._child.high:

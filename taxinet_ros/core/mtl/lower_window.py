@@ -8,6 +8,8 @@ case nothing more comes; it can lower a lowest value to the operand's :meth:`fut
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from itertools import accumulate
 
 from taxinet_ros.core.mtl.lower import Asked, ListedBound, LowerBound
 from taxinet_ros.core.mtl.stairs import Stairs
@@ -39,7 +41,6 @@ class AheadBound(LowerBound):
     def step(self, now_ns: int) -> None:
         """See the base."""
         child, stairs = self._child, self.value
-        child.step(now_ns)
         if self._grow():
             stairs.rows = self.rows
             if self._past < self.first:
@@ -88,7 +89,9 @@ class AheadBound(LowerBound):
 class WindowBound(ListedBound):
     """Lowest or highest over any window, of any node."""
 
-    __slots__ = ('_child', '_lowest', '_offsets', '_open', '_worst')
+    __slots__ = (
+        '_child', '_lowest', '_offsets', '_open', '_so_far', '_so_far_from', '_worst',
+    )
 
     def __init__(self, asked: Asked, *, lowest: bool, offsets: Offsets, child: LowerBound) -> None:
         super().__init__(asked, child)
@@ -98,14 +101,17 @@ class WindowBound(ListedBound):
         _forecast(self, lowest, offsets, child)
         self._lowest, self._offsets, self._child = lowest, offsets, child
         self._open, self._worst = 0, -INF
+        # Extreme of the samples of one window from the first on, up to each: see _seen_by.
+        self._so_far: list[float] = []
+        self._so_far_from = 0
 
     def step(self, now_ns: int) -> None:
         """See the base."""
         child = self._child
-        child.step(now_ns)
         grown = self._grow()
         if child.low < child.high:
             self._touch(*self._affected(child.low, child.high))
+            del self._so_far[max(child.low - self._so_far_from, 0):]
         elif not grown and self._open == self.rows and now_ns >= self.end_ns:
             # No window is open, and none will be.
             return
@@ -148,19 +154,55 @@ class WindowBound(ListedBound):
     def _seen(self, start: int, stop: int) -> list[float]:
         """Extremes of the samples so far, whatever may come."""
         values, (low_ns, high_ns) = self._child.value, self._offsets
+        if stop - start != 1 and high_ns == INF:
+            return self._seen_nested(start, stop)
         if stop - start != 1:
             rows = range(start, stop)
             return slide(self.stamps_ns, values, rows, low_ns, high_ns, self._lowest)
-        # The usual case at the root of a formula, and many times faster.
-        stamps, stamp = self.stamps_ns, self.stamps_ns[start]
-        left = bisect_left(stamps, stamp + low_ns, 0, len(values))
-        right = bisect_right(stamps, stamp + high_ns, left, len(values))
+        return [self._seen_by(start)]
+
+    def _seen_nested(self, start: int, stop: int) -> list[float]:
+        """The same for windows without an end: each holds the next, and what lies before that."""
+        stamps, values, low_ns = self.stamps_ns, self._child.value, self._offsets[0]
+        extreme: Callable[..., float] = min if self._lowest else max
+        found = [self._seen_by(stop - 1)] * (stop - start)
+        first = bisect_left(stamps, stamps[start] + low_ns, 0, len(values))
+        edge = bisect_left(stamps, stamps[stop - 1] + low_ns, first, len(values))
+        before = values[first:edge]
+        for row in range(stop - 2, start - 1, -1):
+            left = bisect_left(stamps, stamps[row] + low_ns, first, edge)
+            found[row - start] = extreme(
+                (found[row - start + 1], *before[left - first : edge - first])
+            )
+            edge = left
+        return found
+
+    def _seen_by(self, row: int) -> float:
+        """The same for one window: the usual case at the root of a formula, and many times faster.
+
+        A sample changes the operand at the newest samples only, so the extremes of all beginnings
+        of the window are kept, and only those that reach into the change are made anew.
+        """
+        stamps, values, (low_ns, high_ns) = self.stamps_ns, self._child.value, self._offsets
+        left = bisect_left(stamps, stamps[row] + low_ns, 0, len(values))
+        right = bisect_right(stamps, stamps[row] + high_ns, left, len(values))
         if left >= right:
-            return [empty_value(self._lowest)]
-        extreme = min if self._lowest else max
+            return empty_value(self._lowest)
+        extreme: Callable[..., float] = min if self._lowest else max
         if self._child.monotone:
-            return [extreme(values[left], values[right - 1])]
-        return [extreme(values[left:right])]
+            return extreme(values[left], values[right - 1])
+        so_far = self._so_far
+        if left != self._so_far_from:
+            self._so_far_from = left
+            so_far.clear()
+        known = len(so_far)
+        if known < right - left:
+            newer = values[left + known : right]
+            if known:
+                so_far[-1:] = accumulate(newer, extreme, initial=so_far[-1])
+            else:
+                so_far += accumulate(newer, extreme)
+        return so_far[right - left - 1]
 
     def _future(self, now_ns: int) -> float:
         return _window_future(self, self._lowest, self._offsets, self._child, now_ns)

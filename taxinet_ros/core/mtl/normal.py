@@ -12,6 +12,11 @@ CAV 2013, section 3)::
 
 where "at t + a" is the first sample at or after it. Time is in integer nanoseconds, so the half
 open [0,a) is the closed [0,a-1]. Since is split alike, backwards.
+
+The split names an operand twice, so nested ones would double at each level if they were copied.
+They are not: equal subformulas become one object, the core form is a graph without cycles, and
+whoever walks it keeps what is done by the object's id. Never hash or compare core nodes by
+structure.
 """
 
 from __future__ import annotations
@@ -86,22 +91,36 @@ def window_offsets(interval: ast.Interval, past: bool) -> tuple[float, float]:
 
 
 def normalise(formula: ast.Formula, *, negated: bool = False) -> Core:
-    """Core form of a formula, or of its negation."""
-    match formula:
-        case ast.Compare():
-            return CoreAtom(formula, negated)
-        case ast.Not(child):
-            return normalise(child, negated=not negated)
-        case ast.Logic(op, left, right):
-            first = normalise(left, negated=negated != (op == 'implies'))
-            return CoreJoin((op == 'and') != negated, (first, normalise(right, negated=negated)))
-        case ast.Temporal(op, interval, child):
-            lowest = (op in ('always', 'historically')) != negated
-            past = op in ('once', 'historically')
-            return _unary(lowest, past, interval, normalise(child, negated=negated))
-        case ast.TemporalPair(op, interval, left, right):
-            first, second = normalise(left, negated=negated), normalise(right, negated=negated)
-            return _pair(negated, op == 'since', interval, first, second)
+    """Core form of a formula, or of its negation; equal subformulas are one object."""
+    return _Normaliser().core(formula, negated)
+
+
+class _Normaliser:
+    def __init__(self) -> None:
+        self._done: dict[tuple[ast.Formula, bool], Core] = {}
+
+    def core(self, formula: ast.Formula, negated: bool) -> Core:
+        key = formula, negated
+        if key not in self._done:
+            self._done[key] = self._made(formula, negated)
+        return self._done[key]
+
+    def _made(self, formula: ast.Formula, negated: bool) -> Core:
+        match formula:
+            case ast.Compare():
+                return CoreAtom(formula, negated)
+            case ast.Not(child):
+                return self.core(child, not negated)
+            case ast.Logic(op, left, right):
+                first = self.core(left, negated != (op == 'implies'))
+                return CoreJoin((op == 'and') != negated, (first, self.core(right, negated)))
+            case ast.Temporal(op, interval, child):
+                lowest = (op in ('always', 'historically')) != negated
+                past = op in ('once', 'historically')
+                return _unary(lowest, past, interval, self.core(child, negated))
+            case ast.TemporalPair(op, interval, left, right):
+                first, second = self.core(left, negated), self.core(right, negated)
+                return _pair(negated, op == 'since', interval, first, second)
 
 
 def _unary(lowest: bool, past: bool, interval: ast.Interval, child: Core) -> Core:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,9 +54,37 @@ def robustness(
     names, atoms, core = _prepare(formula)
     columns = [_checked_signal(name, signals, len(stamps)) for name in names]
     margins = {atom: _margins(atom, names, columns, len(stamps)) for atom in atoms}
-    rho = _Evaluator(stamps, margins).at_first(core)
+    rho = _Evaluator(
+        stamps, lambda atom, negated: -margins[atom] if negated else margins[atom]
+    ).at_first(core)
     # Adding zero turns -0.0 into 0.0, the sign of which would depend on the order of evaluation.
     return rho + 0.0
+
+
+def robustness_range(
+    formula: ast.Formula, stamps_ns: Sequence[int] | Array,
+    margins: Mapping[ast.Compare, tuple[float, float]],
+) -> tuple[float, float]:
+    """Least and greatest robustness of any trace with these stamps.
+
+    Args:
+        formula: the formula.
+        stamps_ns: as for :func:`robustness`.
+        margins: least and greatest margin of each predicate, which are taken to be independent of
+            each other; so the range may be wider than what traces reach, never narrower.
+
+    Returns:
+        The two ends; both are +inf, or -inf, where the windows alone decide, not any sample.
+    """
+    stamps = _checked_stamps(stamps_ns)
+
+    def lowest(atom: ast.Compare, negated: bool) -> Column:
+        low, high = margins[atom]
+        return np.full(len(stamps), -high if negated else low)
+
+    lower = _Evaluator(stamps, lowest).at_first(normalise(formula))
+    upper = -_Evaluator(stamps, lowest).at_first(normalise(formula, negated=True))
+    return lower + 0.0, upper + 0.0
 
 
 @functools.lru_cache
@@ -116,9 +144,10 @@ def _margins(
 class _Evaluator:
     """Evaluates core formulas on one trace."""
 
-    def __init__(self, stamps: Stamps, margins: Mapping[ast.Compare, Column]) -> None:
+    def __init__(self, stamps: Stamps, margins: Callable[[ast.Compare, bool], Column]) -> None:
         self._stamps = stamps
         self._margins = margins
+        self._done: dict[int, Column] = {}
 
     def at_first(self, core: Core) -> float:
         """Value at the first sample alone, without the windows of the others."""
@@ -138,10 +167,15 @@ class _Evaluator:
         return float(window.min() if core.lowest else window.max())
 
     def _values(self, core: Core) -> Column:
-        """Values at all samples."""
+        """Values at all samples; those of a subformula that stands in several places once."""
+        if id(core) not in self._done:
+            self._done[id(core)] = self._evaluated(core)
+        return self._done[id(core)]
+
+    def _evaluated(self, core: Core) -> Column:
         match core:
             case CoreAtom(atom, negated):
-                return -self._margins[atom] if negated else self._margins[atom]
+                return self._margins(atom, negated)
             case CoreJoin(lowest, children):
                 first, *others = map(self._values, children)
                 for other in others:

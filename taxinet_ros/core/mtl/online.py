@@ -55,15 +55,24 @@ class Reading(NamedTuple):
     rejected: int
     trusted: bool = True
 
+    @property
+    def unclear(self) -> bool:
+        """Whether the windows alone decide: they are empty, so no sample made rho what it is."""
+        return self.lower == self.upper and math.isinf(self.lower)
+
 
 def verdict_of(lower: float, upper: float) -> Verdict:
     """Verdict on a robustness known to lie in [lower, upper]; give the same number twice for rho.
+
+    An infinite rho rests on empty windows: nothing was judged, and so the verdict is UNKNOWN.
 
     Raises:
         UsageError: NaN, or an empty interval.
     """
     if not lower <= upper:
         raise UsageError(f'robustness: [{lower}, {upper}] is no interval')
+    if lower == upper and math.isinf(lower):
+        return Verdict.UNKNOWN
     if lower > 0:
         return Verdict.SATISFIED
     if upper < 0:
@@ -223,10 +232,11 @@ class Monitor:
 
     def _start(self) -> tuple[Root, Root]:
         """Build the nodes for the formula and for its negation; both are asked at sample 0."""
-        builder = Builder(self._stamps_ns, self.horizon_ns, self._atom)
-        first_ns = self._stamps_ns[0]
         lower, upper = (
-            Root(builder.build(normalise(self.spec.formula, negated=negated), first_ns, first_ns))
+            Root(
+                normalise(self.spec.formula, negated=negated),
+                Builder(self._stamps_ns, self.horizon_ns, self._atom), self._stamps_ns[0],
+            )
             for negated in (False, True)
         )
         self._roots = lower, upper

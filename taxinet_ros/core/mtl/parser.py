@@ -1,5 +1,7 @@
 """Formula text to formula nodes, by operator precedence.
 
+A number may have a unit behind it (:mod:`.units`), which has to fit what it is compared with.
+
 Loosest to tightest: implies; or; and; until, since, unless, release; not and the unary temporal
 operators; comparison; + -; * /; unary minus. This is the precedence of the rtamt library's grammar,
 except that a chain of ``implies``, which tools group differently, must be parenthesised. A window
@@ -11,12 +13,31 @@ from __future__ import annotations
 import decimal
 import math
 from collections.abc import Collection, Mapping
-from typing import NoReturn, cast
+from typing import NamedTuple, NoReturn, cast
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.hints import hint
-from taxinet_ros.core.mtl.lexer import RESERVED, Token, check_parentheses, fail, tokens
+from taxinet_ros.core.mtl.lexer import (
+    MAX_TOKENS,
+    RESERVED,
+    Token,
+    check_parentheses,
+    fail,
+    tokens,
+)
+from taxinet_ros.core.mtl.margin import compile_margin
+from taxinet_ros.core.mtl.units import (
+    PURE,
+    UNITS,
+    Quantity,
+    added,
+    dimension_of,
+    in_si,
+    kind_words,
+    multiplied,
+    rooted,
+)
 
 MAX_DEPTH = 50
 """Deepest nesting of parentheses and prefix operators."""
@@ -32,12 +53,29 @@ _POWER = {
     '<=': _COMPARE, '<': _COMPARE, '>=': _COMPARE, '>': _COMPARE,
     '+': _SUM, '-': _SUM, '*': _PRODUCT, '/': _PRODUCT,
 }  # fmt: skip
-_UNIT_NS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+_UNIT_NS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1, 'min': 60 * 10**9}
 _TEMPORAL = frozenset({'always', 'eventually', 'historically', 'once'})
 _COMPARISON = "'<=', '<', '>=' or '>'"
 
 _Node = ast.Expr | ast.Formula
-_Placed = tuple[_Node, Token]
+
+
+class _Part(NamedTuple):
+    """What was read so far of a formula.
+
+    Attributes:
+        node: what it means.
+        start: its first token.
+        quantity: of a number, what is known of its dimension.
+        unit: the first number in it that has a unit, and that unit; or None.
+        constant: it is a number and reads no signal.
+    """
+
+    node: _Node
+    start: Token
+    quantity: Quantity = PURE
+    unit: tuple[Token, str] | None = None
+    constant: bool = False
 
 
 def parse(
@@ -50,7 +88,7 @@ def parse(
 
     Args:
         text: e.g. ``eventually[0:10](always(abs(cte) <= 1.5))``.
-        signals: names that the formula may read.
+        signals: names that the formula may read; where it is a mapping, with their units.
         predicates: formulas by name, which the text may use as in VerifAI's ``F[0, 10] G name``.
         where: what the text is, at the head of an error message.
 
@@ -62,7 +100,23 @@ def parse(
         if not name.isidentifier() or name in RESERVED or name in signals:
             raise UsageError(f'{where}: predicate {name!r}: choose another, unreserved name')
         named[name] = _Parser(body, signals, {}, f'{where}: predicate {name!r}').whole()
-    return _Parser(text, signals, named, where).whole()
+    formula = _Parser(text, signals, named, where).whole()
+    _check_written_out(formula, signals, where)
+    return formula
+
+
+def _check_written_out(formula: ast.Formula, signals: Collection[str], where: str) -> None:
+    """See that the text that goes into bags and tables can be read back."""
+    if ast.size(formula) <= MAX_TOKENS:
+        try:
+            _Parser(str(formula), signals, {}, where).whole()
+            return
+        except UsageError:
+            pass
+    fail(
+        where, 1, 'expected fewer parts: written out with every parenthesis (and p unless q with '
+        f'p twice) there may be at most {MAX_TOKENS} words and {MAX_DEPTH} levels',
+    )
 
 
 class _Parser:
@@ -74,17 +128,17 @@ class _Parser:
         self._depth = 0
         self._signals = signals
         self._named = named
+        self._names = [*signals, *named]
         self._where = where
 
     def whole(self) -> ast.Formula:
         check_parentheses(self._tokens, self._where)
-        start = self._peek
-        node = self._binary(_IMPLIES)
+        part = self._binary(_IMPLIES)
         if self._peek.text == ';':
             self._next()
-        if self._peek.kind != 'end' or not _is_formula(node):
-            self._expected("'and', 'or' or the end" if _is_formula(node) else _COMPARISON)
-        return self._formula(node, start)
+        if self._peek.kind != 'end' or not _is_formula(part.node):
+            self._expected("'and', 'or' or the end" if _is_formula(part.node) else _COMPARISON)
+        return self._formula(part)
 
     @property
     def _peek(self) -> Token:
@@ -99,7 +153,7 @@ class _Parser:
         token = token or self._peek
         place = self._tokens.index(token)
         before = self._tokens[place - 1] if place else None
-        told = hint(token, before, [*self._signals, *self._named])
+        told = hint(token, before, self._names)
         self._fail(token, f'expected {what}, got {token}{told}')
 
     def _take(self, text: str) -> None:
@@ -107,35 +161,36 @@ class _Parser:
             self._expected(repr(text))
         self._next()
 
-    def _formula(self, node: _Node, start: Token) -> ast.Formula:
-        if not _is_formula(node):
-            self._fail(start, f'expected a formula such as cte <= 1.5, got the number {node}')
-        return cast(ast.Formula, node)
+    def _formula(self, part: _Part) -> ast.Formula:
+        if not _is_formula(part.node):
+            self._fail(
+                part.start, f'expected a formula such as cte <= 1.5, got the number {part.node}'
+            )
+        return cast(ast.Formula, part.node)
 
-    def _expr(self, node: _Node, start: Token) -> ast.Expr:
-        if _is_formula(node):
-            self._fail(start, f'expected a number or signal, got the formula {node}')
-        return cast(ast.Expr, node)
+    def _expr(self, part: _Part) -> ast.Expr:
+        if _is_formula(part.node):
+            self._fail(part.start, f'expected a number or signal, got the formula {part.node}')
+        return cast(ast.Expr, part.node)
 
     def _fail(self, token: Token, message: str) -> NoReturn:
         fail(self._where, token.column, message)
 
-    def _binary(self, least: int) -> _Node:
+    def _binary(self, least: int) -> _Part:
         start = self._peek
-        node = self._prefix()
+        part = self._prefix()._replace(start=start)
         done = ''
         while (power := _POWER.get(self._peek.text, 0)) >= least:
             op = self._peek
-            self._refuse_chain(op, done, node)
+            self._refuse_chain(op, done, part.node)
             self._next()
             interval = self._interval() if power == _UNTIL else ast.Interval()
-            right_start = self._peek
             right = self._binary(power + 1)
-            node = self._joined(op, interval, (node, start), (right, right_start))
+            part = self._joined(op, interval, part, right)
             done = op.text
-        if self._peek.text in ('=', '==', '!=', '≠', '^', '**') and not _is_formula(node):
+        if self._peek.text in ('=', '==', '!=', '≠', '^', '**') and not _is_formula(part.node):
             self._expected(_COMPARISON)
-        return node
+        return part
 
     def _refuse_chain(self, op: Token, done: str, left: _Node) -> None:
         if op.text == done == 'implies':
@@ -146,27 +201,67 @@ class _Parser:
         if op.raw == '=>' and not _is_formula(left):
             self._expected(_COMPARISON, op)
 
-    def _joined(self, op: Token, interval: ast.Interval, left: _Placed, right: _Placed) -> _Node:
+    def _joined(self, op: Token, interval: ast.Interval, left: _Part, right: _Part) -> _Part:
         power = _POWER[op.text]
         if power >= _COMPARE:
-            low, high = self._expr(*left), self._expr(*right)
-            if power == _COMPARE:
-                return ast.Compare(cast(ast.CompareOp, op.text), low, high)
-            return ast.Arithmetic(cast(ast.ArithmeticOp, op.text), low, high)
-        first, second = self._formula(*left), self._formula(*right)
+            return self._calculated(op, left, right)
+        first, second = self._formula(left), self._formula(right)
         if power == _UNTIL:
-            return _pair(op.text, interval, first, second)
-        return ast.Logic(cast(ast.LogicOp, op.text), first, second)
+            return _Part(_pair(op.text, interval, first, second), left.start)
+        return _Part(ast.Logic(cast(ast.LogicOp, op.text), first, second), left.start)
 
-    def _prefix(self) -> _Node:
+    def _calculated(self, op: Token, left: _Part, right: _Part) -> _Part:
+        """A comparison, or a sum, difference, product or quotient."""
+        low, high = self._expr(left), self._expr(right)
+        constant = left.constant and right.constant
+        if _POWER[op.text] == _COMPARE:
+            self._check_units(left, right)
+            compared = ast.Compare(cast(ast.CompareOp, op.text), low, high)
+            if constant and not math.isfinite(compile_margin(compared, ())(())):
+                self._fail(left.start, f'{compared} has no finite margin')
+            return _Part(compared, left.start)
+        if op.text in '+-':
+            self._check_units(left, right)
+            quantity = added(left.quantity, right.quantity)
+        else:
+            quantity = multiplied(left.quantity, right.quantity, 1 if op.text == '*' else -1)
+        node = ast.Arithmetic(cast(ast.ArithmeticOp, op.text), low, high)
+        if op.text == '/' and right.constant and not _value(high):
+            self._fail(op, f'{node} divides by zero')
+        return self._finite(
+            _Part(node, left.start, quantity, left.unit or right.unit, constant), op
+        )
+
+    def _finite(self, part: _Part, token: Token) -> _Part:
+        """Refuse a constant that is none: it would void every run, not fail it."""
+        if part.constant and not math.isfinite(_value(cast(ast.Expr, part.node))):
+            self._fail(token, f'{part.node} has no finite value')
+        return part
+
+    def _check_units(self, left: _Part, right: _Part) -> None:
+        """Refuse a written unit beside what is of another dimension.
+
+        What is compared without any is in SI, and up to whoever wrote it.
+        """
+        wrong, other = (right, left) if right.unit else (left, right)
+        if wrong.unit is None or left.quantity.agrees(right.quantity):
+            return
+        (number, unit), dimension = wrong.unit, other.quantity.dimension
+        assert dimension is not None, 'what is not known agrees with everything'
+        self._fail(
+            number,
+            f'expected {kind_words(dimension)} to go with {other.node}, got {number.raw} {unit}',
+        )
+
+    def _prefix(self) -> _Part:
         self._depth += 1
         if self._depth > MAX_DEPTH:
             self._fail(self._peek, f'expected at most {MAX_DEPTH} nested parentheses')
-        node = self._one(self._next())
+        part = self._one(self._next())
         self._depth -= 1
-        return node
+        return part
 
-    def _one(self, token: Token) -> _Node:
+    def _one(self, token: Token) -> _Part:
         if token.kind == 'number':
             return self._number(token)
         if token.kind == 'name':
@@ -176,38 +271,55 @@ class _Parser:
             self._take(')')
             return inner
         if token.text == '-':
-            start = self._peek
-            return ast.Negative(self._expr(self._binary(_MINUS), start))
+            part = self._binary(_MINUS)
+            return part._replace(node=ast.Negative(self._expr(part)))
         if token.text in ast.FUNCTION_ARITY:
             return self._function(token)
         if token.text == 'not':
-            return ast.Not(self._operand())
+            return _Part(ast.Not(self._operand()), token)
         if token.text not in _TEMPORAL:
             self._expected("a signal, number, operator or '('", token)
         word = cast(ast.UnaryTemporalOp, token.text)
-        return ast.Temporal(word, self._interval(), self._operand())
+        return _Part(ast.Temporal(word, self._interval(), self._operand()), token)
 
     def _operand(self) -> ast.Formula:
-        start = self._peek
-        return self._formula(self._binary(_PREFIX), start)
+        return self._formula(self._binary(_PREFIX))
 
-    def _number(self, token: Token) -> ast.Number:
-        value = float(token.text)
+    def _number(self, token: Token) -> _Part:
+        unit = self._unit()
+        value = in_si(token.text, unit) if unit else float(token.text)
         if not math.isfinite(value):
             self._expected('a finite number', token)
-        return ast.Number(value)
+        node = ast.Number(value)
+        if not unit:
+            return _Part(node, token, constant=True)
+        return _Part(
+            node, token, Quantity(UNITS[unit].dimension), (token, unit), constant=True
+        )
 
-    def _name(self, token: Token) -> _Node:
+    def _unit(self) -> str:
+        """Take the unit that stands next, if one does."""
+        name, sign, per = (*self._tokens[self._at : self._at + 3], *self._tokens[-1:] * 2)[:3]
+        ratio = f'{name.text}/{per.text}'
+        if sign.text == '/' and ratio in UNITS and per.text not in self._names:
+            self._at += 3
+            return ratio
+        if name.text in UNITS and name.text not in self._names:
+            self._at += 1
+            return name.text
+        return ''
+
+    def _name(self, token: Token) -> _Part:
         if token.text in self._named:
-            return self._named[token.text]
+            return _Part(self._named[token.text], token)
         if token.text not in self._signals:
-            known = [*self._signals, *self._named]
-            told = hint(token, None, known)
-            listed = ', '.join(known)
+            told = hint(token, None, self._names)
+            listed = ', '.join(self._names)
             self._fail(token, f'expected a signal, got unknown {token}{told}; known: {listed}')
-        return ast.Signal(token.text)
+        unit = self._signals[token.text] if isinstance(self._signals, Mapping) else ''
+        return _Part(ast.Signal(token.text), token, Quantity(dimension_of(unit)))
 
-    def _function(self, token: Token) -> ast.Function:
+    def _function(self, token: Token) -> _Part:
         name = cast(ast.FunctionName, token.text)
         if self._peek.text != '(':
             self._expected(f"'(' after {name}")
@@ -221,11 +333,22 @@ class _Parser:
         if len(args) < least or len(args) > (most or len(args)):
             needs = f'{least} argument' if most else f'at least {least} arguments'
             self._fail(token, f'expected {needs} of {name}, got {len(args)}')
-        return ast.Function(name, tuple(args))
+        whole = args[0]
+        for arg in args[1:]:
+            self._check_units(whole, arg)
+            known = arg if whole.quantity.pure else whole
+            whole = known._replace(quantity=added(whole.quantity, arg.quantity))
+        part = _Part(
+            ast.Function(name, tuple(self._expr(arg) for arg in args)), token,
+            rooted(whole.quantity) if name == 'sqrt' else whole.quantity,
+            next((arg.unit for arg in args if arg.unit), None), all(arg.constant for arg in args),
+        )
+        return self._finite(part, token)
 
-    def _argument(self) -> ast.Expr:
-        start = self._peek
-        return self._expr(self._binary(_SUM), start)
+    def _argument(self) -> _Part:
+        part = self._binary(_SUM)
+        self._expr(part)
+        return part
 
     def _interval(self) -> ast.Interval:
         if self._peek.text != '[':
@@ -280,6 +403,11 @@ def _pair(
         neither = ast.TemporalPair('until', interval, ast.Not(left), ast.Not(right))
         return ast.Not(neither)
     return ast.TemporalPair(cast(ast.BinaryTemporalOp, word), interval, left, right)
+
+
+def _value(expr: ast.Expr) -> float:
+    """The value of an expression without signals; NaN where it has none."""
+    return compile_margin(ast.Compare('<=', ast.Number(0.0), expr), ())(())
 
 
 def _is_formula(node: _Node) -> bool:

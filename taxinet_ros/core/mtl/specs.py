@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
+from taxinet_ros.core.mtl.build import check_parts
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.runway import HALF_WIDTH_M
@@ -23,17 +24,27 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         'steering': 'rad',
         'cte_estimate': 'm',
         'he_estimate': 'rad',
+        'estimate_gap': 's',
+        'unusable_share': '1',
     }
 )
 """Unit of each signal. ``cte``, ``he``, ``speed`` and ``x`` (distance along the runway) are ground
 truth; ``steering`` is the command; the estimates are the perception's. Signs are those of
-:mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive."""
+:mod:`taxinet_ros.core.types`: cross-track, heading and steering are left positive. ``estimate_gap``
+is the time since the last usable estimate, 0 where this frame has one; ``unusable_share`` is the
+number of frames so far without one over that of all frames of the run, so it only grows."""
 
 CENTRELINE_TOLERANCE_M = 1.5
 """Largest |cross-track error| that counts as on the centreline [m] (the paper's two formulas)."""
 
 SETTLING_TIME_S = 10
 """Time that phi_eventually allows to reach the centreline for good [s]."""
+
+LONGEST_BLIND_S = 0.5
+"""Longest time without a usable estimate in ``usable`` [s]: 2.5 m of taxiing."""
+
+MOST_UNUSABLE_SHARE = 0.05
+"""Largest share of a run's frames without a usable estimate in ``usable``."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,9 +67,13 @@ def parse_formula(text: str, predicates: Mapping[str, str] | None = None) -> ast
     return parse(text, SIGNALS, predicates)
 
 
+def _spec(name: str, formula: ast.Formula) -> Spec:
+    check_parts(formula)
+    return Spec(name=name, formula=formula, text=str(formula))
+
+
 def _shipped(name: str, text: str) -> tuple[str, Spec]:
-    formula = parse_formula(text)
-    return name, Spec(name=name, formula=formula, text=str(formula))
+    return name, _spec(name, parse_formula(text))
 
 
 SHIPPED: Mapping[str, Spec] = MappingProxyType(
@@ -70,6 +85,11 @@ SHIPPED: Mapping[str, Spec] = MappingProxyType(
                 f'eventually[0:{SETTLING_TIME_S}](always(abs(cte) <= {CENTRELINE_TOLERANCE_M}))',
             ),
             _shipped('on_runway', f'always(abs(cte) <= {HALF_WIDTH_M})'),
+            _shipped(
+                'usable',
+                f'always(estimate_gap <= {LONGEST_BLIND_S} and '
+                f'unusable_share <= {MOST_UNUSABLE_SHARE})',
+            ),
         ]
     )
 )
@@ -81,7 +101,7 @@ _NAME = re.compile(r'[a-z][a-z0-9_]*')
 
 
 def parse_spec(
-    text: str, predicates: Mapping[str, str] | None = None, signals: Collection[str] = SIGNALS
+    text: str, predicates: Mapping[str, str] | None = None, signals: Collection[str] = SIGNALS,
 ) -> Spec:
     """Read a requirement as a user writes it.
 
@@ -108,7 +128,7 @@ def parse_spec(
         )
     formula = parse(text, signals, predicates)
     digest = hashlib.sha256(str(formula).encode()).hexdigest()[:8]
-    return Spec(name=f'spec_{digest}', formula=formula, text=str(formula))
+    return _spec(f'spec_{digest}', formula)
 
 
 def _readable(spec: Spec, signals: Collection[str]) -> Spec:
@@ -135,4 +155,4 @@ def _named(
     shipped = SHIPPED.get(name)
     if shipped is not None and shipped.formula != formula:
         raise UsageError(f'spec: {name!r} is shipped as {shipped.text}; choose another name')
-    return Spec(name=name, formula=formula, text=str(formula))
+    return _spec(name, formula)

@@ -57,7 +57,8 @@ class Stairs(Sequence[float]):
     def __getitem__(self, index: slice) -> list[float]: ...
     def __getitem__(self, index: int | slice) -> float | list[float]:
         if isinstance(index, slice):
-            return [self[row] for row in range(*index.indices(self.rows))]
+            start, stop, _ = index.indices(self.rows)
+            return self._listed(start, stop)
         if index >= self._reached:
             seen = self._nothing
         else:
@@ -65,6 +66,24 @@ class Stairs(Sequence[float]):
         if self.open <= index < self.never:
             return min(seen, self.cap)
         return seen
+
+    def _listed(self, start: int, stop: int) -> list[float]:
+        """Extremes of the windows start <= i < stop, step by step."""
+        starts, tops = self._starts, self._tops
+        found: list[float] = []
+        at, row = bisect_right(starts, start) - 1, start
+        while row < min(self._reached, stop):
+            at += 1
+            end = min(starts[at] if at < len(starts) else self._reached, self._reached, stop)
+            found += [tops[at - 1]] * (end - row)
+            row = end
+        found += [self._nothing] * (stop - row)
+        low, high = max(self.open, start), int(min(self.never, stop))
+        if low < high:
+            found[low - start : high - start] = [
+                min(seen, self.cap) for seen in found[low - start : high - start]
+            ]
+        return found
 
     def take(self, value: float, start: int, stop: int) -> int:
         """Let a sample fall into the windows start <= i < stop; none before takes any more.

@@ -21,6 +21,7 @@ static_assert(std::endian::native == std::endian::little);
 #if defined(PLAIN)
 #define FOR_EACH_PROCESSOR
 #elif defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12
+#define WITH_CLONES
 #define FOR_EACH_PROCESSOR \
     __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else

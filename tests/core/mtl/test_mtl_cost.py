@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Monitor, parse_formula, parse_spec, robustness
 
 STEP = 100_000_000
@@ -84,3 +85,53 @@ def test_given_a_longer_trace_when_evaluated_then_the_cost_is_linear(window: str
         return lines(lambda: robustness(formula, stamps, values))
 
     assert cost(4000) < 4.5 * cost(1000)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'always(eventually[0:5](cte < 0))',
+        'eventually(always[0:5](cte < 0))',
+        'always(cte < 0 implies eventually[0:5](cte > 1))',
+        'eventually[0:5](always(eventually[0:2](cte < 0)))',
+    ],
+)
+@pytest.mark.parametrize('wave', WAVES)
+def test_t12_given_a_window_in_an_endless_one_when_the_run_is_longer_then_a_sample_costs_the_same(
+    text: str, wave: str
+) -> None:
+    short, long = (online_cost(text, samples, WAVES[wave]) for samples in (200, 1600))
+    assert long < 1.6 * short
+
+
+@pytest.mark.parametrize('word', ['until', 'release', 'since'])
+def test_t12_given_nested_bounded_pairs_when_one_level_is_added_then_the_cost_adds_too(
+    word: str,
+) -> None:
+    def cost(depth: int) -> float:
+        text = 'cte < 0'
+        for _ in range(depth):
+            text = f'({text}) {word}[0:3] (cte < 1)'
+        return online_cost(f'eventually[0:1]({text})', 60, WAVES['swings'])
+
+    assert cost(16) < 8 * cost(4)
+
+
+def test_t12_given_nested_bounded_pairs_when_evaluated_offline_then_the_cost_adds_too() -> None:
+    def cost(depth: int) -> int:
+        text = 'cte < 0'
+        for _ in range(depth):
+            text = f'({text}) until[1:3] (cte < 1)'
+        formula = parse_formula(text)
+        stamps = [i * STEP for i in range(60)]
+        return lines(lambda: robustness(formula, stamps, {'cte': [0.0] * 60}))
+
+    assert cost(16) < 5 * cost(4)
+
+
+def test_t12_given_pairs_that_would_double_at_each_level_when_read_then_they_are_refused() -> None:
+    text = 'cte < 0'
+    for level in range(20):
+        text = f'({text}) until[{level + 1}.{level}:100] (cte < 1)'
+    with pytest.raises(UsageError, match='more than 1,000 parts, each level twice as many'):
+        parse_spec(text)

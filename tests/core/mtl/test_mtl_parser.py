@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from decimal import Decimal
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +12,8 @@ from mtl_strategies import fuzz
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast, parse_formula
+from taxinet_ros.core.mtl.parser import parse
+from taxinet_ros.core.mtl.units import UNITS
 
 NEAR = {'near': 'abs(cte) <= 1.5'}
 PHI = 'eventually[0:10](always(abs(cte) <= 1.5))'
@@ -89,7 +94,6 @@ def test_given_a_formula_when_parsed_then_it_prints_fully_parenthesised(
         ('cte**2 < 1', 4, 'for a power write cte * cte'),
         ('abs cte < 1', 5, "'(' after abs, got 'cte'"),
         ('|cte| < 1', 1, "got '|'; for an absolute value write abs(...)"),
-        ('cte < 1.5 m', 11, "got 'm'; numbers have no unit: that of the signal counts"),
         ('cte < 1 AND he < 1', 9, "got 'AND'; did you mean 'and'?"),
         ('Always(cte < 1)', 1, "got unknown 'Always'; did you mean 'always'?"),
         ('ctee < 1', 1, "got unknown 'ctee'; did you mean 'cte'?; known: cte, he,"),
@@ -98,7 +102,7 @@ def test_given_a_formula_when_parsed_then_it_prints_fully_parenthesised(
         ('cte<1 -> he<1 -> x<1', 15, "parentheses in a chain of 'implies'"),
         ('cte<1 implies he<1 implies x<1', 20, "parentheses in a chain of 'implies'"),
         ('always[10:0] cte<1', 8, 'a <= b, got [10:0]'),
-        ('always[0:10min] cte<1', 12, "']' or a unit (s, ms, us, ns), got 'min'"),
+        ('always[0:10hours] cte<1', 12, "']' or a unit (s, ms, us, ns, min), got 'hours'"),
         ('always[0:1) cte<1', 11, "']'"),
         ('always[0 1] cte<1', 10, "':' or ','"),
         ('always[inf:inf] cte<1', 8, 'a number of seconds'),
@@ -164,3 +168,105 @@ def test_given_any_text_when_parsed_then_it_is_a_formula_or_a_one_line_error(tex
 def test_given_a_number_that_cannot_be_written_when_made_then_it_is_refused(value: float) -> None:
     with pytest.raises(UsageError, match='finite and >= 0'):
         ast.Number(value)
+
+
+@pytest.mark.parametrize(
+    ('text', 'printed'),
+    [
+        ('abs(he) <= 10 deg', f'abs(he) <= {math.radians(10)!r}'),
+        ('abs(steering) <= 5°', f'abs(steering) <= {math.radians(5)!r}'),
+        ('x >= 1.4 km', 'x >= 1400'),
+        ('cte <= 150 cm', 'cte <= 1.5'),
+        ('-29cm <= cte', '-0.29 <= cte'),
+        ('speed >= 10 kt', f'speed >= {18520 / 3600!r}'),
+        ('speed >= 18 km/h', 'speed >= 5'),
+        ('speed < 5 m/s', 'speed < 5'),
+        ('abs(cte) + 1 ft < 2 * cte_estimate', 'abs(cte) + 0.3048 < 2 * cte_estimate'),
+        ('abs(he - 500 mrad) < 1', 'abs(he - 0.5) < 1'),
+        ('speed * he <= 1 m/s', 'speed * he <= 1'),
+        ('sqrt(cte * cte) <= 1 m', 'sqrt(cte * cte) <= 1'),
+        ('unusable_share <= 5 %', 'unusable_share <= 0.05'),
+        ('estimate_gap <= 500 ms', 'estimate_gap <= 0.5'),
+        ('eventually[0:10 s] always[0:2min] cte < 1 m', 'eventually[0:10](always[0:120](cte < 1))'),
+        # What was read before is read as before, whatever it adds up.
+        ('cte + he <= 1', 'cte + he <= 1'),
+    ],
+)
+def test_people2_given_a_unit_when_parsed_then_the_formula_is_in_si(
+    text: str, printed: str
+) -> None:
+    assert str(parse_formula(text)) == printed
+    assert parse_formula(printed) == parse_formula(text)
+
+
+@pytest.mark.parametrize(
+    ('text', 'column', 'expected'),
+    [
+        ('cte <= 10 deg', 8, 'a length (m, km, cm, mm, ft, nmi) to go with cte, got 10 deg'),
+        ('abs(he) <= 10 m', 12, 'an angle (rad, mrad, deg, °) to go with abs(he), got 10 m'),
+        ('always(5 % >= speed)', 8, 'a speed (m/s, km/h, kt) to go with speed, got 5 %'),
+        ('cte - 3 s < 1', 7, 'a length (m, km, cm, mm, ft, nmi) to go with cte, got 3 s'),
+        ('max(he, 1, 1 m) < 1', 12, 'an angle (rad, mrad, deg, °) to go with he, got 1 m'),
+        ('cte / speed < 3 m', 15, 'a time (s, ms, us, ns, min) to go with cte / speed, got 3 m'),
+        ('cte < 5 degrees', 9, "got 'degrees'; did you mean 'deg'?"),
+        ('cte < 5 furlongs', 9, "got 'furlongs'; units are m, km, cm,"),
+        ('eventually[0:10 m] cte < 1', 17, "']' or a unit (s, ms, us, ns, min), got 'm'"),
+        ('(cte + 1) m < 3', 11, "'<=', '<', '>=' or '>', got 'm'"),
+    ],
+)
+def test_people2_given_a_unit_that_does_not_fit_when_parsed_then_one_line_points_at_it(
+    text: str, column: int, expected: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_formula(text)
+    assert str(caught.value).startswith(f'formula: column {column}: ')
+    assert expected in str(caught.value)
+
+
+@given(st.decimals(0, 10**6, allow_nan=False, places=3), st.sampled_from(sorted(UNITS)))
+@fuzz(100)
+def test_people2_given_any_number_and_unit_when_parsed_then_it_is_the_exact_value_rounded_once(
+    number: Decimal, unit: str
+) -> None:
+    signals = {'signal': unit}
+    parsed = parse(f'signal <= {number:f} {unit}', signals)
+    factor = UNITS[unit].factor
+    wanted = math.radians(float(number)) if factor is None else float(number * factor)
+    assert isinstance(parsed, ast.Compare)
+    assert isinstance(parsed.right, ast.Number)
+    assert math.isclose(parsed.right.value, wanted, rel_tol=1e-15)
+
+
+def test_people2_given_an_own_signal_named_like_a_unit_when_parsed_then_it_is_the_signal() -> None:
+    formula = parse('cte <= 3 m / s', {'cte': '', 's': ''})
+    assert str(formula) == 'cte <= 3 / s'
+
+
+@pytest.mark.parametrize(
+    ('text', 'column', 'expected'),
+    [
+        ('1/0 <= 2', 2, '1 / 0 divides by zero'),
+        ('cte / (1 - 1) <= 2', 5, 'divides by zero'),
+        ('0/0 <= cte', 2, 'divides by zero'),
+        ('cte <= sqrt(-1)', 8, 'sqrt(-1) has no finite value'),
+        ('cte <= 1e308 * 10', 14, '1e+308 * 10 has no finite value'),
+        ('1e308 <= -1e308', 1, 'has no finite margin'),
+    ],
+)
+def test_t17_given_a_constant_without_a_value_when_parsed_then_it_is_refused(
+    text: str, column: int, expected: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_formula(text)
+    assert str(caught.value).startswith(f'formula: column {column}: ')
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize('text', [
+    'cte < 0' + ' W cte < 1)' * 12, 'not ' * 30 + 'cte < 1', 'cte < 1' + ' and cte < 1' * 60,
+])
+def test_t12_given_a_formula_whose_text_could_not_be_read_back_when_parsed_then_it_is_refused(
+    text: str,
+) -> None:
+    with pytest.raises(UsageError, match='there may be at most 500 words and 50 levels'):
+        parse_formula('(' * text.count(')') + text)

@@ -22,6 +22,7 @@ from taxinet_ros.core.mtl import (
     robustness,
     verdict_of,
 )
+from taxinet_ros.core.spec_check import check_specs
 
 S = 1_000_000_000
 HORIZON = 30 * S
@@ -54,7 +55,7 @@ def watch(stamps: list[int], values: list[float], text: str = 'phi_always') -> R
 
 
 def test_given_the_document_when_its_sentences_are_counted_then_each_has_a_test() -> None:
-    assert list(range(1, 19)) == SENTENCES
+    assert list(range(1, 22)) == SENTENCES
     assert set(SENTENCES) == TESTED
 
 
@@ -147,3 +148,31 @@ def test_given_a_run_that_ends_early_when_judged_then_it_is_incomplete_and_no_pa
     assert (reading.lower, reading.upper) == (-math.inf, 1.5)
     assert (reading.final, reading.verdict) == (False, Verdict.UNKNOWN)
     assert (judge.judgement.complete, judge.judgement.satisfied) == (False, False)
+
+
+@sentence(19)
+@pytest.mark.parametrize('text', [
+    'always(eventually[1:2](cte <= 0))', 'always[1:2](once[3:4](cte <= 0))',
+])
+def test_given_windows_without_samples_when_judged_then_rho_is_infinite_and_no_verdict(
+    text: str,
+) -> None:
+    values = [-1.0] * 31
+    assert math.isinf(rho(text, values))
+    reading = watch([i * S for i in range(31)], values, text)
+    assert (reading.final, reading.verdict) == (True, Verdict.UNKNOWN)
+
+
+@sentence(20)
+def test_given_a_window_beyond_the_run_when_it_is_to_be_judged_then_it_is_refused() -> None:
+    with pytest.raises(UsageError, match='begins 35 s into the run, which lasts 30 s'):
+        Judge([parse_spec('far=always[35:40](cte <= 1)')], HORIZON, S)
+
+
+@sentence(21)
+def test_given_a_window_that_the_end_cuts_off_when_judged_then_what_lies_within_counts() -> None:
+    values = [5.0] * 31
+    assert rho('eventually[0:60](cte <= 1)', values) == -4.0
+    assert rho('always[0:60](cte <= 6)', values) == 1.0
+    (warning,) = check_specs([parse_spec('late=eventually[0:60](cte <= 1)')], 30.0).warnings
+    assert 'ends at 60 s, after the run of 30 s' in warning

@@ -1,0 +1,423 @@
+"""Active search: a Gaussian process of the robustness, asked for failures that lie apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import ThreadpoolController
+
+from taxinet_ros.campaign.samplers.draws import generator, prior_point
+from taxinet_ros.campaign.samplers.product import Floats
+from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.space import Point, Space
+
+WINDOW = 300
+"""Most results that the process knows; a prediction's cost grows with the square of it."""
+
+FITTED = 150
+"""Most results that its length scales are fitted to; a fit's cost grows with the cube of it."""
+
+REFIT = 1.1
+"""The length scales are fitted anew when there are this many times as many results."""
+
+CANDIDATES = 256
+"""Points of the whole space among which the next one is chosen, besides those near known ones."""
+
+PARENTS = 16
+"""Lowest results, and as many failures by chance, beside which more candidates are put."""
+
+ELITE = 8
+"""Candidates that are refined, and how many points are tried around each."""
+
+STEPS = (0.15, 0.1, 0.03)
+"""Standard deviation of a candidate's distance from its origin, round by round [quantiles]."""
+
+MISSES = 50
+"""Latest runs without a result, and refused points, that are kept away from."""
+
+PATIENCE = 8
+"""After so many refused points of one run it is drawn from the prior."""
+
+CEILING = 3.0
+"""Robustness beyond this multiple of the median passing one is no news."""
+
+Predict = Callable[[Floats], tuple[Floats, Floats]]
+"""Mean and standard deviation of the scaled robustness at the features of some points."""
+
+
+class ActiveSearch:
+    """Chooses the point that is most probably a failure unlike those that are known.
+
+    To find as many members of a rare class as possible is active search (Garnett et al., Bayesian
+    Optimal Active Search and Surveying, ICML 2012); to find them spread out, coverage of the set of
+    failures at a resolution (Malkomes et al., Beyond the Pareto Efficient Frontier: Constraint
+    Active Search for Multiobjective Experimental Design, ICML 2021). Here a point's score is the
+    probability of a robustness of 0 or less, times the share of its neighbourhood that no known
+    failure covers. While failures are improbable everywhere, that is the probability of improvement
+    upon a fixed target, which weighs low means against unknown places (Jones, Journal of Global
+    Optimization 21, 2001).
+
+    Runs take turns. In every other one *novel* means far from failures in what matters, distances
+    being measured in the process's length scales: it seeks new regions. In the others all
+    dimensions count alike: it spreads within the regions.
+
+    The process has a Matérn 3/2 kernel with one length scale a dimension, which tells what is
+    irrelevant. Categories are equal or not; an idle dimension is put at one and the same value, so
+    it makes no difference among the runs that lack it (imputation; Hutter and Osborne,
+    arXiv:1310.5738, compare it with other kernels). Runs under way count as points whose result is
+    the expected one (Ginsbourger et al., Kriging is well-suited to parallelize optimization, 2010).
+    """
+
+    def __init__(self, space: Space, seed: int, *, radius: float = 0.1) -> None:
+        """Know nothing yet.
+
+        Args:
+            space: what to search.
+            seed: of the campaign.
+            radius: around a failure, where others are no news [quantiles], above 0.
+        """
+        self._space = space
+        self._seed = seed
+        self._radius = radius
+        self._features = _Features(space)
+        self._process = _Process(self._features)
+        self._quantiles: list[Floats] = []
+        self._asked: list[int] = []
+        self._attempt = 0
+        self._pending: list[int] = []
+        self._misses: list[int] = []
+        self._results: dict[int, float] = {}
+        self._window: list[int] = []
+        self._fit_at = 0.0
+
+    def ask(self) -> Point:
+        """The next point."""
+        self._attempt = 0
+        self._asked.append(len(self._quantiles))
+        return self._next()
+
+    def again(self) -> Point:
+        """Another point for the same run, away from the refused ones; after some, a plain draw."""
+        self._attempt += 1
+        self._misses.append(self._pending.pop())
+        self._asked[-1] = len(self._quantiles)
+        return self._next()
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Take a result in."""
+        number = self._asked[index]
+        self._pending.remove(number)
+        if rho is None:
+            self._misses.append(number)
+        else:
+            self._learn(number, rho)
+
+    def add(self, point: Point, rho: float) -> None:
+        """Take in the result of a point that was not asked for."""
+        self._learn(self._keep(point), rho)
+
+    def weight(self, index: int) -> None:
+        """Unknown."""
+
+    def learned(self) -> Probabilities:
+        """Nothing that could be shown."""
+        return {}
+
+    def _next(self) -> Point:
+        run = len(self._asked) - 1
+        if self._attempt > PATIENCE:
+            point = prior_point(self._space, self._seed, run, self._attempt)
+        else:
+            chance = generator(self._seed, run, self._attempt)
+            # Matrices as small as these are slowed down by BLAS threads on a busy machine.
+            with _blas().limit(limits=1):
+                point = self._space.point(self._chosen(run, chance))
+        self._pending.append(self._keep(point))
+        return point
+
+    def _keep(self, point: Point) -> int:
+        """The point's number from now on."""
+        self._quantiles.append(np.array(point, np.float64))  # None becomes NaN
+        self._features.append(self._quantiles[-1])
+        return len(self._quantiles) - 1
+
+    def _learn(self, number: int, rho: float) -> None:
+        """Keep a result; of the two points in the window that are most alike the older one goes."""
+        self._results[number] = rho
+        self._window.append(number)
+        if len(self._window) > WINDOW:
+            rows = self._features.rows(self._window)
+            apart = _squared_distances(rows, rows)
+            np.fill_diagonal(apart, np.inf)
+            del self._window[min(divmod(int(apart.argmin()), len(rows)))]
+
+    def _chosen(self, run: int, chance: np.random.Generator) -> Floats:
+        """Quantiles of the next point."""
+        results = np.array([self._results[number] for number in self._window])
+        # With one and the same result everywhere there is nothing to go by but distance.
+        if len(self._quantiles) < self._startup or len(set(results)) < 2:
+            return self._farthest(chance)
+        scaled = _scaled(results)
+        known = self._features.rows(self._window)
+        if len(self._results) >= self._fit_at:
+            some = np.sort(chance.permutation(len(scaled))[:FITTED])
+            self._process.fit(known[some], scaled[some])
+            self._fit_at = REFIT * len(self._results)
+        others = self._features.rows([*self._pending, *self._misses[-MISSES:]])
+        predict = self._process.conditioned(known, scaled, others)
+        score = self._score(predict, others, spread=run % 2 == 1)
+        return self._highest(score, chance)
+
+    @property
+    def _startup(self) -> int:
+        """Points before the process is used."""
+        return 8 + 2 * len(self._space)
+
+    def _farthest(self, chance: np.random.Generator) -> Floats:
+        """The draw that is farthest from all points (best candidate; Mitchell, SIGGRAPH 1991)."""
+        draws = chance.random((64, len(self._space)))
+        if not self._quantiles:
+            return draws[0]
+        known = self._features.rows(range(len(self._quantiles)))
+        apart = _squared_distances(self._features.of(draws), known)
+        best: Floats = draws[apart.min(axis=1).argmax()]
+        return best
+
+    def _score(
+        self, predict: Predict, others: Floats, *, spread: bool
+    ) -> Callable[[Floats], Floats]:
+        """Logarithm of a point's worth, by its quantiles."""
+        from scipy.special import log_ndtr, ndtr
+
+        failures = self._features.rows(
+            [number for number, rho in self._results.items() if rho <= 0]
+        )
+        if len(others):
+            failures = np.vstack((failures, others[predict(others)[0] <= 0]))
+        scales = self._process.length_scales
+        matters = np.ones(len(scales)) if spread else scales.min() / scales
+        weights = self._features.per_column(matters) / self._radius
+        free = [not dimension.discrete for dimension in self._space]
+
+        def score(quantiles: Floats) -> Floats:
+            features = self._features.of(quantiles)
+            mean, deviation = predict(features)
+            worth: Floats = log_ndtr(-mean / deviation)
+            if len(failures):
+                apart = _squared_distances(features * weights, failures * weights)
+                if spread:
+                    apart = apart.min(axis=1, keepdims=True)
+                worth += np.log(-np.expm1(-np.maximum(apart, 1e-12) / 2)).sum(axis=1)
+            if not spread:
+                # A process is least sure at the edges; but half of what is near them is outside.
+                inside = quantiles[:, free]
+                ends = (1 - inside) / self._radius, -inside / self._radius
+                worth += np.log(ndtr(ends[0]) - ndtr(ends[1])).sum(axis=1)
+            return worth
+
+        return score
+
+    def _highest(
+        self, score: Callable[[Floats], Floats], chance: np.random.Generator
+    ) -> Floats:
+        """Quantiles of the candidate with the highest score, refined in rounds."""
+        found = np.vstack((
+            chance.random((CANDIDATES, len(self._space))),
+            self._beside(self._parents(chance), STEPS[0], chance),
+        ))
+        scores = score(found)
+        for step in STEPS[1:]:
+            best = np.argsort(-scores, kind='stable')[:ELITE]
+            near = self._beside(np.repeat(found[best], ELITE, axis=0), step, chance)
+            found = np.vstack((found[best], near))
+            scores = np.concatenate((scores[best], score(near)))
+        highest: Floats = found[scores.argmax()]
+        return highest
+
+    def _parents(self, chance: np.random.Generator) -> Floats:
+        """Known points near which failures may be; what is idle there, at any value."""
+        lowest = sorted(self._results, key=self._results.__getitem__)[:PARENTS]
+        failures = [number for number, rho in self._results.items() if rho <= 0]
+        picked = chance.permutation(len(failures))[:PARENTS]
+        origins = np.array(lowest + [failures[each] for each in picked])
+        some = chance.choice(origins, CANDIDATES // 2)
+        parents = np.array([self._quantiles[number] for number in some])
+        return np.where(np.isnan(parents), chance.random(parents.shape), parents)
+
+    def _beside(self, origins: Floats, step: float, chance: np.random.Generator) -> Floats:
+        """A point near each origin: some coordinates moved, some categories drawn anew."""
+        discrete = np.array([dimension.discrete for dimension in self._space])
+        moved = chance.random(origins.shape) < max(0.3, 1.5 / len(self._space))
+        drawn = discrete & (chance.random(origins.shape) < 0.5)
+        near = np.abs(origins + step * chance.standard_normal(origins.shape))
+        near = np.where(discrete, origins, 1 - np.abs(1 - near))
+        near = np.where(drawn, chance.random(origins.shape), near)
+        found: Floats = np.where(moved, near, origins)
+        return found
+
+
+class _Features:
+    """Points as rows of numbers: a column a quantile, and one for each category."""
+
+    def __init__(self, space: Space) -> None:
+        self._space = space
+        self._numbers = {dimension.name: number for number, dimension in enumerate(space)}
+        self.owners = np.repeat(
+            np.arange(len(space)), [len(each.weights) or 1 for each in space]
+        )
+        self._rows = np.zeros((64, len(self.owners)))
+        self._size = 0
+
+    def append(self, quantiles: Floats) -> None:
+        """Keep the features of one more point."""
+        if self._size == len(self._rows):
+            self._rows = np.vstack((self._rows, np.zeros_like(self._rows)))
+        self._rows[self._size] = self.of(quantiles[None])[0]
+        self._size += 1
+
+    def rows(self, numbers: Sequence[int]) -> Floats:
+        """Features of points that were kept."""
+        return self._rows[np.array(numbers, np.intp)]
+
+    def per_column(self, values: Floats) -> Floats:
+        """A value of each dimension, for each of its columns."""
+        return values[self.owners]
+
+    def of(self, quantiles: Floats) -> Floats:
+        """Features of points; of idle dimensions the quantile, or NaN, makes no difference.
+
+        The squared distance of two categories is 1, as that of the two ends of a dimension.
+        """
+        columns: list[Floats] = []
+        bins: list[npt.NDArray[np.intp]] = []
+        for dimension, given in zip(self._space, quantiles.T, strict=True):
+            active = np.full(len(given), not dimension.when)
+            for parent, categories in dimension.when:
+                active |= np.isin(bins[self._numbers[parent]], categories)
+            within = np.where(active, given, 0.5)
+            bins.append(np.where(active, np.searchsorted(dimension.edges, within, 'right') - 1, -1))
+            if dimension.discrete:
+                taken = bins[-1][:, None] == np.arange(len(dimension.weights))
+                columns.append(taken / math.sqrt(2))
+            else:
+                columns.append(within[:, None])
+        return np.hstack(columns)
+
+
+class _Process:
+    """A Gaussian process with a constant mean and a Matérn 3/2 kernel.
+
+    Mean and variance are those of greatest likelihood. The logarithms of the length scales and of
+    the noise's share of the variance are those of greatest posterior density; the prior wants long
+    ones, the longer the more dimensions there are (Hvarfner et al., Vanilla Bayesian Optimization
+    Performs Great in High Dimensions, ICML 2024).
+    """
+
+    def __init__(self, features: _Features) -> None:
+        self._features = features
+        dimensions = int(features.owners[-1]) + 1
+        self._usual = np.log([*[0.5 * math.sqrt(dimensions)] * dimensions, 1e-3])
+        self._spread = np.array([*[1.0] * dimensions, 2.0])
+        self._bounds = np.log([*[(0.03, 30.0)] * dimensions, (1e-6, 1.0)])
+        self._logs = self._usual
+
+    @property
+    def length_scales(self) -> Floats:
+        """One a dimension [quantiles]."""
+        return np.exp(self._logs[:-1])
+
+    def fit(self, known: Floats, results: Floats) -> None:
+        """Find the length scales and the noise of the results at the features of some points."""
+        from scipy.linalg import cho_factor, cho_solve
+        from scipy.optimize import minimize
+
+        runs, dimensions = len(results), len(self._usual) - 1
+        squares = np.zeros((dimensions, runs, runs))
+        for owner, column in zip(self._features.owners, known.T, strict=True):
+            squares[owner] += np.square(column[:, None] - column)
+        flat = squares.reshape(dimensions, -1)
+        unit = np.eye(runs)
+
+        def loss(logs: Floats) -> tuple[float, Floats]:
+            """Minus the posterior's logarithm, and its gradient."""
+            inverse, noise = np.exp(-2 * logs[:-1]), math.exp(logs[-1])
+            away = np.sqrt(3 * (inverse @ flat)).reshape(runs, runs)
+            falling = np.exp(-away)
+            factor = cho_factor((1 + away) * falling + noise * unit, lower=True)
+            precision = cho_solve(factor, unit)
+            weights, variance = _explained(precision, results)
+            off = (logs - self._usual) / self._spread
+            value = runs / 2 * math.log(variance) + np.log(np.diag(factor[0])).sum() + off @ off / 2
+            change = np.outer(weights, weights) / variance - precision
+            slopes = 3 * inverse * (flat @ (change * falling).ravel())
+            gradient = -np.append(slopes, noise * np.trace(change)) / 2
+            return float(value), gradient + off / self._spread
+
+        self._logs = minimize(
+            loss, self._logs, jac=True, method='L-BFGS-B', bounds=self._bounds,
+            options={'maxiter': 20},
+        ).x
+
+    def conditioned(self, known: Floats, results: Floats, others: Floats) -> Predict:
+        """Predictions from results, and from other points with the result that is expected."""
+        from scipy.linalg import cho_solve, solve_triangular
+
+        runs, points = len(results), np.vstack((known, others))
+        noise = math.exp(self._logs[-1])
+        root = np.linalg.cholesky(self._kernel(points, points) + noise * np.eye(len(points)))
+        precision = cho_solve((root[:runs, :runs], True), np.eye(runs))
+        weights, variance = _explained(precision, results)
+        mean = _mean(precision, results)
+
+        def predict(features: Floats) -> tuple[Floats, Floats]:
+            kernel = self._kernel(features, points)
+            gain = solve_triangular(root, kernel.T, lower=True, check_finite=False)
+            left = np.maximum(1 - np.square(gain).sum(axis=0), 1e-9)
+            return mean + kernel[:, :runs] @ weights, np.sqrt(variance * left)
+
+        return predict
+
+    def _kernel(self, ones: Floats, others: Floats) -> Floats:
+        scales = self._features.per_column(self.length_scales)
+        away = np.sqrt(3 * _squared_distances(ones / scales, others / scales))
+        correlation: Floats = (1 + away) * np.exp(-away)
+        return correlation
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """The threads of NumPy and SciPy; to look for their libraries takes a millisecond."""
+    import scipy.linalg  # noqa: F401 (has a library of its own)
+
+    return ThreadpoolController()
+
+
+def _mean(precision: Floats, results: Floats) -> float:
+    """The constant mean of greatest likelihood."""
+    return float(precision.sum(axis=0) @ results / precision.sum())
+
+
+def _explained(precision: Floats, results: Floats) -> tuple[Floats, float]:
+    """Weight of each result in a prediction, and the variance of greatest likelihood."""
+    off = results - _mean(precision, results)
+    weights: Floats = precision @ off
+    return weights, max(float(weights @ off) / len(results), 1e-12)
+
+
+def _scaled(results: Floats) -> Floats:
+    """Robustness in units of the median passing one; how bad a failure is, is of no interest."""
+    finite = np.abs(results[np.isfinite(results)])
+    passing = finite[results[np.isfinite(results)] > 0]
+    unit = float(np.median(passing if len(passing) else finite)) if len(finite) else 1.0
+    return np.clip(results / (unit or 1.0), -1.0, CEILING)
+
+
+def _squared_distances(ones: Floats, others: Floats) -> Floats:
+    """Between each row of one and each of the other."""
+    squares = np.square(ones).sum(axis=1)[:, None] + np.square(others).sum(axis=1)
+    apart: Floats = np.maximum(squares - 2 * ones @ others.T, 0.0)
+    return apart

@@ -1,0 +1,242 @@
+"""What is wrong with a requirement before any run: windows, thresholds, units.
+
+A formula can be right by its grammar and still say nothing: its window begins after the run, its
+threshold lies where the signal never comes, or it takes radians for degrees. Interval arithmetic
+over what the signals can do finds that (:func:`.envelope.margin_range`); it never warns of what
+can happen, for its ranges are never too narrow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import ast
+from taxinet_ros.core.mtl.envelope import ANYTHING, Range, enclose, margin_range
+from taxinet_ros.core.mtl.offline import robustness_range
+from taxinet_ros.core.mtl.specs import Spec
+from taxinet_ros.core.mtl.units import ANGLE
+from taxinet_ros.core.mtl.window import INF
+from taxinet_ros.core.mtl.words import (
+    Units,
+    atom_words,
+    compared_dimension,
+    formula_words,
+    range_words,
+    seconds_words,
+)
+
+_LARGE_RAD = 1.6
+"""An angle beyond it that is a whole number was hardly meant in radians: it is over 90 degrees."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setting:
+    """What is known of the runs that a requirement will judge.
+
+    Attributes:
+        units: unit of each signal.
+        ranges: least and greatest value of the signals of which that is known.
+        horizon_ns: length of a run [ns].
+        period_ns: time between its samples [ns], or 0 where that is not known.
+    """
+
+    units: Units
+    ranges: Mapping[str, Range]
+    horizon_ns: int
+    period_ns: int = 0
+
+    @property
+    def stamps_ns(self) -> range:
+        """Of the samples of a run."""
+        return range(0, self.horizon_ns + 1, self.period_ns)
+
+    def box(self, formula: ast.Formula) -> dict[str, Range]:
+        """The range of every signal that a formula reads."""
+        return {name: self.ranges.get(name, ANYTHING) for name in ast.signal_names(formula)}
+
+
+def understood(spec: Spec, setting: Setting) -> str:
+    """A requirement as it is understood, with its signals' ranges and how far it looks."""
+    box = setting.box(spec.formula)
+    ranges = [range_words(name, ends, setting.units) for name, ends in box.items()]
+    reach_ns = max((window.latest_ns for window in _windows(spec.formula)), default=0.0)
+    horizon = seconds_words(min(reach_ns, setting.horizon_ns))
+    words = [formula_words(spec.formula, setting.units), *filter(None, ranges)]
+    return f'{spec.name}: {"; ".join(words)}; horizon {horizon}'
+
+
+def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
+    """See that every window can hold a sample of a run of this length.
+
+    Args:
+        spec: the requirement.
+        horizon_ns: length of the run [ns].
+        period_ns: time between its samples [ns], or 0 where that is not known.
+
+    Raises:
+        UsageError: a window begins after the end of the run, ends before its start, or holds no
+            sample wherever it lies; nobody could judge it.
+    """
+    length = seconds_words(horizon_ns)
+    for window in _windows(spec.formula):
+        where = f'spec {spec.name}: {window.words}'
+        if window.earliest_ns > horizon_ns:
+            raise UsageError(
+                f'{where} begins {seconds_words(window.earliest_ns)} into the run, which lasts '
+                f'{length}; nothing of it could be judged'
+            )
+        if window.latest_ns < 0:
+            raise UsageError(f'{where} looks back to before the run; nothing of it could be judged')
+    if not period_ns:
+        return
+    stamps = range(0, horizon_ns + 1, period_ns)
+    atoms = dict.fromkeys(ast.atoms(spec.formula), ANYTHING)
+    low, high = robustness_range(spec.formula, stamps, atoms)
+    if low == high and math.isinf(low):
+        raise UsageError(
+            f'spec {spec.name}: in a run of {length} the robustness is {low:g} whatever is '
+            f'measured: some of its windows hold no sample (one every '
+            f'{seconds_words(period_ns)}); change them'
+        )
+
+
+def warnings(spec: Spec, setting: Setting) -> list[str]:
+    """What a requirement that can be judged may still say other than was meant; one line each."""
+    found = list(_cut_windows(spec, setting.horizon_ns))
+    if not any(_windows(spec.formula)):
+        found.append('judges the first sample alone; for the whole run write always(...)')
+    box, atoms = setting.box(spec.formula), ast.atoms(spec.formula)
+    margins = {atom: margin_range(atom, box) for atom in atoms}
+    found += [text for atom in atoms for text in _doubts(atom, setting, box)]
+    vacuous = [
+        text for atom in atoms if (text := _certain(atom, margins[atom], setting, box))
+    ]
+    if setting.period_ns:
+        low, high = robustness_range(spec.formula, setting.stamps_ns, margins)
+        infinite = low == high and math.isinf(low)
+        if (low > 0 or high <= 0) and not infinite:
+            what = 'no run can violate it' if low > 0 else 'no run can satisfy it'
+            why = f': {"; ".join(vacuous)}' if vacuous else ''
+            return [*(f'{spec.name}: {text}' for text in found), f'{spec.name}: {what}{why}']
+    return [f'{spec.name}: {text}' for text in (*found, *vacuous)]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Window:
+    """A window of a formula, and where on the run it lies.
+
+    Attributes:
+        words: as it is written, without its operands.
+        earliest_ns: start of its first position [ns], and latest_ns the end of its last [ns].
+        first_end_ns: end of its first position [ns].
+        ahead: it looks ahead.
+    """
+
+    words: str
+    earliest_ns: float
+    latest_ns: float
+    first_end_ns: float
+    ahead: bool
+
+
+def _windows(
+    formula: ast.Formula, begin_ns: float = 0, end_ns: float = 0
+) -> Iterator[_Window]:
+    """The windows of a formula that is asked from ``begin_ns`` to ``end_ns`` of a run."""
+    match formula:
+        case ast.Not(child):
+            yield from _windows(child, begin_ns, end_ns)
+        case ast.Logic(_, left, right):
+            yield from _windows(left, begin_ns, end_ns)
+            yield from _windows(right, begin_ns, end_ns)
+        case ast.Temporal(op, interval, child):
+            window = _window(op, interval, begin_ns, end_ns)
+            yield window
+            yield from _windows(child, max(window.earliest_ns, 0), window.latest_ns)
+        case ast.TemporalPair(op, interval, left, right):
+            window = _window(op, interval, begin_ns, end_ns)
+            yield window
+            first, last = max(window.earliest_ns, 0), window.latest_ns
+            yield from _windows(left, min(begin_ns, first), max(end_ns, last))
+            yield from _windows(right, first, last)
+
+
+def _window(op: str, interval: ast.Interval, begin_ns: float, end_ns: float) -> _Window:
+    low, high = interval.low_ns, INF if interval.high_ns is None else interval.high_ns
+    ahead = op not in ('historically', 'once', 'since')
+    return _Window(
+        words=f'{op}{interval}', ahead=ahead,
+        earliest_ns=begin_ns + low if ahead else begin_ns - high,
+        latest_ns=end_ns + high if ahead else end_ns - low,
+        first_end_ns=begin_ns + high if ahead else begin_ns - low,
+    )
+
+
+def _cut_windows(spec: Spec, horizon_ns: int) -> Iterator[str]:
+    for window in _windows(spec.formula):
+        if window.ahead and horizon_ns < window.first_end_ns < INF:
+            yield (
+                f'{window.words} ends at {seconds_words(window.first_end_ns)}, after the run of '
+                f'{seconds_words(horizon_ns)}; only what lies within the run is judged'
+            )
+
+
+def _doubts(atom: ast.Compare, setting: Setting, box: Mapping[str, Range]) -> Iterator[str]:
+    """What of a predicate may have no value, or may have been meant in another unit."""
+    for part in (*_parts(atom.left), *_parts(atom.right)):
+        match part:
+            case ast.Arithmetic('/', _, right):
+                low, high = enclose(right, box)
+                if low <= 0 <= high:
+                    yield f'{part} has no value where {right} is 0: that voids the run'
+            case ast.Function('sqrt', (arg,)) if enclose(arg, box)[0] < 0:
+                yield f'{part} has no value where {arg} is below 0: that voids the run'
+    number = _threshold(atom)
+    within = margin_range(atom, box)
+    if (
+        compared_dimension(atom, setting.units) == ANGLE and number is not None
+        and _LARGE_RAD <= number <= 360 and number.is_integer() and within[0] <= 0 <= within[1]
+    ):
+        yield f'{atom_words(atom, setting.units)}: did you mean {number:g} deg?'
+
+
+def _certain(
+    atom: ast.Compare, margin: Range, setting: Setting, box: Mapping[str, Range]
+) -> str:
+    """Why a predicate has one truth value only, or ''."""
+    if margin[0] <= 0 <= margin[1]:
+        return ''
+    names = ast.signal_names(atom)
+    ranges = filter(None, (range_words(name, box[name], setting.units) for name in names))
+    why = ', '.join(ranges) or 'by its numbers alone'
+    truth = 'holds' if margin[0] > 0 else 'fails'
+    number = _threshold(atom)
+    meant = ''
+    if compared_dimension(atom, setting.units) == ANGLE and number and 1 <= number <= 360:
+        meant = f'; did you mean {number:g} deg?'
+    return f'{atom_words(atom, setting.units)} always {truth} ({why}){meant}'
+
+
+def _threshold(atom: ast.Compare) -> float | None:
+    """The number that a comparison compares with, if it is one alone."""
+    for side in (atom.right, atom.left):
+        match side:
+            case ast.Number(value) | ast.Negative(ast.Number(value)):
+                return value
+    return None
+
+
+def _parts(expr: ast.Expr) -> Iterator[ast.Expr]:
+    yield expr
+    match expr:
+        case ast.Negative(child):
+            yield from _parts(child)
+        case ast.Arithmetic(_, left, right):
+            yield from _parts(left)
+            yield from _parts(right)
+        case ast.Function(_, args):
+            for arg in args:
+                yield from _parts(arg)

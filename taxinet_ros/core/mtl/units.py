@@ -1,0 +1,171 @@
+"""Units in formulas: what people may write behind a number, and whether it fits beside a signal.
+
+Numbers are compared in SI units: metres, seconds, radians. A number with a unit is converted when
+it is read, so formulas, their texts and their robustness know SI only. A number without one takes
+the unit of what it is compared with, as it always did.
+"""
+
+from __future__ import annotations
+
+import decimal
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+Dimension = tuple[int, int, int]
+"""Exponents of length, time and angle. Angles count, so that degrees do not pass for metres."""
+
+SHARE: Dimension = (0, 0, 0)
+LENGTH: Dimension = (1, 0, 0)
+TIME: Dimension = (0, 1, 0)
+ANGLE: Dimension = (0, 0, 1)
+SPEED: Dimension = (1, -1, 0)
+TURN_RATE: Dimension = (0, -1, 1)
+
+_NAMES = {
+    SHARE: 'a share', LENGTH: 'a length', TIME: 'a time', ANGLE: 'an angle', SPEED: 'a speed',
+    TURN_RATE: 'a turn rate',
+}
+DIMENSIONS = tuple(_NAMES)
+"""Those that have a name."""
+
+_EXACT = decimal.Context(prec=60)
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit, and how many of the SI unit it is; None for degrees, whose factor is irrational."""
+
+    dimension: Dimension
+    factor: decimal.Decimal | None
+
+
+def _units() -> dict[str, Unit]:
+    listed: dict[Dimension, dict[str, str]] = {
+        LENGTH: {'m': '1', 'km': '1000', 'cm': '0.01', 'mm': '0.001', 'ft': '0.3048',
+                 'nmi': '1852'},
+        TIME: {'s': '1', 'ms': '0.001', 'us': '0.000001', 'ns': '0.000000001', 'min': '60'},
+        ANGLE: {'rad': '1', 'mrad': '0.001', 'deg': '', '°': ''},
+        SPEED: {'m/s': '1'},
+        TURN_RATE: {'rad/s': '1', 'deg/s': '', '°/s': ''},
+        SHARE: {'%': '0.01'},
+    }  # fmt: skip
+    found = {
+        name: Unit(dimension, decimal.Decimal(factor) if factor else None)
+        for dimension, units in listed.items() for name, factor in units.items()
+    }
+    for name, metres in {'km/h': 1000, 'kt': 1852}.items():
+        found[name] = Unit(SPEED, _EXACT.divide(decimal.Decimal(metres), decimal.Decimal(3600)))
+    return found
+
+
+UNITS: Mapping[str, Unit] = MappingProxyType(_units())
+"""Every unit that a number in a formula may have, the SI unit of each dimension first."""
+
+MEANT = {
+    'degree': 'deg', 'degrees': 'deg', 'radian': 'rad', 'radians': 'rad', 'meter': 'm',
+    'meters': 'm', 'metre': 'm', 'metres': 'm', 'feet': 'ft', 'sec': 's', 'second': 's',
+    'seconds': 's', 'minutes': 'min', 'kn': 'kt', 'kts': 'kt', 'knots': 'kt', 'kmh': 'km/h',
+    'kph': 'km/h', 'mps': 'm/s', 'percent': '%', 'M': 'm', 'Deg': 'deg', 'DEG': 'deg',
+}  # fmt: skip
+"""Spellings that are none, and what is meant."""
+
+
+def in_si(number: str, unit: str) -> float:
+    """The value of a written number with a unit, in SI, rounded once; infinite where too large."""
+    factor = UNITS[unit].factor
+    if factor is None:
+        return math.radians(float(number))
+    try:
+        return float(_EXACT.multiply(_EXACT.create_decimal(number), factor))
+    except decimal.Overflow:
+        return math.inf
+
+
+def dimension_of(unit: str) -> Dimension | None:
+    """Dimension of a signal's unit; None where there is none of that name."""
+    if unit == '1':
+        return SHARE
+    return UNITS[unit].dimension if unit in UNITS else None
+
+
+def si_unit(dimension: Dimension | None) -> str:
+    """The unit in which values of a dimension are compared; '' where it has no name here."""
+    names = (name for name, unit in UNITS.items() if unit.dimension == dimension)
+    return '' if dimension in (None, SHARE) else next(names, '')
+
+
+def kind_words(dimension: Dimension) -> str:
+    """A dimension in words, with the units that it can be written in: ``a length (m, km, …)``."""
+    units = ', '.join(name for name, unit in UNITS.items() if unit.dimension == dimension)
+    return f'{_NAMES.get(dimension, "another kind of number")}{f" ({units})" if units else ""}'
+
+
+class Quantity(NamedTuple):
+    """What is known of the dimension of an expression.
+
+    Attributes:
+        dimension: None where nothing is known: a signal without unit, or a sum of unlike terms.
+        pure: it is made of numbers without units, which may stand beside anything.
+        product: it was multiplied or divided; radians in it may have become part of a length.
+    """
+
+    dimension: Dimension | None = None
+    pure: bool = False
+    product: bool = False
+
+    def agrees(self, other: Quantity) -> bool:
+        """Whether the two may be compared or added, as far as is known."""
+        one, two = self.dimension, other.dimension
+        if one is None or two is None or one == two:
+            return True
+        return (self.product or other.product) and one[:2] == two[:2]
+
+
+PURE = Quantity(pure=True)
+
+
+def added(one: Quantity, two: Quantity) -> Quantity:
+    """The quantity of a sum, a difference, or the lesser or greater of two."""
+    if one.pure:
+        return two
+    if two.pure or one.dimension == two.dimension:
+        return one
+    return Quantity()
+
+
+def multiplied(one: Quantity, two: Quantity, power: int) -> Quantity:
+    """The quantity of a product (``power`` 1) or of a quotient (-1)."""
+    if two.pure:
+        return one
+    if two.dimension is None or (one.dimension is None and not one.pure):
+        return Quantity()
+    length, time, angle = (
+        a + power * b for a, b in zip(one.dimension or SHARE, two.dimension, strict=True)
+    )
+    return Quantity((length, time, angle), product=not one.pure or power < 0)
+
+
+def rooted(one: Quantity) -> Quantity:
+    """The quantity of a square root."""
+    if one.dimension is None:
+        return one
+    if any(exponent % 2 for exponent in one.dimension):
+        return Quantity()
+    length, time, angle = (exponent // 2 for exponent in one.dimension)
+    return Quantity((length, time, angle), product=one.product)
+
+
+def value_words(value: float, dimension: Dimension | None) -> str:
+    """A value with its unit, and again in the unit that people think in."""
+    unit = si_unit(dimension)
+    number = f'{value:.6g}{f" {unit}" if unit else ""}'
+    if dimension in (ANGLE, TURN_RATE):
+        return f'{number} ({math.degrees(value):.4g} deg{unit.removeprefix("rad")})'
+    if dimension == SHARE:
+        return f'{100 * value:.6g} %'
+    if dimension == SPEED:
+        return f'{number} ({value * 3600 / 1852:.4g} kt)'
+    return f'{number} ({value / 1000:.6g} km)' if unit == 'm' and abs(value) >= 1000 else number

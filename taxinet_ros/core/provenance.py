@@ -1,0 +1,204 @@
+"""Which machine, libraries and code a result comes from: what its last bits depend on.
+
+Two records that are equal promise equal bytes. What a library chooses for itself and does not tell
+(onnxruntime's kernels) follows from the processor's features, which are in the record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros import __version__
+
+Provenance = Mapping[str, str]
+"""Facts by name, as :func:`provenance` gives them."""
+
+COMMIT = 'commit'
+"""The one fact that may differ between two checkouts of equal code."""
+
+LIBRARIES = (
+    'numpy', 'opencv-python-headless', 'onnxruntime', 'jsbsim', 'astral', 'pymap3d', 'scenic',
+    'torch', 'scipy', 'optuna', 'scikit-learn', 'pandas', 'rclpy', 'ros-fastrtps', 'zstandard',
+)
+"""Packages by the names under which they are installed; of some only the trained or learned part
+of a result depends, on the last those of a bag's bytes."""
+
+NAMES = (
+    'processor', 'machine', 'processor_features', 'pixels', 'numpy_features', 'blas', 'environment',
+    'libc', 'python', *LIBRARIES, 'taxinet_ros', COMMIT,
+)
+"""All facts that a record may have, in its order."""
+
+_FEATURES = ('avx2', 'fma', 'avx512f', 'avx512_vnni', 'asimd')
+_SWITCHES = (
+    'NPY_DISABLE_CPU_FEATURES', 'OPENBLAS_CORETYPE', 'OPENCV_CPU_DISABLE', 'GLIBC_TUNABLES',
+    'ATEN_CPU_CAPABILITY',
+)
+"""Environment variables that keep libraries from using what the processor has."""
+
+_INSTALLED = re.compile(r'(?P<name>.+?)-(?P<version>\d[^-]*)(-py[\d.]+)?\.(dist|egg)-info')
+_GIT_S = 5.0
+
+
+@cache
+def provenance() -> Provenance:
+    """Processor, instruction sets, libraries, version and commit, as they are in this process.
+
+    Returns:
+        Facts by name, '' never among them: ``processor`` (model), ``machine`` (architecture),
+        ``processor_features`` (those that matter here), ``pixels``, ``numpy_features``, ``blas``
+        (what our own compiled code, numpy and its BLAS make use of), ``environment`` (variables
+        that hold them back), ``libc``, ``python``, each of :data:`LIBRARIES` that is installed,
+        ``taxinet_ros`` (version) and ``commit``, which ends with ``+changes`` where the checkout's
+        code has been edited since.
+    """
+    facts = {
+        'processor': processor(),
+        'machine': platform.machine(),
+        'processor_features': ' '.join(name for name in _FEATURES if name in _processor_flags()),
+        **_in_use(),
+        'environment': ' '.join(f'{n}={os.environ[n]}' for n in _SWITCHES if os.environ.get(n)),
+        'libc': ' '.join(platform.libc_ver()).strip(),
+        'python': platform.python_version(),
+        **library_versions(),
+        'taxinet_ros': __version__,
+        COMMIT: _commit(Path(__file__).parents[2]),
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def without_commit(facts: Provenance) -> dict[str, str]:
+    """The facts that two checkouts of equal code have in common on one machine."""
+    return {name: value for name, value in facts.items() if name != COMMIT}
+
+
+def stack_id(facts: Provenance) -> str:
+    """A short name of a record, for the rows of a table: 8 hexadecimal digits."""
+    text = json.dumps(dict(facts), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def differences(*records: Provenance) -> str:
+    """What differs between records, in words: ``numpy 2.4.6 | 2.5.0, …``; '' where nothing does.
+
+    What only one of them tells is no difference: an older version told less.
+    """
+    told: dict[str, dict[str, None]] = {}
+    for record in records:
+        for name, value in record.items():
+            told.setdefault(name, {})[_short(value)] = None
+    return ', '.join(f'{name} {" | ".join(values)}' for name, values in told.items()
+                     if len(values) > 1)
+
+
+def words(facts: Provenance) -> str:
+    """A record in one line for people."""
+    return ', '.join(
+        value if name == 'processor' else f'{name} {_short(value)}'
+        for name, value in facts.items() if name not in ('processor_features', 'numpy_features')
+    )
+
+
+def known(values: Any) -> dict[str, str]:
+    """A record out of a file that anybody may have written: names and texts, the rest dropped."""
+    if not isinstance(values, Mapping):
+        return {}
+    return {str(name): value for name, value in values.items() if isinstance(value, str)}
+
+
+def processor() -> str:
+    """Model of the processor, as the kernel names it."""
+    return _cpuinfo('model name') or platform.machine()
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of those of :data:`LIBRARIES` that are installed.
+
+    From the names of the folders that say so: ``importlib.metadata`` opens and parses each, which
+    takes longer than all else here.
+    """
+    found: dict[str, str] = {}
+    for folder in sys.path:
+        try:
+            names = os.listdir(folder or '.')
+        except OSError:
+            continue
+        for match in filter(None, map(_INSTALLED.fullmatch, names)):
+            name = re.sub(r'[-_.]+', '-', match['name']).lower()
+            found.setdefault(name, match['version'])
+    return {name: found[name] for name in LIBRARIES if name in found}
+
+
+def _in_use() -> dict[str, str]:
+    # Only here: a command that records nothing need not wait for them.
+    import numpy as np
+    import threadpoolctl
+
+    from taxinet_ros.core import pixels
+
+    simd = np.show_config(mode='dicts')['SIMD Extensions']
+    blas = [
+        str(pool.get('architecture') or '') for pool in threadpoolctl.threadpool_info()
+        if pool['user_api'] == 'blas' and 'numpy' in pool['filepath']
+    ]
+    return {
+        'pixels': ' '.join(pixels.instruction_sets()),
+        'numpy_features': ' '.join([*simd['baseline'], *simd.get('found', ())]),
+        'blas': blas[0] if blas else '',
+    }
+
+
+@cache
+def _processor_flags() -> frozenset[str]:
+    return frozenset((_cpuinfo('flags') or _cpuinfo('Features')).split())
+
+
+def _cpuinfo(key: str) -> str:
+    try:
+        lines = Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines()
+    except OSError:
+        return ''
+    pairs = (line.partition(':') for line in lines)
+    return next((value.strip() for name, _, value in pairs if name.strip() == key), '')
+
+
+def _commit(root: Path) -> str:
+    """The commit that a checkout's code is at, or that an installation was made from; or ''."""
+    if not (root / '.git').exists():
+        return _installed_commit(root)
+    asked = ['git', '-C', str(root), 'status', '--porcelain=v2', '--branch',
+             '--untracked-files=no', '--', 'taxinet_ros', 'msg_defs', 'setup.py']
+    environment = {**os.environ, 'GIT_OPTIONAL_LOCKS': '0'}
+    try:
+        told = subprocess.run(
+            asked, capture_output=True, text=True, timeout=_GIT_S, check=True, env=environment
+        ).stdout.splitlines()
+    except (OSError, subprocess.SubprocessError):
+        return ''
+    head = next((line.split()[-1] for line in told if line.startswith('# branch.oid')), '')
+    changed = any(not line.startswith('#') for line in told)
+    return f'{head}+changes' if head and changed else head
+
+
+def _installed_commit(site: Path) -> str:
+    """What pip noted of an installation out of a repository (PEP 610)."""
+    for file in site.glob('taxinet_ros-*.dist-info/direct_url.json'):
+        try:
+            return str(json.loads(file.read_text(encoding='utf-8'))['vcs_info']['commit_id'])
+        except (OSError, ValueError, KeyError, TypeError):
+            return ''
+    return ''
+
+
+def _short(value: str) -> str:
+    return value if len(value) <= 60 else value[:59] + '…'

@@ -1,0 +1,134 @@
+"""Recordings of several runs as ``ros2 bag record`` makes them, by the library ``rosbags``.
+
+Every message is logged by the wall clock, or by a simulated time that begins anew; beside our
+topics are those of others, some of them silent; there are no attachments and no words of ours.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+from bag_samples import make, serialise, store
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+
+from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.topics import TopicInfo
+
+BEGUN_NS = 1_700_000_000_000_000_000
+SILENT = {'/events/write_split': 'std_msgs/msg/String', '/parameter_events': 'std_msgs/msg/String'}
+"""Topics of others on which nothing is said."""
+
+
+class Logged(NamedTuple):
+    """A message as it comes to a recorder: its topic, and when it is logged [ns]."""
+
+    topic: TopicInfo
+    stamp_ns: int
+    cdr: bytes
+
+
+def heard(
+    bags: Sequence[Path], *, keep: Callable[[StoredMessage], bool] = lambda message: True,
+    sim_time: bool = False,
+) -> list[Logged]:
+    """What a recorder hears that is there while the runs of some bags are made one after another.
+
+    Args:
+        bags: of our recorder.
+        keep: which messages the recorder gets.
+        sim_time: logged by the newest clock, not by the wall clock.
+    """
+    found: list[Logged] = []
+    wall_ns, sim_ns = BEGUN_NS, 0
+    for bag in bags:
+        messages = list(stored_messages(bag))
+        status = next(m.topic for m in messages if m.topic.name == '/run_status')
+        under_way = make('taxinet_msgs/msg/RunStatus', run_id=bag.name, state=1)
+        found.append(Logged(status, sim_ns if sim_time else wall_ns, serialise(under_way)))
+        for stored in filter(keep, messages):
+            wall_ns += 3_000_000
+            if stored.topic.name == '/clock':
+                sim_ns = stored.stamp_ns
+            found.append(Logged(stored.topic, sim_ns if sim_time else wall_ns, stored.cdr))
+        wall_ns += 5_000_000_000
+    return found
+
+
+def record(
+    folder: Path, messages: Iterable[Logged], *, files: int = 1,
+    compression: CompressionMode = CompressionMode.NONE, namespace: str = '',
+) -> Path:
+    """Write a recording, in as many files as ``--max-bag-size`` would have made."""
+    logged = list(messages)
+    if files == 1:
+        _write(folder, logged, compression, namespace)
+        return folder
+    folder.mkdir()
+    descriptions = []
+    size = -(-len(logged) // files)
+    for number, first in enumerate(range(0, len(logged), size)):
+        part = logged[first:first + size]
+        draft = folder.with_name(f'{folder.name}-{number}')
+        _write(draft, part, compression, namespace)
+        name = f'{folder.name}_{number}.mcap'
+        shutil.move(next(draft.glob('*.mcap')), folder / name)
+        values = yaml.safe_load((draft / 'metadata.yaml').read_text())
+        descriptions.append(values['rosbag2_bagfile_information'])
+        shutil.rmtree(draft)
+    _describe(folder, descriptions)
+    return folder
+
+
+def _write(
+    folder: Path, logged: Sequence[Logged], compression: CompressionMode, namespace: str
+) -> None:
+    types = store()
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        for name, kind in SILENT.items():
+            writer.add_connection(name, kind, typestore=types)
+        rosout = writer.add_connection('/rosout', 'std_msgs/msg/String', typestore=types)
+        known = {}
+        for topic, stamp_ns, cdr in logged:
+            if topic.name not in known:
+                known[topic.name] = writer.add_connection(
+                    namespace + topic.name, topic.type, typestore=types,
+                    msgdef=topic.definition, rihs01=topic.type_hash,
+                )
+                writer.write(rosout, stamp_ns, serialise(make('std_msgs/msg/String', data='hello')))
+            writer.write(known[topic.name], stamp_ns, cdr)
+
+
+def _describe(folder: Path, parts: Sequence[dict]) -> None:
+    """One ``metadata.yaml`` for several files."""
+    whole = dict(parts[0])
+    start = min(one['starting_time']['nanoseconds_since_epoch'] for one in parts)
+    end = max(one['starting_time']['nanoseconds_since_epoch'] + one['duration']['nanoseconds']
+              for one in parts)
+    topics: dict[str, dict] = {}
+    for part in parts:
+        for entry in part['topics_with_message_count']:
+            name = entry['topic_metadata']['name']
+            before = topics.get(name, {**entry, 'message_count': 0})
+            count = before['message_count'] + entry['message_count']
+            topics[name] = {**before, 'message_count': count}
+    names = [f'{folder.name}_{number}.mcap' for number in range(len(parts))]
+    whole.update(
+        starting_time={'nanoseconds_since_epoch': start}, duration={'nanoseconds': end - start},
+        message_count=sum(one['message_count'] for one in parts),
+        topics_with_message_count=list(topics.values()), relative_file_paths=names,
+        files=[
+            {'path': name, 'starting_time': one['starting_time'], 'duration': one['duration'],
+             'message_count': one['message_count']}
+            for name, one in zip(names, parts, strict=True)
+        ],
+    )
+    text = yaml.safe_dump({'rosbag2_bagfile_information': whole}, sort_keys=False)
+    (folder / 'metadata.yaml').write_text(text)
+

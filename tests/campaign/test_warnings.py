@@ -1,0 +1,138 @@
+"""What a campaign warns of: at its start, in its lines, in ``campaign.json``, when resumed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import falsify_samples as toy
+import pytest
+
+from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.earlier import read_earlier
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.lines import blind_words, check_lines, row_line, scene_words, summary
+from taxinet_ros.campaign.overrides import doubtful_values
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.core.scenario import Scenario
+
+VACUOUS = 'gentle=always(abs(steering) <= 0.3)'
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
+
+
+def row(unusable: int, outcome: Outcome = Outcome.PASS, **changes: object) -> RunRow:
+    request = RunRequest(
+        run_id='run-3', index=3, program='nominal', seed=0, scenario=Scenario(**changes),  # type: ignore[arg-type]
+        specs=('phi_eventually',), participants=(),
+    )
+    result = RunResult(
+        outcome=outcome, last_seq=300, rho={'phi_eventually': 1.0}, wall_s=1.0,
+        statistics=RunStatistics(
+            max_cross_track_m=0.5, unusable_estimates=unusable,
+            he_error=ErrorStatistics(mean=1e308, mean_abs=1e308, max_abs=1e308),
+        ),
+    )
+    return RunRow.of_run(request, result, perception='truth', sim_s=30.0)
+
+
+def test_people2_given_a_requirement_that_no_run_can_violate_then_it_is_told_and_on_record(
+    tmp_path: Path,
+) -> None:
+    chosen = toy.options(tmp_path / 'a', runs=4, specs=('phi_eventually', VACUOUS))
+    with toy.searching(chosen) as search:
+        lines = [line.plain for line in check_lines(search.check)]
+        quiet = [line.plain for line in check_lines(search.check, quiet=True)]
+        facts = json.loads((tmp_path / 'a' / FACTS_NAME).read_text())
+        ledger = read_ledger(tmp_path / 'a' / LEDGER_NAME).campaign
+    assert lines[0].startswith('phi_eventually: at some time from 0 s to 10 s: always from then on')
+    assert lines[1].startswith('gentle: always over the run: |steering| <= 0.3 rad (17.19 deg)')
+    assert quiet == lines[2:] == [f'warning: {text}' for text in facts['warnings']]
+    assert 'eventually[0:10] ends at 10 s, after the run of 1 s' in quiet[0]
+    assert quiet[1].startswith('warning: gentle: no run can violate it')
+    assert ledger['warnings'] == facts['warnings']
+
+
+def test_t17_given_a_window_beyond_the_run_then_nothing_is_written(tmp_path: Path) -> None:
+    chosen = toy.options(tmp_path / 'a', runs=4, specs=('far=always[35:40](cte < 1)',))
+    with pytest.raises(UsageError, match='begins 35 s into the run, which lasts 1 s'):
+        toy.finish(chosen)
+    assert not (tmp_path / 'a').exists()
+
+
+def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resumed(
+    tmp_path: Path,
+) -> None:
+    with toy.searching(toy.options(tmp_path / 'new', runs=4)) as search:
+        facts = search.facts
+    assert facts['warnings']
+    old = tmp_path / 'old'
+    old.mkdir()
+    with Ledger(old / LEDGER_NAME) as ledger:
+        ledger.campaign({key: value for key, value in facts.items() if key != 'warnings'})
+        assert read_earlier(old, facts).begun == 0
+
+
+@pytest.mark.parametrize(
+    ('overrides', 'warning'),
+    [
+        ({'rain': '0.5'}, 'rain=0.5 is 0.5 %, too little to see; for half write rain=50'),
+        ({'time_of_day': '0.4'}, 'time_of_day=0.4 is 24 minutes past midnight; hours go to 24'),
+        ({'heading': '0.17'}, 'heading=0.17 is 0.17 degrees; 0.17 rad would be heading=9.7'),
+        ({'heading': '-1.5708'}, 'heading=-1.5708 is -1.5708 degrees'),
+    ],
+)
+def test_people2_given_a_value_that_looks_like_another_unit_when_fixed_then_it_warns(
+    overrides: dict[str, str], warning: str
+) -> None:
+    (found,) = doubtful_values(overrides)
+    assert found.startswith(warning)
+
+
+def test_people2_given_values_as_people_set_them_then_nothing_is_warned_of() -> None:
+    usual = {
+        'rain': ('0', '1', '50', '100'), 'time_of_day': ('0', '1', '6.25', '9.5', '15', '24'),
+        'heading': ('0', '0.5', '-1', '1.5', '-20', '30', '0.0', '2.25'),
+    }
+    assert [doubtful_values({key: value}) for key in usual for value in usual[key]] == [
+        [] for values in usual.values() for _ in values
+    ]
+
+
+def test_people2_given_rain_of_less_than_a_percent_when_told_then_it_is_not_zero() -> None:
+    assert 'rain 0.5 %' in scene_words(row(0, clouds='broken', rain=0.005))
+    assert 'rain 50 %' in scene_words(row(0, clouds='broken', rain=0.5))
+
+
+def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_so(
+    tmp_path: Path,
+) -> None:
+    campaign = toy.options(tmp_path, runs=2).campaign
+    blind, seeing = row(251), row(15)
+    assert '251 of 301 estimates unusable' in row_line(blind).plain
+    assert 'unusable' not in row_line(seeing).plain
+    assert blind.passed_blind
+    assert not seeing.passed_blind
+    assert blind_words([seeing]) == []
+    line = (
+        'warning: 1 passed with more than 5% of their frames without a usable estimate (run 3); '
+        '--spec usable fails them'
+    )
+    assert line in summary([blind, seeing], campaign).splitlines()
+    failed = dataclasses.replace(blind, outcome=Outcome.FAIL)
+    assert not failed.passed_blind
+    assert '251 of 301 estimates unusable' in row_line(failed).plain
+
+
+def test_ros15_given_errors_that_overflow_in_degrees_then_the_row_is_finite() -> None:
+    made = row(0)
+    text = json.dumps(made.to_json(), allow_nan=False)
+    assert RunRow.from_json(json.loads(text)) == made

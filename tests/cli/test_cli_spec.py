@@ -1,0 +1,59 @@
+"""``taxinet spec``: requirements looked at without a run."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from taxinet_ros.cli.main import _exit_code, app
+
+
+def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    code = _exit_code(lambda: app(['spec', *words], standalone_mode=False))
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_people2_given_requirements_then_each_is_told_as_understood_and_warned_of(capsys) -> None:
+    words = ['phi_eventually', 'gentle=always(abs(steering) <= 0.3)']
+    code, out, err = call(capsys, *words)
+    assert (code, err) == (0, '')
+    assert out.splitlines() == [
+        'phi_eventually: at some time from 0 s to 10 s: always from then on: |cte| <= 1.5 m; '
+        'cte within ±240 m; horizon 30 s',
+        'gentle: always over the run: |steering| <= 0.3 rad (17.19 deg); '
+        'steering within ±0.261799 rad (15 deg); horizon 30 s',
+        'warning: gentle: no run can violate it: |steering| <= 0.3 rad (17.19 deg) always holds '
+        '(steering within ±0.261799 rad (15 deg))',
+    ]
+    found = json.loads(call(capsys, *words, '--json')[1])
+    assert [one['spec'] for one in found['specs']] == ['phi_eventually', 'gentle']
+    assert [f'warning: {line}' for line in found['warnings']] == out.splitlines()[2:]
+
+
+def test_people2_given_the_controllers_gains_and_a_length_then_they_count(capsys) -> None:
+    code, out, _ = call(
+        capsys, 'gentle=always(abs(steering) <= 0.3)', '--set', 'steering.max_steering_rad=0.5',
+        '--duration', '12',
+    )
+    assert code == 0
+    assert out == (
+        'gentle: always over the run: |steering| <= 0.3 rad (17.19 deg); '
+        'steering within ±0.5 rad (28.65 deg); horizon 12 s\n'
+    )
+
+
+@pytest.mark.parametrize(('words', 'complaint'), [
+    (['far=always[35:40](cte < 1)'], 'spec far: always[35:40] begins 35 s into the run, which'),
+    (['abs(he) <= 10 m'], 'column 12: expected an angle'),
+    (['phi_always', '--set', 'rain=3'], '--set rain: only gains of the controller matter here'),
+    (['phi_always', '--duration', '0'], 'duration_s is 0, outside 0.1..600 s'),
+])
+def test_people2_given_what_cannot_be_judged_then_one_line_says_why(
+    capsys, words: list[str], complaint: str
+) -> None:
+    code, out, err = call(capsys, *words)
+    assert (code, out) == (2, '')
+    assert complaint in err
+    assert len(err.splitlines()) == 1
