@@ -70,8 +70,7 @@ class Programs:
 
         search_words.install()
         self._words = search_words
-        self._constructs = scenic_constructs.Constructs()
-        self._constructs.install()
+        self._constructs = scenic_constructs.watching()
         sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
         self._compile = scenic.scenarioFromFile
         self._find_choices = scenic_choices.Choices

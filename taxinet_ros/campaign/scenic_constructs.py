@@ -20,6 +20,7 @@ import importlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -158,8 +159,7 @@ class Constructs:
     _uses: set[str] = field(default_factory=set)
     _read: set[str] = field(default_factory=set)
 
-    def install(self) -> None:
-        """Put a watch on Scenic's statements, and have what it compiles keep its lines."""
+    def _install(self) -> None:
         _keep_lines()
         translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
         for name, (statement, why) in _STATEMENTS.items():
@@ -179,7 +179,8 @@ class Constructs:
 
     def notes(self, scenario: Any) -> list[list[Any]]:
         """File, line and text of what a program may mean otherwise than it says."""
-        values = [float(value) for value in _drawn(scenario.params.get('rain', 0))]
+        values = [float(value) for value in _drawn(scenario.params.get('rain', 0))
+                  if isinstance(value, Real)]
         if not 0 < max(values, default=0) <= 1:
             return []
         shown = ' to '.join(dict.fromkeys(f'{end:.2g}' for end in (min(values), max(values))))
@@ -312,7 +313,7 @@ class Constructs:
         given = {**_of_classes(type(ego)), **(made.given if made else {})}
         for name, where in given.items():
             self._check_property(scenario, ego, name, where)
-        if ego.mutationScale != 0 and not needsSampling(ego):
+        if _mutated(ego) and not needsSampling(ego):
             raise ProgramError(
                 'mutationScale: has no effect here; write "mutate ego by SCALE"',
                 given.get('mutationScale', place),
@@ -353,6 +354,17 @@ def _drawn(value: Any) -> list[Any]:
     with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
         values += (Samplable.sampleAll([value])[value] for _ in range(_DRAWS))
     return values
+
+
+@functools.cache
+def watching() -> Constructs:
+    """The watch on Scenic's statements, of which a process has one, as it has one Scenic.
+
+    What Scenic compiles keeps the lines of the program from then on.
+    """
+    constructs = Constructs()
+    constructs._install()
+    return constructs
 
 
 def _sentence(word: str, why: str) -> str:
@@ -486,5 +498,9 @@ def _of_classes(kind: type) -> dict[str, Place]:
 def _uses_of(scenario: Any, ego: Any) -> Iterator[str]:
     if not isinstance(scenario.containerOfObject(ego), AllRegion):
         yield 'size'
-    if ego.mutationScale != 0:
+    if _mutated(ego):
         yield 'mutate'
+
+
+def _mutated(thing: Any) -> bool:
+    return needsSampling(thing.mutationScale) or thing.mutationScale != 0

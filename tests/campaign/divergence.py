@@ -87,7 +87,8 @@ PROGRAMS = {
                      'CircularRegion((0, 900), 6))\n',
     'region, required': 'ego = new Plane in RectangularRegion((0, 500), 0, 10, 800)\n'
                         'require[0.6] ego.position.y > 700\n',
-    'volume': 'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 600, 4))\n',
+    'odd region': 'Odd = type("Odd", (RectangularRegion,), {})\n'
+                  'ego = new Plane in Odd((0, 500), 0, 8, 600)\n',
     'offset': 'spot = new OrientedPoint at (Range(-2, 2), Range(200, 900)), facing 10 deg\n'
               'ego = new Plane at spot offset by (Range(-1, 1), Normal(0, 20))\n',
     'mutate': 'ego = new Plane at (Range(-2, 2), 400)\nmutate ego by 0.5\n',

@@ -197,7 +197,8 @@ def test_s10_a_parameter_of_the_paper_is_answered_with_ours(
 @pytest.mark.parametrize(('rain', 'shown'), [
     ('Range(0.25, 1)', True), ('Options({0: 2, Range(0.2, 1): 1})', True), ('0.5', True),
     ('1', True),
-    ('0', False), ('Range(0, 100)', False), ('Options({0: 2, Range(25, 100): 1})', False),
+    ('"50"', False), ('0', False), ('Range(0, 100)', False),
+    ('Options({0: 2, Range(25, 100): 1})', False),
 ])
 def test_s10_rain_that_looks_like_a_fraction_is_noted(
     client: Any, tmp_path: Path, rain: str, shown: bool

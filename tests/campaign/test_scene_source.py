@@ -217,8 +217,8 @@ def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
 def test_s6_given_what_is_wrong_in_every_scene_then_it_is_an_error_at_once(
     tmp_path: Path, text: str, message: str,
 ) -> None:
-    with SceneSource(write(tmp_path, text), seed=0) as source, \
-            pytest.raises(UsageError, match=message):
+    with pytest.raises(UsageError, match=message), \
+            SceneSource(write(tmp_path, text), seed=0) as source:
         source.scene(0)
 
 

@@ -264,6 +264,8 @@ WORKS = {
         MODEL + 'eye = new OrientedPoint at (0, 400), with visibleDistance 20\n'
         'ego = new Plane at (Range(-9, 9), 400), with viewAngle 60 deg\n'
         'require eye can see ego\n', {}),
+    'mutation scale of a random place': (
+        MODEL + 'ego = new Plane at (Range(-1, 1), 400), with mutationScale Range(1, 2)\n', {}),
     'property that is read': (AT + ', with limit 3\nrequire ego.position.x < ego.limit\n', {}),
     'class': (MODEL + 'class Late(Plane):\n    delay: 3\n    position: (0, 400 + self.delay)\n'
               'ego = new Late with delay 5\n', {'distance': 405}),

@@ -212,13 +212,13 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
 ) -> None:
     space = compiled(
         WORLD + 'param rain = Range(0, 9)\nunused = Range(0, 1)\n'
-        'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 10, 4)), '
+        'Odd = type("Odd", (RectangularRegion,), {})\nego = new Plane in Odd((0, 500), 0, 8, 10), '
         'with name unused\nrequire[0.9] ego.position.y > 100\n'
     )
     assert names(space) == ['rain', 'unused']
     assert space.choices[1].feeds == {'requirements'}, 'it hangs on the ego, which is judged'
-    assert space.unsearched == ('ego.position (a point in BoxRegion)',
-                                'requirement on line 5 (holds in 90% of scenes)')
+    assert space.unsearched == ('ego.position (a point in Odd)',
+                                'requirement on line 6 (holds in 90% of scenes)')
     first, again = at(client, 0.5, 0.5), at(client, 0.5, 0.5)
     other = client.ask(op='scene', index=1, point=[0.5, 0.5])['values']
     assert first == again
@@ -337,17 +337,19 @@ def test_s9_given_choices_under_several_options_when_asked_then_each_way_there_i
     client: Any, compiled: Compile,
 ) -> None:
     space = compiled(
-        WORLD + 'shared = Range(0, 9)\nonly = Range(0, 9)\nboth = Range(0, 9)\n'
+        'from scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef dry(choice):\n    return 0\n'
+        + WORLD + 'shared = Range(0, 9)\nonly = Range(0, 9)\nboth = Range(0, 9)\n'
         'inner = Uniform((only, 1), (shared, 2), 7)\n'
         'outer = Uniform((both, inner), (shared, 0), (0, 0))\n'
-        'param rain = outer\nparam time_of_day = both\n'
+        'param rain = dry(outer)\nparam time_of_day = both\n'
         'ego = new Plane at (0, 400)\n'
     )
     when = {choice.dimension.name: choice.dimension.when for choice in space.choices}
     assert when == {
-        'rain': (), 'inner': (Branch('rain', (0,)),),
+        'outer': (), 'inner': (Branch('outer', (0,)),),
         'only': (Branch('inner', (0,)),),
-        'shared': (Branch('rain', (1,)), Branch('inner', (1,))),
+        'shared': (Branch('outer', (1,)), Branch('inner', (1,))),
         'time_of_day': (),
     }
 
@@ -445,10 +447,11 @@ def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and
     client: Any, compiled: Compile,
 ) -> None:
     space = compiled(
-        WORLD + 'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 600, 4))\n'
+        WORLD + 'Odd = type("Odd", (RectangularRegion,), {})\n'
+        'ego = new Plane in Odd((0, 500), 0, 8, 600)\n'
     )
     assert space_lines(space) == [
-        'searched: nothing', 'drawn, not searched: ego.position (a point in BoxRegion)',
+        'searched: nothing', 'drawn, not searched: ego.position (a point in Odd)',
     ]
     with pytest.raises(UsageError, match='ce: nothing that the program draws can be searched; '
                                          '--sampler random draws as it does'):

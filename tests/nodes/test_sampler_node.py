@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.search_options import make_search_options
+from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.falsify import run_falsify
 from taxinet_ros.core.errors import UsageError
@@ -272,14 +272,14 @@ BAD = {
 }
 
 
-def built(parameters: dict[str, object]) -> None:
-    """Build the node in this process."""
+def built(parameters: dict[str, object]) -> SearchOptions | None:
+    """Build the node in this process; what it is to search."""
     with own_domain() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
         try:
             overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-            StandaloneSampler(context=context, parameter_overrides=overrides)
+            return StandaloneSampler(context=context, parameter_overrides=overrides).search
         finally:
             rclpy.try_shutdown(context=context)
 
@@ -294,3 +294,12 @@ def test_given_bad_parameters_then_one_line_names_the_parameter(case, tmp_path, 
     assert '--' not in str(caught.value)
     assert '\n' not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_s4_given_the_word_program_then_the_programs_sampler_is_taken(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    search = built({'sampler': 'program', 'sampler_options': ['alpha=0.9']})
+    assert search is not None
+    assert (search.sampler, search.sampler_options) == ('', {'alpha': '0.9'})
+    assert search.campaign.runs == 100
+    assert built({'sampler': ''}) is None
