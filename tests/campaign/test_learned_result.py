@@ -158,7 +158,7 @@ def searched(seed: int, runs: int, fails: float) -> LearnedResult:
 
 
 def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() -> None:
-    """The mean of the samplers' own histograms says 80 % where the truth is 98 %."""
+    """The samplers' own histograms say less than half where the truth is 98 %."""
     groups = [together(*(searched(100 * group + seed, 120, 0.1) for seed in range(5)))
               for group in range(40)]
     shares = [group.bins(DISTANCE)[2] for group in groups]
@@ -166,4 +166,4 @@ def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() 
     assert held >= 36
     assert np.mean([share.share for share in shares]) == pytest.approx(0.98, abs=0.01)
     assert np.mean([share.high - share.low for share in shares]) < 0.15
-    assert np.mean([group.mean['distance'][2] for group in groups]) < 0.95
+    assert np.mean([group.mean['distance'][2] for group in groups]) < 0.6

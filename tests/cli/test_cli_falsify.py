@@ -90,10 +90,10 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_was_learned(whole):
     table = read_table(whole)
     assert table['rho'].notna().all()
-    for bag in table['bag']:
+    for bag, outcome in zip(table['bag'], table['outcome'], strict=True):
         info = read_info(whole / bag)
         assert info.complete
-        assert '/camera/image_raw' not in info.counts
+        assert ('/camera/image_raw' in info.counts) == (outcome == 'FAIL')
         assert info.counts['/ground_truth/odom'] == 21
     events = [json.loads(line) for line in (whole / 'ledger.jsonl').read_text().splitlines()]
     assert [event['event'] for event in events] == ['campaign', *['intent', 'result'] * 10]
