@@ -136,14 +136,18 @@ def _why_not(failed: Mask) -> str:
 def _described(
     region: Region, frame: pd.DataFrame, left: Mask, alpha: float, rng: np.random.Generator
 ) -> Region:
-    """The region narrowed, sharpened and rounded."""
+    """The region narrowed, sharpened and rounded.
+
+    Each narrowing that is kept has more conditions than the one before, so there are at most
+    ``_MOST_PARTS``: sharpening may drop the very condition that was added, and then it ends.
+    """
     among = frame[left]
     region = sharpened(region, among)
-    while len(region.parts) < _MOST_PARTS:
-        narrower = _narrowed(region, among, alpha, rng)
-        if narrower is None:
+    while (narrower := _narrowed(region, among, alpha, rng)) is not None:
+        narrower = sharpened(narrower, among)
+        if len(narrower.parts) <= len(region.parts):
             break
-        region = sharpened(narrower, among)
+        region = narrower
     return sayable(region, frame)
 
 
