@@ -215,9 +215,9 @@ def test_given_counts_then_the_ratio_is_that_of_two_binomials(inside, outside, d
 @given(st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0, 2.5, 7.0, 8.0, 30.0]), min_size=1,
                 max_size=60), st.integers(1, 12))
 def test_given_values_then_each_lies_in_its_own_cell(values, most):
-    cells, places = interval_cells(np.array(values), most, 'distance_m')
+    firsts, lasts, places = interval_cells(np.array(values), most)
     assert len(places) == len(values)
-    assert all(cells[place].low <= value <= cells[place].high
+    assert all(firsts[place] <= value <= lasts[place]
                for place, value in zip(places, values, strict=True))
-    ends = [end for cell in cells for end in (cell.low, cell.high)]
+    ends = [end for cell in zip(firsts, lasts, strict=True) for end in cell]
     assert ends == sorted(ends), 'cells do not overlap'
