@@ -16,12 +16,14 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csr_array
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
 from taxinet_ros.analysis.failure_region import Either, Interval, Kinds, Part, Region, Slant
 from taxinet_ros.analysis.group_rates import Floats, Mask
@@ -57,10 +59,12 @@ DISCOUNT = 1.2
 PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0}
 """Features that begin anew."""
 
-_FIRST_SHUFFLES = 199
+_FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
 _HOPELESS = 3.0
 """Where p is more than so many times alpha after the first shufflings, there are no more."""
 _LEVEL = 0.05
+_LEVELS = (0.03, 0.015, 0.015)
+"""Of each family: single features are causes more often than pairs are."""
 _MOST_KINDS = 8
 _SLOPES = (0.5, 1.0, 2.0)
 _SLANTED = (CROSS_TRACK, HEADING, DISTANCE, TIME_OF_DAY)
@@ -163,21 +167,20 @@ class Scan:
         """
         self._failed = frame['failed'].to_numpy(dtype=bool)
         self._blocks = list(_blocks(frame, frame if basis is None else basis))
-        self._penalties = [self._penalty(block) for block in self._blocks]
         self.candidates = sum(len(block.inside) for block in self._blocks)
         self.region: Region | None = None
         self._greatest = np.full(3, -np.inf)
-        rows, told = self._failed[None, :].astype(np.float32), [0.0] * 3
-        for block, penalty in zip(self._blocks, self._penalties, strict=True):
-            score = self._scores(block, penalty, rows)[:, 0]
+        self._first_score, self._score_of = np.zeros(0, dtype=np.int32), np.zeros(0, np.float32)
+        rows, told = self._failed[None, :].astype(np.float32), 0.0
+        for block in self._blocks:
+            score = self._scores(block, rows)[:, 0]
             best = int(score.argmax())
-            if score[best] <= self._greatest[block.family]:
-                continue
-            self._greatest[block.family] = score[best]
-            told[block.family] = float(score[best] + penalty[best]) ** 2
-            told[block.family] /= 1.0 if block.family == _ONE else DISCOUNT
-            if told[block.family] == max(told) > 0:
-                self.region = block.region(best)
+            self._greatest[block.family] = max(self._greatest[block.family], score[best])
+            penalty = float(size_penalty(block.inside[best], len(self._failed)))
+            worth = float(score[best]) + penalty
+            worth /= 1.0 if block.family == _ONE else math.sqrt(DISCOUNT)
+            if worth > told:
+                self.region, told = block.region(best), worth
         self._shuffled = np.zeros((0, 3))
         self._inside = None if self.region is None else self.region.mask(frame)
 
@@ -193,16 +196,19 @@ class Scan:
         """
         if self._inside is None:
             return 1.0, False
-        self._shuffle(_FIRST_SHUFFLES, rng)
         bound = self.candidates * hoeffding_bound(self._failed, self._inside)
         if bound < 1 / (SHUFFLES + 1):
+            self._shuffle(_SHUFFLES_OF_BOUND, rng)  # for the intervals
             return bound, True
+        self._tabulate()
+        self._shuffle(_FIRST_SHUFFLES, rng)
         if self._rank() <= _HOPELESS * alpha:
             self._shuffle(SHUFFLES - _FIRST_SHUFFLES, rng)
         return self._rank(), False
 
     def _rank(self) -> float:
-        usual = np.quantile(self._shuffled, 1 - _LEVEL, axis=0)
+        usual = np.array([np.quantile(each, 1 - level) for each, level in zip(
+            self._shuffled.T, _LEVELS, strict=True)])
         usual = np.where(np.isfinite(usual), usual, 0.0)
         here = float((self._greatest - usual).max())
         there = (self._shuffled - usual).max(axis=1)
@@ -245,24 +251,39 @@ class Scan:
     def _shuffle(self, times: int, rng: np.random.Generator) -> None:
         rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
         greatest = np.full((times, 3), -np.inf)
-        for block, penalty in zip(self._blocks, self._penalties, strict=True):
-            score = self._scores(block, penalty, rows).max(axis=0)
-            np.maximum(greatest[:, block.family], score, out=greatest[:, block.family])
+        # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
+        with threadpool_limits(limits=1):
+            for block in self._blocks:
+                score = self._scores(block, rows).max(axis=0)
+                np.maximum(greatest[:, block.family], score, out=greatest[:, block.family])
         self._shuffled = np.concatenate([self._shuffled, greatest])
 
-    def _scores(self, block: _Block, penalty: Floats, rows: Floats32) -> Floats:
-        ratio = likelihood_ratio(
-            block.failures(rows), block.inside[:, None], int(self._failed.sum()),
-            len(self._failed),
-        )
-        scores: Floats = np.sqrt(2 * np.maximum(ratio, 0.0)) - penalty[:, None]
-        return scores
+    def _scores(self, block: _Block, rows: Floats32) -> Floats32:
+        """Of each candidate, for each row of outcomes: (candidates, rows)."""
+        failures = block.failures(rows)
+        if not len(self._score_of):
+            return self._score(failures, block.inside[:, None])
+        places = failures.astype(np.int32)
+        places += self._first_score[block.inside.astype(np.int32)][:, None]
+        return self._score_of.take(places)
 
-    def _penalty(self, block: _Block) -> Floats:
-        """Of each candidate; infinite for one with too few runs, or nearly all."""
-        runs, least = len(self._failed), least_runs(len(self._failed))
-        few = (block.inside < least) | (runs - block.inside < least)
-        return np.where(few, np.inf, size_penalty(block.inside, runs))
+    def _tabulate(self) -> None:
+        """Put down every score that there can be, by runs inside and failures among them."""
+        runs, all_failures = len(self._failed), int(self._failed.sum())
+        sizes = np.unique(np.concatenate([block.inside for block in self._blocks]))
+        self._first_score = np.full(runs + 1, 0, dtype=np.int32)
+        self._first_score[sizes.astype(np.int32)] = np.arange(len(sizes)) * (all_failures + 1)
+        failures = np.minimum(np.arange(all_failures + 1)[None, :], sizes[:, None])
+        self._score_of = self._score(failures, sizes[:, None]).ravel()
+
+    def _score(self, failures: npt.NDArray[Any], inside: Floats32) -> Floats32:
+        """Root of twice the ratio, less what chance makes of it; never of too few runs."""
+        runs = len(self._failed)
+        ratio = likelihood_ratio(failures, inside, int(self._failed.sum()), runs)
+        penalty = size_penalty(inside, runs)
+        penalty[np.minimum(inside, runs - inside) < least_runs(runs)] = np.inf
+        scores: Floats = np.sqrt(2 * np.maximum(ratio, 0.0)) - penalty
+        return scores.astype(np.float32)
 
 
 _OF_ONE_RATE = 1.92

@@ -16,16 +16,19 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.cause_limits import sayable, sharpened
 from taxinet_ros.analysis.cause_scan import Scan, p_of_search
-from taxinet_ros.analysis.failure_region import Region
+from taxinet_ros.analysis.failure_region import Interval, Kinds, Region
 from taxinet_ros.analysis.group_rates import Mask
-from taxinet_ros.analysis.run_features import ALL
+from taxinet_ros.analysis.run_features import ALL, BY_NAME
 from taxinet_ros.analysis.scan_statistic import interval_of
 
 LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
+_TIMES_DENSER = 2.0
+"""A region is narrowed where failures are this much denser within the narrower one."""
 _OF_ALL = 1.92
 """Half the 95 % quantile of chi-square: for the rate of all runs, where nothing was picked."""
 _HEEDLESS = {'', 'random', 'halton', 'sobol', 'grid'}
@@ -155,7 +158,8 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         p, bound = (p_of_search(frame[left]), True) if searched else scan.p_value(alpha, rng)
         if scan.region is None or p > alpha:
             break
-        region = sayable(sharpened(scan.region, frame[left]), frame)
+        region = sharpened(scan.region, frame[left])
+        region = sayable(_narrowed(region, frame[left], alpha, rng), frame)
         within = region.mask(frame)
         inside, beyond = within & left, ~within & left
         if not failed[inside].any() or not beyond.any():
@@ -175,6 +179,33 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
         candidates=candidates, searched=searched, again=again,
     )
+
+
+def _narrowed(
+    region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
+) -> Region:
+    """The region with one condition more, where most of its failures have it; else as it is.
+
+    There is at most one such step, and only from one condition to two.
+    """
+    inside = among[region.mask(among)]
+    failed = inside['failed'].to_numpy(dtype=bool)
+    if len(region.parts) > 1 or len(region.features) > 1 or _why_not(failed):
+        return region
+    scan = Scan(inside)
+    new = scan.region.parts if scan.region is not None else ()
+    sources = {feature.source for feature in region.features}
+    new = tuple(part for part in new if isinstance(part, Interval | Kinds)
+                and BY_NAME[part.feature].source not in sources)
+    if len(new) != 1:
+        return region
+    within = new[0].mask(inside)
+    if within.all() or failed[within].mean() < _TIMES_DENSER * failed[~within].mean():
+        return region
+    if scan.p_value(alpha, rng)[0] > alpha:
+        return region
+    narrower = sharpened(Region(parts=(*region.parts, *new)), among)
+    return narrower if len(narrower.parts) > 1 else region
 
 
 def _rate(failed: Mask, deviance: float) -> FoundRate:
