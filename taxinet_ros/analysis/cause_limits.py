@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from taxinet_ros.analysis.cause_scan import goes_round, least_runs
@@ -127,7 +129,7 @@ def _halves(name: str, frame: pd.DataFrame) -> Iterator[Interval | Kinds]:
         yield Interval(feature=name, low=float(first), high=None)
 
 
-def _ratio(failures: Floats, inside: Floats, failed: Mask) -> Floats:
+def _ratio(failures: npt.NDArray[Any], inside: npt.NDArray[Any], failed: Mask) -> Floats:
     ratio = likelihood_ratio(failures, inside, int(failed.sum()), len(failed))
     least = least_runs(len(failed))
     ratio[(inside < least) | (len(failed) - inside < least)] = 0.0

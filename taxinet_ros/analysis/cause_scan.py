@@ -25,8 +25,8 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from taxinet_ros.analysis.failure_region import Either, Interval, Kinds, Part, Region, Slant
-from taxinet_ros.analysis.group_rates import Floats, Mask
+from taxinet_ros.analysis.failure_region import Either, Interval, Kinds, Region, Slant
+from taxinet_ros.analysis.group_rates import Floats
 from taxinet_ros.analysis.run_features import (
     CROSS_TRACK,
     DISTANCE,
@@ -291,7 +291,7 @@ _OF_ONE_RATE = 1.92
 
 
 def p_of_search(frame: pd.DataFrame) -> float:
-    """p value of a cause somewhere, where outcomes may have chosen the scenes after them.
+    """P value of a cause somewhere, where outcomes may have chosen the scenes after them.
 
     Args:
         frame: runs with features and ``failed``, in the order in which they were asked for.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -44,6 +46,10 @@ class Interval:
         """Features that it is about."""
         return (self.feature,)
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'low': self.low, 'high': self.high}
+
     def words(self) -> str:
         """For people."""
         feature = BY_NAME[self.feature]
@@ -69,6 +75,10 @@ class Kinds:
     def mask(self, frame: pd.DataFrame) -> Mask:
         """Which runs have one of them."""
         return np.isin(frame[self.feature].to_numpy(dtype=object), self.kinds)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'kinds': list(self.kinds)}
 
     def words(self) -> str:
         """For people."""
@@ -111,6 +121,11 @@ class Slant:
         high = np.inf if self.high is None else self.high
         return (values >= low) & (values <= high)
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'other': self.other, 'factor': self.factor,
+                'low': self.low, 'high': self.high}
+
     def words(self) -> str:
         """For people."""
         first, other = (BY_NAME[name].axis for name in self.names)
@@ -144,12 +159,28 @@ class Either:
         """Which runs lie within."""
         return self.first.mask(frame) ^ self.second.mask(frame)
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'either': [self.first.to_json(), self.second.to_json()]}
+
     def words(self) -> str:
         """For people."""
         return f'either {self.first.words()}, or {self.second.words()}, not both'
 
 
 Part = Interval | Kinds | Slant | Either
+
+
+def part_of(values: Mapping[str, Any]) -> Part:
+    """The part that ``to_json`` gave these values."""
+    if 'either' in values:
+        first, second = (part_of(each) for each in values['either'])
+        assert isinstance(first, Interval | Kinds)
+        assert isinstance(second, Interval | Kinds)
+        return Either(first=first, second=second)
+    if 'kinds' in values:
+        return Kinds(feature=values['feature'], kinds=tuple(values['kinds']))
+    return Slant(**values) if 'factor' in values else Interval(**values)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

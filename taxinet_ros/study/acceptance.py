@@ -96,10 +96,10 @@ def decide(
     The candidate is accepted if it fails less often, or fails no more often and keeps to the
     centreline better (robustness), at a level of ``alpha``; and if it is shown, at this level each,
     that it neither fails nor leaves the runway more often by ``margin`` or more, nor fails more
-    often by ``place_margin`` or more in any quarter of the scenes along the runway, over the day, by
-    offset or by heading of the start, nor in rain or when it is dry under light or dark skies, nor
-    in a cause of the incumbent's failures or outside them all. All of this has to be shown, so a
-    network that is worse by a margin in any of it gets through with a probability of ``alpha`` at
+    often by ``place_margin`` or more in any quarter of the scenes along the runway, over the day,
+    by offset or by heading of the start, nor in rain or when it is dry under light or dark skies,
+    nor in a cause of the incumbent's failures or outside them all. All of this has to be shown, so
+    a network that is worse by a margin in any of it gets through with a probability of ``alpha`` at
     most (intersection-union test: Berger, Technometrics 24, 1982).
 
     Args:
@@ -115,10 +115,11 @@ def decide(
     bounds = _places(found, causes, alpha, place_margin)
     worse = {name: bound for name, bound in bounds.items() if bound >= place_margin}
     more, more_off = _more(satisfied, alpha), _more(off, alpha)
-    refusal = _refusal(found, max(more, 0.0), max(more_off, 0.0), margin, worse)
     better = _better(found, alpha)
+    refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
+    why = refusal if better or satisfied.second < satisfied.first else ''
     return Decision(
-        accepted=bool(better) and not refusal, why=refusal or better or 'not better beyond doubt',
+        accepted=bool(better) and not refusal, why=why or better or 'not better beyond doubt',
         pairs=satisfied.pairs, failed_before=satisfied.pairs - satisfied.first,
         failed_now=satisfied.pairs - satisfied.second,
         only_before=satisfied.only_second, only_now=satisfied.only_first,
@@ -141,7 +142,8 @@ def _better(found: Comparison, alpha: float) -> str:
 
 
 def _refusal(
-    found: Comparison, more: float, more_off: float, margin: float, worse: Mapping[str, float],
+    found: Comparison, alpha: float, more: float, more_off: float, margin: float,
+    worse: Mapping[str, float],
 ) -> str:
     """Why the candidate may be worse, or ''."""
     satisfied, off = found.satisfied, found.off_runway
@@ -149,18 +151,18 @@ def _refusal(
         return f'leaves the runway more often ({off.second} runs, not {off.first})'
     if satisfied.second < satisfied.first:
         return 'fails more often'
-    if not _better(found, 0.5):
-        return ''
     if more >= margin:
         return (f'may fail up to {100 * more:.1f} points more often by {satisfied.pairs} scenes, '
                 f'and {100 * margin:g} is the margin')
-    if more_off >= margin:
+    # Where failures became fewer beyond doubt, so did the worst of them, unless one sees otherwise.
+    if satisfied.p_value > alpha and more_off >= margin:
         return (f'may leave the runway up to {100 * more_off:.1f} points more often by '
                 f'{satisfied.pairs} scenes, and {100 * margin:g} is the margin')
     if worse:
         most = max(worse, key=lambda name: worse[name])
-        others = f' (and in {len(worse) - 1} places more)' if len(worse) > 1 else ''
-        return f'may fail up to {100 * worse[most]:.1f} points more often {most}{others}'
+        others = f', and in {len(worse) - 1} places more' if len(worse) > 1 else ''
+        return (f'may fail up to {100 * worse[most]:.1f} points more often where it is about '
+                f'"{most}"{others}')
     return ''
 
 
@@ -186,9 +188,9 @@ def _places(
     # Of so many pairs without any failure the bound is below the margin.
     least = math.ceil(float(norm.ppf(1 - alpha)) ** 2 * (1 - place_margin) / place_margin)
     inside = np.zeros(len(frame), dtype=bool)
-    masks = {'outside the causes found': inside}
+    masks = {'no cause found': inside}
     for cause in causes:
-        masks[f'in the cause "{cause.words()}"'] = mask = cause.mask(frame)
+        masks[cause.words()] = mask = cause.mask(frame)
         inside |= mask
     np.logical_not(inside, out=inside)
     for words, mask in _parts(frame, min(_PARTS, len(frame) // least)):
@@ -210,9 +212,9 @@ def _parts(frame: pd.DataFrame, most: int) -> Iterator[tuple[str, Mask]]:
             yield part.words(), part.mask(frame)
     dry = Interval(feature=RAIN.name, low=None, high=0.0).mask(frame)
     dark = Kinds(feature=CLOUDS_KIND.name, kinds=_DARK).mask(frame)
-    yield 'in rain', ~dry
-    yield 'when dry under dark clouds', dry & dark
-    yield 'when dry under other skies', dry & ~dark
+    yield 'rain', ~dry
+    yield 'dark clouds, no rain', dry & dark
+    yield 'light clouds or none, no rain', dry & ~dark
 
 
 def _bound(more: int, fewer: int, pairs: int, alpha: float) -> float:
