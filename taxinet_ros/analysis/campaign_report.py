@@ -133,7 +133,8 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
     commands = [command for cause in findings.causes.found
                 if (command := confirming(findings.runs, cause)) is not None]
     if commands:
-        sentences.append('Each cause can be tested on fresh scenes by a command of its own, in this folder:')
+        sentences.append(
+            'Each cause can be tested on fresh scenes by a command of its own, in this folder:')
         sentences += commands
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),

@@ -112,7 +112,9 @@ def clusters_picture(findings: Findings) -> Picture:
     )
 
 
-def _forest(axes: Axes, rates: list[GroupRate | FoundRate], colour: str, shift: float, label: str) -> None:
+def _forest(
+    axes: Axes, rates: list[GroupRate | FoundRate], colour: str, shift: float, label: str
+) -> None:
     shown = [(place, rate) for place, rate in enumerate(rates) if rate.runs]
     if not shown:
         return
