@@ -73,6 +73,8 @@ _WRAPS = 0.2
 _LEARNING = 0.2
 """Share of the runs of a search that only tell where to cut, if outcomes chose the scenes."""
 
+_NONE = -99.0
+"""Below every score."""
 _ONE, _SLANT, _TWO = range(3)
 
 
@@ -169,7 +171,7 @@ class Scan:
         self._blocks = list(_blocks(frame, frame if basis is None else basis))
         self.candidates = sum(len(block.inside) for block in self._blocks)
         self.region: Region | None = None
-        self._greatest = np.full(3, -np.inf)
+        self._greatest = np.full(3, _NONE)
         self._first_score, self._score_of = np.zeros(0, dtype=np.int32), np.zeros(0, np.float32)
         rows, told = self._failed[None, :].astype(np.float32), 0.0
         for block in self._blocks:
@@ -209,7 +211,7 @@ class Scan:
     def _rank(self) -> float:
         usual = np.array([np.quantile(each, 1 - level) for each, level in zip(
             self._shuffled.T, _LEVELS, strict=True)])
-        usual = np.where(np.isfinite(usual), usual, 0.0)
+        usual[usual <= _NONE] = -_NONE  # a family without candidates never exceeds anything
         here = float((self._greatest - usual).max())
         there = (self._shuffled - usual).max(axis=1)
         return (1 + int((there >= here - 1e-9).sum())) / (1 + len(there))
@@ -221,7 +223,7 @@ class Scan:
             inside: runs of the region.
         """
         greatest = self._shuffled.max(axis=1)
-        usual = float(np.quantile(greatest[np.isfinite(greatest)], 1 - _LEVEL))
+        usual = float(np.quantile(greatest, 1 - _LEVEL))
         root = max(usual, 0.0) + float(size_penalty(np.array([inside]), len(self._failed))[0])
         return root**2 / 2 + _OF_ONE_RATE
 
@@ -250,7 +252,7 @@ class Scan:
 
     def _shuffle(self, times: int, rng: np.random.Generator) -> None:
         rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
-        greatest = np.full((times, 3), -np.inf)
+        greatest = np.full((times, 3), _NONE)
         # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
         with threadpool_limits(limits=1):
             for block in self._blocks:
@@ -343,7 +345,7 @@ def _axis(
     kinds = kinds_present(feature, basis)
     if not 2 <= len(kinds) <= _MOST_KINDS:
         return None
-    codes = pd.Categorical(frame[feature.name], categories=kinds).codes.astype(np.int64)
+    codes = pd.Index(kinds).get_indexer(pd.Index(frame[feature.name])).astype(np.int64)
     empty = np.zeros(0)
     # A word that only came up later is with the last one.
     return _Axis(Kinds(feature=feature.name, kinds=kinds), empty, empty,
