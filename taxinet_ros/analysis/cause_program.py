@@ -20,12 +20,12 @@ RUNS = 100
 _ANOTHER_SEED = 1_000_003
 _FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
 _VALUES = {
-    'time_of_day_h': 'globalParameters.time_of_day', 'clouds': 'globalParameters.clouds',
-    'rain_percent': 'globalParameters.rain', 'cross_track_m': 'ego.cross_track',
+    'time_of_day_h': 'scene_time_of_day', 'clouds': 'scene_clouds',
+    'rain_percent': 'scene_rain', 'cross_track_m': 'ego.cross_track',
     'distance_m': 'ego.distance', 'heading_deg': 'ego.heading_deg',
     'abs_cross_track_m': 'abs(ego.cross_track)', 'abs_heading_deg': 'abs(ego.heading_deg)',
-    'shadows': 'globalParameters.shadows', 'crossing': 'globalParameters.crossing',
-    'aircraft': 'globalParameters.aircraft', 'date': 'globalParameters.date',
+    'shadows': 'scene_shadows', 'crossing': 'scene_crossing',
+    'aircraft': 'scene_aircraft', 'date': 'scene_date',
 }
 _SWITCHES = {'on': True, 'off': False}
 
@@ -46,6 +46,9 @@ def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
     if source is None:
         return None
     required = [f'require {_condition(part)}' for part in cause.region.parts]
+    # A requirement knows the names of a program, but not the parameters of the world.
+    named = sorted({word for text in required for word in re.findall(r'\bscene_\w+', text)})
+    required[:0] = [f'{word} = globalParameters.{word.removeprefix("scene_")}' for word in named]
     return '\n'.join([
         source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
         f'{cause.region.words()}.', *required, '',
