@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from taxinet_ros.analysis.cause_program import cause_program, program_name
 from taxinet_ros.analysis.counterexamples import explained_runs
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.findings_json import SCHEMA, VERSION, findings_values
@@ -59,6 +60,9 @@ def write_analysis(
     _begin(out)
     others = _files(out)
     _write_runs(findings, out)
+    for cause in findings.causes.found:
+        if (program := cause_program(findings.runs, cause)) is not None:
+            write_atomically(out / program_name(cause), program)
     for section in report.sections:
         for table in section.tables:
             write_atomically(out / f'{table.name}.csv', csv_text(table))

@@ -18,7 +18,8 @@ from taxinet_ros.analysis.campaign_tables import (
     tree_table,
 )
 from taxinet_ros.analysis.cause_figures import causes_picture, clusters_picture, ranking_picture
-from taxinet_ros.analysis.cause_scan import PAIR_DISCOUNT, SHUFFLES
+from taxinet_ros.analysis.cause_program import confirming
+from taxinet_ros.analysis.cause_scan import DISCOUNT, SHUFFLES
 from taxinet_ros.analysis.counterexamples import bag_folders, to_look_at
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.rate_figures import distribution_picture, map_picture, rates_picture
@@ -113,19 +114,29 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
         sentences.append(f'The same in all runs, and so no cause: {", ".join(constant)}.')
     if findings.causes.candidates:
         sentences.append(
-            f'How they were found: {findings.causes.candidates:,} regions were compared, intervals '
-            'and kinds by themselves and under a condition on another feature (which must tell '
-            f'{PAIR_DISCOUNT - 1:.0%} more to be named), by the likelihood ratio of the failure '
-            'rates inside and outside. The strongest is kept if so strong a one would be found '
-            f'somewhere in less than {findings.alpha:.0%} of cases without any cause (by '
-            f'{SHUFFLES} shufflings of the outcomes, or a bound where that is smaller), its runs '
-            'are taken out, and the next is looked for. So p values account for all the regions '
-            'that were looked at.'.replace('%', ' %'))
-    if findings.runs.sampler and findings.runs.weighting.value != 'drawn':
+            f'How they were found: {findings.causes.candidates:,} regions were compared: intervals '
+            'and kinds, slanted bands of two features, and pairs of conditions (which must tell '
+            f'{DISCOUNT - 1:.0%} more to be named), by the likelihood ratio of the failure rates '
+            'inside and outside. The most telling one is kept if so telling a one would be found '
+            f'somewhere in less than {findings.alpha:.0%} of cases without any cause'
+            .replace('%', ' %'))
+        how = (
+            '; the outcomes had a part in the choice of the scenes, so the runs were judged in '
+            'their order, each before the next was chosen. All shares are of the runs made: they '
+            'are no rates of the program, and have no intervals' if findings.causes.searched else
+            f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
+            'All intervals of causes hold for all regions together, and so for those picked'
+        )
+        sentences[-1] += how + '. Its runs are taken out, and the next is looked for.'
+    if findings.causes.again:
+        sentences.append(f'{findings.causes.again:,} runs repeat the very scene of another, and '
+                         'do not count here.')
+    commands = [command for cause in findings.causes.found
+                if (command := confirming(findings.runs, cause)) is not None]
+    if commands:
         sentences.append(
-            'The causes were looked for among the runs as the sampler chose them, so p values are '
-            'approximate; the rates in them are of runs that the program itself drew, where there '
-            'are any.')
+            'Each cause can be tested on fresh scenes by a command of its own, in this folder:')
+        sentences += commands
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),

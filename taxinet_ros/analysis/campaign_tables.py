@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
+from taxinet_ros.analysis.causes import FoundRate
 from taxinet_ros.analysis.counterexamples import CAUSE, GROUP
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.group_rates import GroupRate
@@ -78,19 +79,27 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
         others = [100 * one.in_causes[number].rate for one in findings.comparisons]
         rows.append((
             cause.rank, cause.region.words(), *_shares(cause.inside),
-            100 * cause.outside.rate, 100 * cause.explained, 100 * cause.whole.rate,
+            100 * cause.outside.rate, 100 * cause.whole.rate, 100 * cause.share,
+            *(_known(100 * part) for part in cause.attributable), 100 * cause.added,
             *(_known(other) for other in others), _p(cause.p),
             str(worst.iloc[0]) if len(worst) else None,
         ))
     return Table(
         name='causes', title='Causes', rows=tuple(rows), run_id_column='worst_run',
         caption='Each among the runs that the causes above it have left; "all" is the rate of all '
-        'runs in it.',
+        'runs in it. The regions were chosen for their rates, which are therefore too high as a '
+        'rule; the intervals are wide enough for that. "Holds" is the share of all failures in it, '
+        '"goes with it" that of all failures which would not be if it failed like all other runs: '
+        'neither depends on the other causes. "Adds" is what no cause above it holds.',
         columns=(
             Column(name='rank', title='#'), Column(name='cause', title='cause'), *_RATE,
             Column(name='elsewhere_percent', title='elsewhere [%]', decimals=1),
-            Column(name='explained_percent', title='of all failures [%]', decimals=1),
             Column(name='all_runs_percent', title='all [%]', decimals=1),
+            Column(name='share_percent', title='holds [%]', decimals=1),
+            Column(name='attributable_percent', title='goes with it [%]', decimals=1),
+            Column(name='attributable_low_percent', title='from [%]', decimals=1),
+            Column(name='attributable_high_percent', title='to [%]', decimals=1),
+            Column(name='added_percent', title='adds [%]', decimals=1),
             *(Column(name=f'baseline_{number}_percent', title=f'{one.baseline.label} [%]',
                      decimals=1)
               for number, one in enumerate(findings.comparisons, 1)),
@@ -191,7 +200,7 @@ def _failure(run: Mapping[Hashable, Any]) -> tuple[Cell, ...]:
     )
 
 
-def _shares(rate: GroupRate) -> tuple[Cell, ...]:
+def _shares(rate: GroupRate | FoundRate) -> tuple[Cell, ...]:
     return (rate.runs, rate.failures, _known(100 * rate.rate), _known(100 * rate.low),
             _known(100 * rate.high))
 

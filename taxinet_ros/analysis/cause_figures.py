@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from taxinet_ros.analysis.causes import FoundRate
 from taxinet_ros.analysis.failure_clusters import Clusters
 from taxinet_ros.analysis.failure_region import Region
 from taxinet_ros.analysis.feature_ranking import Ranked
@@ -29,8 +30,8 @@ def causes_picture(findings: Findings) -> Picture:
     causes, several = findings.causes.found, len(findings.campaigns) > 1
     rows = [f'{cause.rank}  {_wrapped(cause.region)}' for cause in causes]
     rows.append('outside all of them')
-    rates = [[*(cause.whole if several else cause.inside for cause in causes),
-              findings.causes.rest]]
+    rates: list[list[GroupRate | FoundRate]] = [
+        [*(cause.whole if several else cause.inside for cause in causes), findings.causes.rest]]
     rates += [[*one.in_causes, one.off_causes] for one in findings.comparisons]
 
     def draw(figure: Figure, theme: Theme) -> None:
@@ -53,7 +54,8 @@ def causes_picture(findings: Findings) -> Picture:
     lines = sum(1 + row.count('\n') for row in rows)
     return Picture(
         name='causes', title='Where runs fail', draw=draw,
-        caption=f'How often runs fail in each cause, with 95 % intervals: of {which}.',
+        caption=f'How often runs fail in each cause: of {which}. The 95 % intervals of the '
+        'campaign that the causes were found in allow for their having been chosen.',
         size_in=(7.6, 1.1 + 0.17 * lines + 0.22 * len(rows)),
     )
 
@@ -110,7 +112,9 @@ def clusters_picture(findings: Findings) -> Picture:
     )
 
 
-def _forest(axes: Axes, rates: list[GroupRate], colour: str, shift: float, label: str) -> None:
+def _forest(
+    axes: Axes, rates: list[GroupRate | FoundRate], colour: str, shift: float, label: str
+) -> None:
     shown = [(place, rate) for place, rate in enumerate(rates) if rate.runs]
     if not shown:
         return

@@ -1,124 +1,193 @@
-"""Where failures are denser than elsewhere: the Bernoulli scan statistic over many candidates.
+"""Where failures are denser than elsewhere: a scan of many regions, and whether chance does it.
 
-A candidate is an interval of a numeric feature or a set of a feature's words, by itself or under a
-condition on another feature. Its statistic is the log likelihood ratio of two failure rates, inside
-and outside, against one (Kulldorff, Communications in Statistics: Theory and Methods 26, 1997). A
-candidate with a condition counts for less, so that it wins only where it tells clearly more.
+Regions are of three families: intervals of a numeric feature, over midnight too, and sets of words;
+intervals of a sum of two features, which are slanted bands; and two conditions, of which both hold
+or exactly one does. Each family's greatest score (:mod:`.scan_statistic`) is held against the
+greatest ones of the same family in shuffled outcomes, and the family that exceeds its own by most
+against the same of the shufflings. So the p value accounts for all regions that were looked at.
 
-The p value is that of the largest statistic of the whole family, so having looked at so many is
-accounted for. It is the rank among shufflings of the outcomes, or, where it is smaller than they
-could ever show, a bound without them: the number of candidates times Hoeffding's bound for draws
-without replacement (Journal of the American Statistical Association 58, 1963).
+Shuffling supposes that scenes were chosen without regard to outcomes. Where a sampler has learned
+from them, the runs are judged in their order instead, by an e-value.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csr_array
+from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
-from taxinet_ros.analysis.failure_region import Interval, Kinds, Part, Region
-from taxinet_ros.analysis.group_rates import Floats, Mask
-from taxinet_ros.analysis.run_features import RAIN, Feature, kinds_present, varied
+from taxinet_ros.analysis.failure_region import Either, Interval, Kinds, Region, Slant
+from taxinet_ros.analysis.group_rates import Floats
+from taxinet_ros.analysis.run_features import (
+    CROSS_TRACK,
+    DISTANCE,
+    HEADING,
+    TIME_OF_DAY,
+    Feature,
+    kinds_present,
+    varied,
+)
 from taxinet_ros.analysis.scan_cells import (
     Floats32,
     Ints,
+    around,
+    beginnings,
     interval_cells,
     neighbours,
     subsets,
 )
-from taxinet_ros.analysis.scan_statistic import hoeffding_bound, likelihood_ratio
+from taxinet_ros.analysis.scan_statistic import (
+    hoeffding_bound,
+    likelihood_ratio,
+    log_evidence,
+    size_penalty,
+)
 
 SHUFFLES = 999
-PAIR_DISCOUNT = 1.2
-"""A candidate with a condition must tell a fifth more than one without, to be named instead."""
+DISCOUNT = 1.2
+"""A region of two features must tell a fifth more than one of one, to be named instead."""
 
-_CELLS, _CELLS_OF_PAIR, _THIRDS = 40, 20, 3
+PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0}
+"""Features that begin anew."""
+
+_FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
+_HOPELESS = 3.0
+"""Where p is more than so many times alpha after the first shufflings, there are no more."""
+_LEVEL = 0.05
+_LEVELS = (0.03, 0.015, 0.015)
+"""Of each family: single features are causes more often than pairs are."""
 _MOST_KINDS = 8
-_BATCH = 111
+_SLOPES = (0.5, 1.0, 2.0)
+_SLANTED = (CROSS_TRACK, HEADING, DISTANCE, TIME_OF_DAY)
+_WRAPS = 0.2
+"""A feature goes round where no more than this share of its period has no run."""
+_LEARNING = 0.2
+"""Share of the runs of a search that only tell where to cut, if outcomes chose the scenes."""
+
+_NONE = -99.0
+"""Below every score."""
+_ONE, _SLANT, _TWO = range(3)
 
 
-class _Cut(NamedTuple):
-    """A feature in cells: a part for each, the cell of each run, and what candidates are made of.
+class _Axis(NamedTuple):
+    """A feature, or a sum of two, in cells: the cell of each run, and what cells make a part.
 
-    ``members`` says which cells each candidate has, (candidates, cells).
+    Attributes:
+        part: it as a whole; its limits are put in.
+        firsts, lasts: least and greatest value of each cell; of words empty.
+        places: cell of each run.
+        members: cells of each candidate, (candidates, cells).
     """
 
-    feature: Feature
-    cells: tuple[Part, ...]
+    part: Interval | Kinds | Slant
+    firsts: Floats
+    lasts: Floats
     places: Ints
     members: Floats32
 
+    def chosen(self, cells: Floats32) -> Interval | Kinds | Slant:
+        """The part that some cells make."""
+        part, inside = self.part, np.flatnonzero(cells)
+        if isinstance(part, Kinds):
+            return Kinds(feature=part.feature, kinds=tuple(part.kinds[cell] for cell in inside))
+        first, last = int(inside[0]), int(inside[-1])
+        if last - first + 1 > len(inside):  # it goes round
+            gap = np.flatnonzero(cells == 0)
+            first, last = int(gap[-1]) + 1, int(gap[0]) - 1
+        low, high = float(self.firsts[first]), float(self.lasts[last])
+        if isinstance(part, Slant):
+            return Slant(feature=part.feature, other=part.other, factor=part.factor,
+                         low=low, high=high)
+        return Interval(feature=part.feature, low=low, high=high)
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class _Block:
-    """Candidates that share a condition: runs of neighbouring cells, and sets of kinds.
+    """Candidates that are counted together.
 
     Attributes:
-        condition: that all of them share, or None.
-        cuts: the features that they are about.
-        which: numbers of the runs that fulfil the condition.
-        runs_of_cell: which of these each cell has, (cells of all cuts, runs).
+        family: of :data:`_ONE`, :data:`_SLANT` and :data:`_TWO`.
+        axes: one, or the two that are crossed.
+        runs_of_cell: which runs each cell, or pair of cells, has: (cells, runs).
         inside: number of runs of each candidate.
-        worth: factor on the statistic.
     """
 
-    condition: Part | None
-    cuts: tuple[_Cut, ...]
-    which: Ints
+    family: int
+    axes: tuple[_Axis, ...]
     runs_of_cell: csr_array
     inside: Floats32
-    worth: float
 
-    def failures(self, failed: Mask) -> Floats32:
+    def failures(self, rows: Floats32) -> Floats32:
         """Failures of each candidate, for each row of outcomes: (candidates, rows)."""
-        cells = self.runs_of_cell @ failed[:, self.which].T.astype(np.float32)
-        return _of_candidates(self.cuts, cells)
+        return _counts(self.axes, self.runs_of_cell @ rows.T)
 
     def region(self, candidate: int) -> Region:
         """What a candidate is."""
-        for cut in self.cuts:
-            if candidate < len(cut.members):
-                break
-            candidate -= len(cut.members)
-        part = _union([cut.cells[cell] for cell in np.flatnonzero(cut.members[candidate])])
-        return Region(parts=(part,) if self.condition is None else (self.condition, part))
+        if len(self.axes) == 1:
+            return Region(parts=(self.axes[0].chosen(self.axes[0].members[candidate]),))
+        one, other = self.axes
+        both = len(one.members) * len(other.members)
+        if candidate < both:
+            first, second = divmod(candidate, len(other.members))
+            return Region(parts=(one.chosen(one.members[first]), other.chosen(
+                other.members[second])))
+        halves = [beginnings(axis.members.shape[1]) for axis in self.axes]
+        either = len(halves[0]) * len(halves[1])
+        same, candidate = divmod(candidate - both, either)
+        first, second = divmod(candidate, len(halves[1]))
+        cells = 1 - halves[1][second] if same else halves[1][second]
+        parts = one.chosen(halves[0][first]), other.chosen(cells)
+        assert not isinstance(parts[0], Slant)
+        assert not isinstance(parts[1], Slant)
+        return Region(parts=(Either(first=parts[0], second=parts[1]),))
 
 
 class Scan:
     """The candidates of a set of runs.
 
     Attributes:
-        region: the one with the largest statistic, its limits on the grid of the scan; None where
-            none has more failures than the others.
-        statistic: its log likelihood ratio, discounted.
+        region: the most telling one, its limits on the grid of the scan; None where none has more
+            failures than the others.
         candidates: that were compared.
     """
 
-    def __init__(self, frame: pd.DataFrame) -> None:
+    def __init__(self, frame: pd.DataFrame, basis: pd.DataFrame | None = None) -> None:
         """Compare them.
 
         Args:
             frame: runs with features and ``failed``.
+            basis: runs that tell where to cut features; these themselves where None.
         """
         self._failed = frame['failed'].to_numpy(dtype=bool)
-        self._blocks = list(_blocks(frame))
+        self._blocks = list(_blocks(frame, frame if basis is None else basis))
         self.candidates = sum(len(block.inside) for block in self._blocks)
         self.region: Region | None = None
-        self.statistic = 0.0
+        self._greatest = np.full(3, _NONE)
+        self._first_score, self._score_of = np.zeros(0, dtype=np.int32), np.zeros(0, np.float32)
+        rows, told = self._failed[None, :].astype(np.float32), 0.0
         for block in self._blocks:
-            ratio = block.worth * self._ratio(block, block.failures(self._failed[None, :])[:, 0])
-            best = int(ratio.argmax())
-            if ratio[best] > self.statistic:
-                self.region, self.statistic = block.region(best), float(ratio[best])
+            score = self._scores(block, rows)[:, 0]
+            best = int(score.argmax())
+            self._greatest[block.family] = max(self._greatest[block.family], score[best])
+            penalty = float(size_penalty(block.inside[best], len(self._failed)))
+            worth = float(score[best]) + penalty
+            worth /= 1.0 if block.family == _ONE else math.sqrt(DISCOUNT)
+            if worth > told:
+                self.region, told = block.region(best), worth
+        self._shuffled = np.zeros((0, 3))
         self._inside = None if self.region is None else self.region.mask(frame)
 
     def p_value(self, alpha: float, rng: np.random.Generator) -> tuple[float, bool]:
-        """How probable so large a statistic is somewhere, if failing had no cause here.
+        """How probable so telling a region is somewhere, if failing had no cause here.
 
         Args:
             alpha: the shufflings end when it is clear that the value is above it.
@@ -131,36 +200,106 @@ class Scan:
             return 1.0, False
         bound = self.candidates * hoeffding_bound(self._failed, self._inside)
         if bound < 1 / (SHUFFLES + 1):
+            self._shuffle(_SHUFFLES_OF_BOUND, rng)  # for the intervals
             return bound, True
-        # A ratio grows with the failures inside, so it is enough to know from how many on.
-        enough = [self._enough(block)[:, None] for block in self._blocks]
-        done = reached = 0
-        while done < SHUFFLES and reached <= alpha * (SHUFFLES + 1):
-            rows = rng.permuted(np.tile(self._failed, (_BATCH, 1)), axis=1)
-            hits = np.zeros(_BATCH, dtype=bool)
-            for block, least in zip(self._blocks, enough, strict=True):
-                hits |= (block.failures(rows) >= least).any(axis=0)
-            done, reached = done + _BATCH, reached + int(hits.sum())
-        return (reached + 1) / (done + 1), False
+        self._tabulate()
+        self._shuffle(_FIRST_SHUFFLES, rng)
+        if self._rank() <= _HOPELESS * alpha:
+            self._shuffle(SHUFFLES - _FIRST_SHUFFLES, rng)
+        return self._rank(), False
 
-    def _ratio(self, block: _Block, failures: Floats32) -> Floats:
-        runs, least = len(self._failed), least_runs(len(self._failed))
-        ratio = likelihood_ratio(failures, block.inside, int(self._failed.sum()), runs)
-        ratio[(block.inside < least) | (runs - block.inside < least)] = 0.0
-        return ratio
+    def _rank(self) -> float:
+        usual = np.array([np.quantile(each, 1 - level) for each, level in zip(
+            self._shuffled.T, _LEVELS, strict=True)])
+        usual[usual <= _NONE] = -_NONE  # a family without candidates never exceeds anything
+        here = float((self._greatest - usual).max())
+        there = (self._shuffled - usual).max(axis=1)
+        return (1 + int((there >= here - 1e-9).sum())) / (1 + len(there))
 
-    def _enough(self, block: _Block) -> Floats32:
-        """Fewest failures with which each candidate reaches the statistic; infinite for never."""
-        reached = self.statistic * (1 - 1e-9)
-        most = np.minimum(block.inside, self._failed.sum())
-        low, high = np.zeros_like(most), most
-        for _ in range(int(most.max()).bit_length() + 1):
-            middle = np.floor((low + high) / 2)
-            enough = block.worth * self._ratio(block, middle) >= reached
-            low, high = np.where(enough, low, np.minimum(middle + 1, high)), np.where(
-                enough, middle, high)
-        possible = block.worth * self._ratio(block, high) >= reached
-        return np.where(possible, high, np.inf).astype(np.float32)
+    def deviance(self, inside: int) -> float:
+        """Log likelihood ratio by which, in 95 % of cases, no region's counts miss its true rate.
+
+        Args:
+            inside: runs of the region.
+        """
+        greatest = self._shuffled.max(axis=1)
+        usual = float(np.quantile(greatest, 1 - _LEVEL))
+        root = max(usual, 0.0) + float(size_penalty(np.array([inside]), len(self._failed))[0])
+        return root**2 / 2 + _OF_ONE_RATE
+
+    def p_of_search(self) -> float:
+        """As :meth:`p_value`, valid too where scenes were chosen by the outcomes before them.
+
+        The regions must have been cut by runs before these. Half of the weight is on regions of
+        one feature.
+        """
+        families = []
+        for family in range(3):
+            each = [
+                log_evidence(block.failures(rows)[:, 0], block.inside, int(self._failed.sum()),
+                             len(self._failed))
+                for block in self._blocks if block.family == family
+                for rows in [self._failed[None, :].astype(np.float32)]
+            ]
+            if each:
+                evidence = np.concatenate(each)
+                families.append(float(logsumexp(evidence)) - math.log(len(evidence)))
+        if not families:
+            return 1.0
+        weights = np.array([2.0, *[1.0] * (len(families) - 1)])
+        total = float(logsumexp(families, b=weights / weights.sum()))
+        return min(1.0, math.exp(-total))
+
+    def _shuffle(self, times: int, rng: np.random.Generator) -> None:
+        rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
+        greatest = np.full((times, 3), _NONE)
+        # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
+        with threadpool_limits(limits=1):
+            for block in self._blocks:
+                score = self._scores(block, rows).max(axis=0)
+                np.maximum(greatest[:, block.family], score, out=greatest[:, block.family])
+        self._shuffled = np.concatenate([self._shuffled, greatest])
+
+    def _scores(self, block: _Block, rows: Floats32) -> Floats32:
+        """Of each candidate, for each row of outcomes: (candidates, rows)."""
+        failures = block.failures(rows)
+        if not len(self._score_of):
+            return self._score(failures, block.inside[:, None])
+        places = failures.astype(np.int32)
+        places += self._first_score[block.inside.astype(np.int32)][:, None]
+        return self._score_of.take(places)
+
+    def _tabulate(self) -> None:
+        """Put down every score that there can be, by runs inside and failures among them."""
+        runs, all_failures = len(self._failed), int(self._failed.sum())
+        sizes = np.unique(np.concatenate([block.inside for block in self._blocks]))
+        self._first_score = np.full(runs + 1, 0, dtype=np.int32)
+        self._first_score[sizes.astype(np.int32)] = np.arange(len(sizes)) * (all_failures + 1)
+        failures = np.minimum(np.arange(all_failures + 1)[None, :], sizes[:, None])
+        self._score_of = self._score(failures, sizes[:, None]).ravel()
+
+    def _score(self, failures: npt.NDArray[Any], inside: Floats32) -> Floats32:
+        """Root of twice the ratio, less what chance makes of it; never of too few runs."""
+        runs = len(self._failed)
+        ratio = likelihood_ratio(failures, inside, int(self._failed.sum()), runs)
+        penalty = size_penalty(inside, runs)
+        penalty[np.minimum(inside, runs - inside) < least_runs(runs)] = np.inf
+        scores: Floats = np.sqrt(2 * np.maximum(ratio, 0.0)) - penalty
+        return scores.astype(np.float32)
+
+
+_OF_ONE_RATE = 1.92
+"""Half the 95 % quantile of chi-square with one degree of freedom: for the rate of all runs."""
+
+
+def p_of_search(frame: pd.DataFrame) -> float:
+    """P value of a cause somewhere, where outcomes may have chosen the scenes after them.
+
+    Args:
+        frame: runs with features and ``failed``, in the order in which they were asked for.
+    """
+    first = max(1, round(_LEARNING * len(frame)))
+    return Scan(frame.iloc[first:], frame.iloc[:first]).p_of_search()
 
 
 def least_runs(runs: int) -> int:
@@ -168,79 +307,106 @@ def least_runs(runs: int) -> int:
     return max(8, runs // 200)
 
 
-def _blocks(frame: pd.DataFrame) -> Iterator[_Block]:
-    features = varied(frame)
-    fine = [cut for feature in features if (cut := _cut(feature, frame, _CELLS)) is not None]
-    if fine:
-        yield _block(fine, None, np.arange(len(frame)))
-    coarse = [_cut(feature, frame, _CELLS_OF_PAIR) for feature in features]
-    for condition, source in _conditions(frame, features):
-        cuts = [cut for cut in coarse if cut is not None and cut.feature.source != source]
-        if cuts:
-            yield _block(cuts, condition, np.flatnonzero(condition.mask(frame)))
+def goes_round(feature: str, values: Floats) -> bool:
+    """Whether an interval of a feature may go over its end, as a night does."""
+    if feature not in PERIODS:
+        return False
+    period = PERIODS[feature]
+    return bool(period * (1 - _WRAPS) <= values.max() - values.min() <= period)
 
 
-def _of_candidates(cuts: Sequence[_Cut], of_cells: Floats32) -> Floats32:
-    """Sums over the cells of each candidate, of sums of each cell: (candidates, …)."""
-    ends = np.cumsum([len(cut.cells) for cut in cuts])[:-1]
+def _blocks(frame: pd.DataFrame, basis: pd.DataFrame) -> Iterator[_Block]:
+    runs = len(frame)
+    fine, coarse = int(np.clip(runs // 10, 10, 40)), int(np.clip(runs**0.5 / 2.5, 4, 8))
+    features = varied(basis)
+    for feature in features:
+        if (axis := _axis(feature, frame, basis, fine, subsets)) is not None:
+            yield _block(_ONE, (axis,), runs)
+    for axis in _slants(frame, basis, max(10, fine // 2)):
+        yield _block(_SLANT, (axis,), runs)
+    crossed = {
+        feature: axis for feature in features
+        if (axis := _axis(feature, frame, basis, coarse, neighbours)) is not None
+    }
+    for one, other in itertools.combinations(crossed, 2):
+        if one.source != other.source:
+            yield _block(_TWO, (crossed[one], crossed[other]), runs)
+
+
+def _axis(
+    feature: Feature, frame: pd.DataFrame, basis: pd.DataFrame, most: int,
+    sets: Callable[[int], Floats32],
+) -> _Axis | None:
+    """The feature in cells of runs, or None where it has too many words, or one cell."""
+    if feature.numeric:
+        part = Interval(feature=feature.name, low=None, high=None)
+        values, cut_by = (one[feature.name].to_numpy(dtype=np.float64) for one in (frame, basis))
+        return _numeric(part, values, cut_by, most)
+    kinds = kinds_present(feature, basis)
+    if not 2 <= len(kinds) <= _MOST_KINDS:
+        return None
+    codes = pd.Index(kinds).get_indexer(pd.Index(frame[feature.name])).astype(np.int64)
+    empty = np.zeros(0)
+    # A word that only came up later is with the last one.
+    return _Axis(Kinds(feature=feature.name, kinds=kinds), empty, empty,
+                 np.where(codes < 0, len(kinds) - 1, codes), sets(len(kinds)))
+
+
+def _numeric(
+    part: Interval | Slant, values: Floats, cut_by: Floats, most: int
+) -> _Axis | None:
+    firsts, lasts, places = interval_cells(cut_by, most)
+    if len(firsts) < 2:
+        return None
+    if values is not cut_by:
+        places = np.maximum(np.searchsorted(firsts, values, side='right') - 1, 0)
+    round_about = isinstance(part, Interval) and goes_round(part.feature, cut_by)
+    members = around(len(firsts)) if round_about else neighbours(len(firsts))
+    return _Axis(part, firsts, lasts, places, members)
+
+
+def _slants(frame: pd.DataFrame, basis: pd.DataFrame, most: int) -> Iterator[_Axis]:
+    """Sums of two features, on scales on which both vary about as much."""
+    for one, other in itertools.combinations(varied(basis, _SLANTED), 2):
+        ranges = [float(np.ptp(basis[feature.name])) for feature in (one, other)]
+        for slope, sign in itertools.product(_SLOPES, (1, -1)):
+            factor = float(f'{sign * slope * ranges[0] / ranges[1]:.2g}')
+            part = Slant(feature=one.name, other=other.name, factor=factor, low=None, high=None)
+            axis = _numeric(part, part.values(frame), part.values(basis), most)
+            if axis is not None:
+                yield axis
+
+
+def _block(family: int, axes: tuple[_Axis, ...], runs: int) -> _Block:
+    cells, places = 1, np.zeros(runs, dtype=np.int64)
+    for axis in axes:
+        cells *= axis.members.shape[1]
+        places = places * axis.members.shape[1] + axis.places
+    runs_of_cell = csr_array(
+        (np.ones(runs, dtype=np.float32), (places, np.arange(runs))), shape=(cells, runs))
+    counts = np.bincount(places, minlength=cells).astype(np.float32)
+    return _Block(family, axes, runs_of_cell, _counts(axes, counts[:, None])[:, 0])
+
+
+def _counts(axes: Sequence[_Axis], of_cells: Floats32) -> Floats32:
+    """Sums over the cells of each candidate, of sums of each cell: (candidates, rows)."""
+    if len(axes) == 1:
+        return np.asarray(axes[0].members @ of_cells)
+    one, other = axes
+    shape = (one.members.shape[1], other.members.shape[1], -1)
+    joint = of_cells.reshape(shape)
+    rows = joint.shape[2]
+    both = _crossed(one.members, other.members, joint)
+    first, second = (beginnings(axis.members.shape[1]) for axis in axes)
+    alone = np.tensordot(first, joint.sum(axis=1), 1)[:, None, :]
+    beside = np.tensordot(second, joint.sum(axis=0), 1)[None, :, :]
+    either = alone + beside - 2 * _crossed(first, second, joint)
+    whole = joint.sum(axis=(0, 1))
     return np.concatenate([
-        cut.members @ part for cut, part in zip(cuts, np.split(of_cells, ends), strict=True)
+        both.reshape(-1, rows), either.reshape(-1, rows), (whole - either).reshape(-1, rows),
     ])
 
 
-def _cut(feature: Feature, frame: pd.DataFrame, most: int) -> _Cut | None:
-    """The feature in cells of runs, or None where it has too many words."""
-    if feature.numeric:
-        values = frame[feature.name].to_numpy(dtype=np.float64)
-        cells, places = interval_cells(values, most, feature.name)
-        return _Cut(feature, cells, places, neighbours(len(cells)))
-    kinds = kinds_present(feature, frame)
-    if len(kinds) > _MOST_KINDS:
-        return None
-    words = tuple(Kinds(feature=feature.name, kinds=(kind,)) for kind in kinds)
-    places = pd.Categorical(frame[feature.name], categories=kinds).codes.astype(np.int64)
-    return _Cut(feature, words, places, subsets(len(kinds)))
-
-
-def _block(cuts: Sequence[_Cut], condition: Part | None, which: Ints) -> _Block:
-    firsts = np.cumsum([0, *(len(cut.cells) for cut in cuts)])
-    rows = np.concatenate([first + cut.places[which]
-                           for first, cut in zip(firsts, cuts, strict=False)])
-    columns = np.tile(np.arange(len(which)), len(cuts))
-    runs_of_cell = csr_array(
-        (np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(firsts[-1], len(which)),
-    )
-    counts = np.bincount(rows, minlength=firsts[-1]).astype(np.float32)
-    return _Block(
-        condition=condition, cuts=tuple(cuts), which=which, runs_of_cell=runs_of_cell,
-        inside=_of_candidates(cuts, counts),
-        worth=1.0 if condition is None else 1 / PAIR_DISCOUNT,
-    )
-
-
-def _conditions(
-    frame: pd.DataFrame, features: Sequence[Feature]
-) -> Iterator[tuple[Part, str]]:
-    """Neighbouring words of a feature, no rain, and thirds of the other numeric features."""
-    for feature in features:
-        if not feature.numeric:
-            kinds = kinds_present(feature, frame)[:_MOST_KINDS]
-            for among in neighbours(len(kinds)):
-                chosen = tuple(kind for kind, one in zip(kinds, among, strict=True) if one)
-                yield Kinds(feature=feature.name, kinds=chosen), feature.source
-        elif feature.name == RAIN.name:
-            yield Interval(feature=feature.name, low=None, high=0.0), feature.source
-        else:
-            values = frame[feature.name].to_numpy(dtype=np.float64)
-            for cell in interval_cells(values, _THIRDS, feature.name)[0]:
-                yield cell, feature.source
-
-
-def _union(parts: Sequence[Part]) -> Part:
-    first = parts[0]
-    if isinstance(first, Interval):
-        last = parts[-1]
-        assert isinstance(last, Interval)
-        return Interval(feature=first.feature, low=first.low, high=last.high)
-    kinds = [kind for part in parts if isinstance(part, Kinds) for kind in part.kinds]
-    return Kinds(feature=first.feature, kinds=tuple(kinds))
+def _crossed(one: Floats32, other: Floats32, joint: Floats32) -> Floats32:
+    first = np.tensordot(one, joint, 1)
+    return np.matmul(other, first)

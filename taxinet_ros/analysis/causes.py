@@ -1,13 +1,17 @@
 """Names causes of failures, one after another, until what is left looks like chance.
 
-The strongest region of failures (:mod:`.cause_scan`) is narrowed where the failures within it have
-a condition of their own, its limits are sharpened, and its runs are taken out; then the next one is
-looked for among the rest. A step is taken only if the step before found something that was not
-chance, so all causes together hold at the level of one test.
+The most telling region of failures (:mod:`.cause_scan`) gets sharper limits and its runs are taken
+out; then the next one is looked for among the rest. A step is taken only if the step before found
+something that was not chance, so where there are no causes one is named no oftener than ``alpha``.
+
+All that is looked for, and all figures of a cause, are of the runs as they were made, each scene
+once: a region is named for what its figures say. Where a sampler chose the scenes they are no rates
+of the program; these, and fresh figures of any cause, are to be had by :mod:`.cause_program`.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,14 +20,44 @@ import pandas as pd
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.cause_limits import sayable, sharpened
-from taxinet_ros.analysis.cause_scan import Scan
-from taxinet_ros.analysis.failure_region import Region
-from taxinet_ros.analysis.group_rates import GroupRate, Mask, group_rate
+from taxinet_ros.analysis.cause_scan import Scan, p_of_search
+from taxinet_ros.analysis.failure_region import Interval, Kinds, Region
+from taxinet_ros.analysis.group_rates import Mask
+from taxinet_ros.analysis.run_features import ALL, BY_NAME
+from taxinet_ros.analysis.scan_statistic import interval_of
 
 LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
-_MOST_PARTS = 3
 _TIMES_DENSER = 2.0
 """A region is narrowed where failures are this much denser within the narrower one."""
+_OF_ALL = 1.92
+"""Half the 95 % quantile of chi-square: for the rate of all runs, where nothing was picked."""
+_HEEDLESS = {'', 'random', 'halton', 'sobol', 'grid'}
+"""Samplers that choose scenes without regard to outcomes."""
+
+
+class FoundRate(NamedTuple):
+    """How often runs fail in a group that was chosen because of how its runs ended.
+
+    Attributes:
+        runs, failures: of the group, of runs as they were made.
+        rate: share of failures among these; of a region that was found, too high as a rule.
+        low, high: ends of an interval that holds in 95 % of cases for all regions that were
+            compared together, so also for the one that was picked; NaN where outcomes chose scenes.
+    """
+
+    runs: int
+    failures: int
+    rate: float
+    low: float
+    high: float
+
+    def words(self) -> str:
+        """Rate and interval, such as ``49.9 % (43.3–56.5 %)``."""
+        if not self.runs:
+            return 'no run'
+        if math.isnan(self.low):
+            return f'{self.rate:.1%} of the runs made'.replace('%', ' %')
+        return f'{self.rate:.1%} ({100 * self.low:.1f}–{self.high:.1%})'.replace('%', ' %')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,21 +66,27 @@ class Cause:
 
     Attributes:
         region: of the scenes.
-        rank: 1 for the one that was found first, which explains most.
+        rank: 1 for the one that was found first.
         inside, outside: failure rates of the runs that causes before it have left, in the region
             and elsewhere.
-        whole: failure rate of all runs in the region.
-        explained: share of all failures that it explains and none before it did.
-        p: of so strong a region somewhere among the runs left, if nothing mattered there.
+        whole: failure rate of all runs in the region, whatever other causes hold.
+        share: of all failures, those in the region.
+        added: of all failures, those in the region and in none of the causes before it.
+        attributable: share of all failures that there would not be if the region's runs failed as
+            often as all others; with its interval. It depends on no other cause (Levin, Acta Unio
+            Internationalis contra Cancrum 9, 1953).
+        p: of so telling a region somewhere among the runs left, if nothing mattered there.
         p_is_bound: whether the true p value may be smaller.
     """
 
     region: Region
     rank: int
-    inside: GroupRate
-    outside: GroupRate
-    whole: GroupRate
-    explained: float
+    inside: FoundRate
+    outside: FoundRate
+    whole: FoundRate
+    share: float
+    added: float
+    attributable: tuple[float, float, float]
     p: float
     p_is_bound: bool
 
@@ -54,10 +94,14 @@ class Cause:
         """The cause for people."""
         words = self.region.words()
         left = '' if self.rank == 1 else ' that are left'
+        share, low, high = (100 * part for part in self.attributable)
+        known = '' if math.isnan(low) else f' ({low:.0f}–{high:.0f} %)'.replace('-', '−')
+        attributable = f'{share:.0f} %{known}'.replace('-', '−')
         return (
             f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} runs'
-            f'{left} fail, elsewhere {_percent(self.outside.rate)} of {self.outside.runs:,}; '
-            f'{_percent(self.explained)} of all failures ({self.p_words()})'
+            f'{left} fail, elsewhere {self.outside.words()} of {self.outside.runs:,}; it holds '
+            f'{_percent(self.share)} of all failures, and {attributable} of them go with it '
+            f'({self.p_words()})'
         )
 
     def p_words(self) -> str:
@@ -69,21 +113,25 @@ class Causes(NamedTuple):
     """What was found.
 
     Attributes:
-        found: causes, the most important first.
+        found: causes, the most telling first.
         rest: failure rate of the runs outside all of them.
         why_not: why none were looked for, or ''.
         candidates: regions that were compared in the first step.
+        searched: whether outcomes may have chosen scenes, so that there are no intervals.
+        again: runs that were left out because they had the very scene of another.
     """
 
     found: tuple[Cause, ...]
-    rest: GroupRate
+    rest: FoundRate
     why_not: str
     candidates: int
+    searched: bool = False
+    again: int = 0
 
     @property
     def explained(self) -> float:
         """Share of all failures in some cause."""
-        return sum(cause.explained for cause in self.found)
+        return sum(cause.added for cause in self.found)
 
 
 def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
@@ -93,27 +141,92 @@ def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
         runs: of the campaign.
         alpha: how often causes may be named where there are none.
     """
-    frame = runs.frame
+    # The same scene ends the same way, and is no second witness.
+    scene = [feature.name for feature in ALL if feature.name in runs.frame]
+    frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
+    again = len(runs.frame) - len(frame)
+    failed = frame['failed'].to_numpy(dtype=bool)
     left = np.ones(len(frame), dtype=bool)
-    why_not = _why_not(runs.failed)
-    if why_not:
-        return Causes(found=(), rest=runs.rate(), why_not=why_not, candidates=0)
-    rng = np.random.default_rng(0)
+    searched = not set(runs.sampler.split(', ')) <= _HEEDLESS
+    why_not = _why_not(failed)
     found: list[Cause] = []
-    candidates = 0
-    while len(found) < MOST_CAUSES and not _why_not(runs.failed[left]):
+    candidates, slack = 0, 0.0
+    rng = np.random.default_rng(0)
+    while not why_not and len(found) < MOST_CAUSES and not _why_not(failed[left]):
         scan = Scan(frame[left])
         candidates = candidates or scan.candidates
-        p, bound = scan.p_value(alpha, rng)
+        p, bound = (p_of_search(frame[left]), True) if searched else scan.p_value(alpha, rng)
         if scan.region is None or p > alpha:
             break
-        region = _described(scan.region, frame, left, alpha, rng)
-        cause = _cause(runs, region, left, len(found) + 1, p, bound)
-        if cause is None:
+        region = sharpened(scan.region, frame[left])
+        region = sayable(_narrowed(region, frame[left], alpha, rng), frame)
+        within = region.mask(frame)
+        inside, beyond = within & left, ~within & left
+        if not failed[inside].any() or not beyond.any():
             break
-        found.append(cause)
-        left &= ~region.mask(frame)
-    return Causes(found=tuple(found), rest=runs.rate(left), why_not='', candidates=candidates)
+        deviance = math.nan if searched else scan.deviance(min(inside.sum(), beyond.sum()))
+        slack += deviance
+        found.append(Cause(
+            region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
+            outside=_rate(failed[beyond], deviance), whole=_rate(failed[within], deviance),
+            share=float(within[failed].mean()), added=float(inside[failed].mean()),
+            attributable=_attributable(failed, within, deviance), p=p, p_is_bound=bound,
+        ))
+        left = beyond
+    if not found:
+        slack = math.nan if searched else _OF_ALL
+    return Causes(
+        found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
+        candidates=candidates, searched=searched, again=again,
+    )
+
+
+def _narrowed(
+    region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
+) -> Region:
+    """The region with one condition more, where most of its failures have it; else as it is.
+
+    There is at most one such step, and only from one condition to two.
+    """
+    inside = among[region.mask(among)]
+    failed = inside['failed'].to_numpy(dtype=bool)
+    if len(region.parts) > 1 or len(region.features) > 1 or _why_not(failed):
+        return region
+    scan = Scan(inside)
+    new = scan.region.parts if scan.region is not None else ()
+    sources = {feature.source for feature in region.features}
+    new = tuple(part for part in new if isinstance(part, Interval | Kinds)
+                and BY_NAME[part.feature].source not in sources)
+    if len(new) != 1:
+        return region
+    within = new[0].mask(inside)
+    if within.all() or failed[within].mean() < _TIMES_DENSER * failed[~within].mean():
+        return region
+    if scan.p_value(alpha, rng)[0] > alpha:
+        return region
+    narrower = sharpened(Region(parts=(*region.parts, *new)), among)
+    return narrower if len(narrower.parts) > 1 else region
+
+
+def _rate(failed: Mask, deviance: float) -> FoundRate:
+    runs, failures = len(failed), int(failed.sum())
+    share = failures / runs if runs else math.nan
+    if math.isnan(deviance):
+        return FoundRate(runs, failures, share, math.nan, math.nan)
+    return FoundRate(runs, failures, share, *interval_of(failures, runs, deviance))
+
+
+def _attributable(failed: Mask, within: Mask, deviance: float) -> tuple[float, float, float]:
+    """Share of the failures that go with a region, and its interval, from those of both rates."""
+    part = float(within.mean())
+
+    def share(inside: float, outside: float) -> float:
+        whole = part * inside + (1 - part) * outside
+        return part * (inside - outside) / whole if whole else 0.0
+
+    inside, outside = _rate(failed[within], deviance), _rate(failed[~within], deviance)
+    return (share(inside.rate, outside.rate), share(inside.low, outside.high),
+            share(inside.high, outside.low))
 
 
 def _why_not(failed: Mask) -> str:
@@ -131,62 +244,6 @@ def _why_not(failed: Mask) -> str:
             'too few others to tell causes apart')
         return f'{counts}: {few}'
     return ''
-
-
-def _described(
-    region: Region, frame: pd.DataFrame, left: Mask, alpha: float, rng: np.random.Generator
-) -> Region:
-    """The region narrowed, sharpened and rounded."""
-    among = frame[left]
-    region = sharpened(region, among)
-    while len(region.parts) < _MOST_PARTS:
-        narrower = _narrowed(region, among, alpha, rng)
-        if narrower is None:
-            break
-        region = sharpened(narrower, among)
-    return sayable(region, frame)
-
-
-def _narrowed(
-    region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
-) -> Region | None:
-    """The region with a further condition, where nearly all of its failures have it."""
-    inside = among[region.mask(among)]
-    if _why_not(inside['failed'].to_numpy(dtype=bool)):
-        return None
-    scan = Scan(inside)
-    if scan.region is None:
-        return None
-    sources = {feature.source for feature in region.features}
-    new = [part for part, feature in zip(scan.region.parts, scan.region.features, strict=True)
-           if feature.source not in sources]
-    if not new or len(region.parts) + len(new) > _MOST_PARTS:
-        return None
-    narrower = Region(parts=(*region.parts, *new))
-    within = narrower.mask(inside)
-    failed = inside['failed'].to_numpy(dtype=bool)
-    if within.all() or failed[within].mean() < _TIMES_DENSER * failed[~within].mean():
-        return None
-    return narrower if scan.p_value(alpha, rng)[0] <= alpha else None
-
-
-def _cause(
-    runs: CampaignRuns, region: Region, left: Mask, rank: int, p: float, bound: bool
-) -> Cause | None:
-    among = region.mask(runs.frame)
-    inside, outside = runs.rate(among & left), runs.rate(~among & left)
-    if not inside.failures or not outside.runs:
-        return None
-    return Cause(
-        region=region, rank=rank, inside=inside, outside=outside, whole=runs.rate(among),
-        explained=_share(runs, among & left), p=p, p_is_bound=bound,
-    )
-
-
-def _share(runs: CampaignRuns, among: Mask) -> float:
-    """Share of the failures that are in a group, under the program where that is known."""
-    failed = runs.failed
-    return group_rate(among[failed], runs.weight[failed]).rate
 
 
 def _percent(share: float) -> str:

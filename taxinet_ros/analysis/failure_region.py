@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.group_rates import Mask
+from taxinet_ros.analysis.group_rates import Floats, Mask
 from taxinet_ros.analysis.run_features import BY_NAME, CLOUDS_KIND, Feature
 
 _FEW_KINDS = 3
@@ -20,7 +22,11 @@ _SWITCH_WORDS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Interval:
-    """Values of a numeric feature, the ends included; None for an end that no run lies beyond."""
+    """Values of a numeric feature, the ends included; None for an end that no run lies beyond.
+
+    Where ``low`` is above ``high`` it is what lies above the one or below the other, such as a
+    night, which goes over midnight.
+    """
 
     feature: str
     low: float | None
@@ -31,11 +37,27 @@ class Interval:
         values = frame[self.feature].to_numpy(dtype=np.float64)
         low = -np.inf if self.low is None else self.low
         high = np.inf if self.high is None else self.high
+        if low > high:
+            return (values >= low) | (values <= high)
         return (values >= low) & (values <= high)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Features that it is about."""
+        return (self.feature,)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'low': self.low, 'high': self.high}
 
     def words(self) -> str:
         """For people."""
-        return BY_NAME[self.feature].interval_words(self.low, self.high)
+        feature = BY_NAME[self.feature]
+        if self.low is not None and self.high is not None and self.low > self.high:
+            above, below = (feature.interval_words(self.low, None),
+                            feature.interval_words(None, self.high))
+            return f'{above} or {below}'
+        return feature.interval_words(self.low, self.high)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,9 +67,18 @@ class Kinds:
     feature: str
     kinds: tuple[str, ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Features that it is about."""
+        return (self.feature,)
+
     def mask(self, frame: pd.DataFrame) -> Mask:
         """Which runs have one of them."""
         return np.isin(frame[self.feature].to_numpy(dtype=object), self.kinds)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'kinds': list(self.kinds)}
 
     def words(self) -> str:
         """For people."""
@@ -62,12 +93,99 @@ class Kinds:
         return 'clear sky' if self.kinds == ('clear',) else f'{_listed(self.kinds)} clouds'
 
 
-Part = Interval | Kinds
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Slant:
+    """Values of a numeric feature and a multiple of another one, added up; the ends included."""
+
+    feature: str
+    other: str
+    factor: float
+    low: float | None
+    high: float | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Features that it is about."""
+        return (self.feature, self.other)
+
+    def values(self, frame: pd.DataFrame) -> Floats:
+        """The sum for each run, in the unit of ``feature``."""
+        first, other = (frame[name].to_numpy(dtype=np.float64) for name in self.names)
+        total: Floats = first + self.factor * other
+        return total
+
+    def mask(self, frame: pd.DataFrame) -> Mask:
+        """Which runs lie within."""
+        values = self.values(frame)
+        low = -np.inf if self.low is None else self.low
+        high = np.inf if self.high is None else self.high
+        return (values >= low) & (values <= high)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'feature': self.feature, 'other': self.other, 'factor': self.factor,
+                'low': self.low, 'high': self.high}
+
+    def words(self) -> str:
+        """For people."""
+        first, other = (BY_NAME[name].axis for name in self.names)
+        sign = '−' if self.factor < 0 else '+'
+        total = f'{first} {sign} {abs(self.factor):g} × {other}'
+        if self.low is None:
+            return f'{total} at most {self.high:g}'
+        if self.high is None:
+            return f'{total} {self.low:g} or more'
+        return f'{total} of {self.low:g} to {self.high:g}'.replace(' -', ' −')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Either:
+    """Runs that lie in one of two parts, each about another feature, but not in both."""
+
+    first: Interval | Kinds
+    second: Interval | Kinds
+
+    @property
+    def feature(self) -> str:
+        """The first feature that it is about."""
+        return self.first.feature
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Features that it is about."""
+        return (self.first.feature, self.second.feature)
+
+    def mask(self, frame: pd.DataFrame) -> Mask:
+        """Which runs lie within."""
+        return self.first.mask(frame) ^ self.second.mask(frame)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :func:`part_of`."""
+        return {'either': [self.first.to_json(), self.second.to_json()]}
+
+    def words(self) -> str:
+        """For people."""
+        return f'either {self.first.words()}, or {self.second.words()}, not both'
+
+
+Part = Interval | Kinds | Slant | Either
+
+
+def part_of(values: Mapping[str, Any]) -> Part:
+    """The part that ``to_json`` gave these values."""
+    if 'either' in values:
+        first, second = (part_of(each) for each in values['either'])
+        assert isinstance(first, Interval | Kinds)
+        assert isinstance(second, Interval | Kinds)
+        return Either(first=first, second=second)
+    if 'kinds' in values:
+        return Kinds(feature=values['feature'], kinds=tuple(values['kinds']))
+    return Slant(**values) if 'factor' in values else Interval(**values)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Region:
-    """The scenes that lie in all of its parts, of which each is about another feature."""
+    """The scenes that lie in all of its parts; no two are about the same feature."""
 
     parts: tuple[Part, ...]
 
@@ -83,7 +201,7 @@ class Region:
     @property
     def features(self) -> tuple[Feature, ...]:
         """What its parts are about."""
-        return tuple(BY_NAME[part.feature] for part in self.parts)
+        return tuple(BY_NAME[name] for part in self.parts for name in part.names)
 
 
 def _listed(words: tuple[str, ...]) -> str:

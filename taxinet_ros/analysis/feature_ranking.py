@@ -75,7 +75,7 @@ def _cells(feature: Feature, frame: pd.DataFrame) -> Ints:
         return pd.factorize(frame[feature.name])[0].astype(np.int64)
     values = frame[feature.name].to_numpy(dtype=np.float64)
     most = int(np.clip(len(values) // _RUNS_PER_CELL, 2, _CELLS))
-    return interval_cells(values, most, feature.name)[1]
+    return interval_cells(values, most)[2]
 
 
 def _information(cells: Ints, rows: Mask, entropy: float) -> Floats:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
-from taxinet_ros.analysis.causes import Cause
+from taxinet_ros.analysis.causes import Cause, FoundRate
 from taxinet_ros.analysis.comparisons import Comparison
-from taxinet_ros.analysis.failure_region import Interval, Region
+from taxinet_ros.analysis.failure_region import Region
 from taxinet_ros.analysis.findings import Findings
 from taxinet_ros.analysis.group_rates import GroupRate
 from taxinet_ros.analysis.plain_values import plain_values
@@ -35,6 +35,7 @@ def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
         ],
         'causes': [_cause(one) for one in findings.causes.found],
         'causes_why_not': findings.causes.why_not,
+        'causes_searched': findings.causes.searched, 'scenes_again': findings.causes.again,
         'outside_causes': _rate(findings.causes.rest), 'candidates': findings.causes.candidates,
         'clusters': [
             {'number': one.number, 'failures': one.failures, 'share': one.share,
@@ -85,17 +86,15 @@ def _cause(cause: Cause) -> dict[str, Any]:
         'rank': cause.rank, 'words': cause.region.words(), 'sentence': cause.sentence(),
         'region': _region(cause.region), 'inside': _rate(cause.inside),
         'outside': _rate(cause.outside), 'all_runs': _rate(cause.whole),
-        'explained': cause.explained, 'p': cause.p, 'p_is_bound': cause.p_is_bound,
+        'share': cause.share, 'explained': cause.added,
+        'attributable': dict(zip(('value', 'low', 'high'), cause.attributable, strict=True)),
+        'p': cause.p, 'p_is_bound': cause.p_is_bound,
     }
 
 
 def _region(region: Region) -> list[dict[str, Any]]:
-    return [
-        {'feature': part.feature, 'low': part.low, 'high': part.high}
-        if isinstance(part, Interval) else {'feature': part.feature, 'kinds': list(part.kinds)}
-        for part in region.parts
-    ]
+    return [part.to_json() for part in region.parts]
 
 
-def _rate(rate: GroupRate) -> dict[str, Any]:
+def _rate(rate: GroupRate | FoundRate) -> dict[str, Any]:
     return rate._asdict()

@@ -8,22 +8,19 @@ import itertools
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.analysis.failure_region import Interval
 from taxinet_ros.analysis.group_rates import Floats
 
 Ints = npt.NDArray[np.int64]
 Floats32 = npt.NDArray[np.float32]
 
 
-def interval_cells(
-    values: Floats, most: int, feature: str
-) -> tuple[tuple[Interval, ...], Ints]:
+def interval_cells(values: Floats, most: int) -> tuple[Floats, Floats, Ints]:
     """Cut a feature into cells with about equally many runs each.
 
     Equal values stay together. The ends of a cell are values of runs.
 
     Returns:
-        The cells, and the cell of each value.
+        The least and the greatest value of each cell, and the cell of each value.
     """
     ordered = np.sort(values)
     firsts = np.unique(ordered[(np.arange(most) * len(ordered)) // most])
@@ -34,12 +31,7 @@ def interval_cells(
     firsts = np.unique(np.concatenate([firsts, many, after]))
     places = np.searchsorted(firsts, values, side='right') - 1
     ends = np.append(np.searchsorted(ordered, firsts[1:]), len(ordered)) - 1
-    lasts = ordered[ends].tolist()
-    cells = tuple(
-        Interval(feature=feature, low=float(low), high=high)
-        for low, high in zip(firsts, lasts, strict=True)
-    )
-    return cells, places.astype(np.int64)
+    return firsts, ordered[ends], places.astype(np.int64)
 
 
 @functools.cache
@@ -52,7 +44,22 @@ def neighbours(cells: int) -> Floats32:
     return np.array(chosen, dtype=np.float32).reshape(-1, cells)
 
 
+@functools.cache
+def around(cells: int) -> Floats32:
+    """All runs of neighbouring cells where the last is a neighbour of the first too."""
+    inner = neighbours(cells)
+    without_ends = inner[(inner[:, 0] == 0) & (inner[:, -1] == 0)]
+    return np.concatenate([inner, 1 - without_ends])
+
+
+@functools.cache
 def subsets(kinds: int) -> Floats32:
     """All subsets but none and all: (candidates, kinds)."""
     chosen = list(itertools.product((0, 1), repeat=kinds))[1:-1]
     return np.array(chosen, dtype=np.float32).reshape(-1, kinds)
+
+
+@functools.cache
+def beginnings(cells: int) -> Floats32:
+    """The first cell, the first two, and so on, but not all: (candidates, cells)."""
+    return np.tri(cells, dtype=np.float32)[:-1]

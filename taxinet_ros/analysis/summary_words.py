@@ -77,7 +77,7 @@ def cause_sentences(findings: Findings) -> tuple[str, ...]:
         return (f'No cause found: the {findings.runs.rate().failures:,} failures lie among the '
                 f'runs as chance would have them (at a level of {findings.alpha:g}).',)
     number, failures = len(causes.found), findings.runs.rate().failures
-    many = 'One cause explains' if number == 1 else f'{number} causes explain'
+    many = 'One cause holds' if number == 1 else f'{number} causes hold'
     some = f'{100 * causes.explained:.1f} %' if causes.explained < 0.9995 else 'all'
     return (
         f'{many} {some} of the {failures:,} failures; elsewhere {causes.rest.words()} of '

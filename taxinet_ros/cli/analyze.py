@@ -17,6 +17,7 @@ from taxinet_ros.analysis.analysis_folder import (
 )
 from taxinet_ros.analysis.campaign_report import campaign_report
 from taxinet_ros.analysis.campaign_runs import read_runs, told_apart
+from taxinet_ros.analysis.cause_program import confirming
 from taxinet_ros.analysis.findings import Findings, analyse
 from taxinet_ros.analysis.summary_words import cause_sentences, summary
 from taxinet_ros.campaign.table import PARQUET_NAME
@@ -57,11 +58,11 @@ def run_analyze(
     if as_json:
         print(json_text(values), end='')
         return
-    _print(console, findings)
+    _print(console, findings, folder)
     console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
 
 
-def _print(console: Console, findings: Findings) -> None:
+def _print(console: Console, findings: Findings, folder: Path) -> None:
     """The summary; the causes as a table in place of their sentences."""
     in_table = set(cause_sentences(findings)[1:])
     for sentence in summary(findings):
@@ -69,13 +70,18 @@ def _print(console: Console, findings: Findings) -> None:
             console.print(sentence, soft_wrap=True, markup=False)
     if findings.causes.found:
         console.print(_causes(findings))
+        # A region that was picked for its rate says too much of itself: fresh scenes do not.
+        for cause in findings.causes.found:
+            if (command := confirming(findings.runs, cause, folder)) is not None:
+                console.print(f'test cause {cause.rank} on fresh scenes: {command}',
+                              soft_wrap=True, markup=False)
 
 
 def _causes(findings: Findings) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column('#', justify='right')
     table.add_column('cause')
-    for title in ('runs', 'fail', 'elsewhere', 'explains', 'p'):
+    for title in ('runs', 'fail', 'elsewhere', 'holds', 'goes with it', 'p'):
         table.add_column(title, justify='right', no_wrap=True)
     for cause in findings.causes.found:
         inside = cause.inside
@@ -83,7 +89,8 @@ def _causes(findings: Findings) -> Table:
         table.add_row(
             str(cause.rank), cause.region.words(), f'{inside.runs:,}',
             f'{100 * inside.rate:.0f} %{known}', f'{100 * cause.outside.rate:.1f} %',
-            f'{100 * cause.explained:.1f} %', cause.p_words().removeprefix('p ').lstrip('= '),
+            f'{100 * cause.share:.0f} %', f'{100 * cause.attributable[0]:.0f} %',
+            cause.p_words().removeprefix('p ').lstrip('= '),
         )
     return table
 

@@ -86,7 +86,15 @@ def improve(
     varied: VariedOption = False,
     sampler: Annotated[str, typer.Option(help='how failures are looked for')] = 'ce',
     alpha: Annotated[
-        float, typer.Option(help='probability of accepting a network that is no better')
+        float,
+        typer.Option(help='probability of accepting a network that is no better, or worse by a '
+                     'margin'),
+    ] = 0.05,
+    margin: Annotated[
+        float, typer.Option(help='failures more that count as none, as a share of all scenes')
+    ] = 0.01,
+    place_margin: Annotated[
+        float, typer.Option(help='the same of the scenes in a part of runway, day, pose or sky')
     ] = 0.05,
     seed: Annotated[int, typer.Option(help='of everything random')] = 1,
     workers: Annotated[
@@ -109,6 +117,6 @@ def improve(
         program=program, start=start, rounds=rounds, budget=budget, base=base, images=images,
         validation=validation, counterexamples=counterexamples, add=tuple(add or ()),
         epochs=epochs, learning_rate=learning_rate, varied=varied, sampler=sampler, alpha=alpha,
-        seed=seed, workers=workers,
+        margin=margin, place_margin=place_margin, seed=seed, workers=workers,
     )
     raise typer.Exit(run_improve(options, out, workers))

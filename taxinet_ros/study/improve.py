@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from taxinet_ros.analysis.failure_region import Region, part_of
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -146,7 +147,8 @@ class Improvement:
             candidate=load_model(self._out / candidate_weights(number)).card.weights_sha256,
             decision=decide(
                 self._judged(incumbent_name(number)), self._judged(candidate_name(number)),
-                options.alpha,
+                options.alpha, margin=options.margin, place_margin=options.place_margin,
+                causes=_regions(analysis['causes']),
             ),
         )
 
@@ -162,6 +164,10 @@ class Improvement:
 
 def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(str(entry['words']) for entry in entries)
+
+
+def _regions(causes: Sequence[Mapping[str, Any]]) -> list[Region]:
+    return [Region(parts=tuple(map(part_of, cause['region']))) for cause in causes]
 
 
 def _copy(weights: Path, to: Path) -> None:

@@ -22,7 +22,8 @@ FACTS_NAME = 'improve.json'
 _LIMITS: dict[str, tuple[float, float]] = {
     'rounds': (1, 100), 'budget': (6, 10_000_000), 'images': (1, 1_000_000),
     'validation': (1, 1_000_000), 'counterexamples': (1, 1_000_000), 'epochs': (1, 10_000),
-    'learning_rate': (1e-8, 1.0), 'alpha': (1e-6, 0.5), 'seed': (0, 10**12), 'workers': (1, 64),
+    'learning_rate': (1e-8, 1.0), 'alpha': (1e-6, 0.5), 'margin': (1e-4, 0.5),
+    'place_margin': (1e-4, 0.5), 'seed': (0, 10**12), 'workers': (1, 64),
 }
 
 FALSIFY, TRAIN, JUDGE = range(3)
@@ -48,7 +49,9 @@ class ImproveOptions:
         epochs, learning_rate: of every training.
         varied: whether the look of the rendered world varies.
         sampler: how failures are looked for.
-        alpha: probability of accepting a network that is no better.
+        alpha: probability of accepting a network that is no better, or worse by a margin.
+        margin: difference of failure rates that counts as none over all scenes.
+        place_margin: the same in a part of them.
         seed: of everything random; no seed of one purpose is one of another.
         workers: processes; nothing depends on them.
 
@@ -70,6 +73,8 @@ class ImproveOptions:
     varied: bool = False
     sampler: str = 'ce'
     alpha: float = 0.05
+    margin: float = 0.01
+    place_margin: float = 0.05
     seed: int = 1
     workers: int = 2
 

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted_runs import planted_runs, planted_table
 from scipy.stats import hypergeom
 
+from taxinet_ros.analysis.campaign_runs import runs_of
 from taxinet_ros.analysis.causes import find_causes
-from taxinet_ros.analysis.failure_region import Interval, Kinds
+from taxinet_ros.analysis.failure_region import Either, Interval, Kinds, Slant
 from taxinet_ros.analysis.scan_cells import interval_cells
-from taxinet_ros.analysis.scan_statistic import hoeffding_bound, likelihood_ratio
+from taxinet_ros.analysis.scan_statistic import (
+    hoeffding_bound,
+    likelihood_ratio,
+    log_evidence,
+)
+from taxinet_ros.bench.causes import measure
+from taxinet_ros.campaign.table import read_table
+
+SHIPPED = Path(__file__).parents[2] / 'bags' / 's_falsif_original_4000.parquet'
 
 
 def causes_of(tmp_path, rate, *, runs=2000, seed=1, **columns):
@@ -99,15 +112,15 @@ def test_given_several_causes_when_looked_for_then_the_greatest_comes_first(tmp_
         'rain_percent', 'distance_m', 'time_of_day_h']
     assert causes.found[0].region.words() == 'rain of 25 % or more'
     assert part_of(causes.found[2], 'time_of_day_h').high == pytest.approx(7.5, abs=0.2)
-    explained = [cause.explained for cause in causes.found]
-    assert explained == sorted(explained, reverse=True)
-    assert causes.explained == pytest.approx(sum(explained))
+    added = [cause.added for cause in causes.found]
+    assert added == sorted(added, reverse=True)
+    assert causes.explained == pytest.approx(sum(added))
     assert causes.rest.rate == pytest.approx(0.03, abs=0.01)
 
 
 def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path):
     named = [
-        seed for seed in range(20)
+        seed for seed in range(12)
         if causes_of(
             tmp_path, lambda t: np.full(len(t), 0.2), runs=200, seed=seed, cross_track_m=0.0,
         ).found
@@ -149,18 +162,130 @@ def test_given_the_same_runs_twice_then_the_same_is_found(tmp_path):
     assert first == second
 
 
-def test_given_runs_of_a_sampler_when_looked_for_then_rates_are_of_what_the_program_drew(tmp_path):
+@pytest.mark.timeout(60)
+def test_t9_given_any_part_of_a_real_table_when_looked_for_then_the_search_ends():
+    table = read_table(SHIPPED)
+    # With the numbers 2, 9, 10, 13 and 19 a condition was added and sharpened away for ever.
+    for seed in (2, 9, 13):
+        causes = find_causes(runs_of(table.sample(400, random_state=seed), SHIPPED))
+        assert causes.found
+        assert all(1 <= len(cause.region.parts) <= 2 for cause in causes.found)
+
+
+def test_t16_given_runs_of_a_search_when_looked_for_then_figures_are_of_what_was_scanned(tmp_path):
+    """Weights that would turn the rates round: none of the figures of a cause may use them."""
     table = planted_table(1000, 3, lambda t: np.where(t['distance_m'] < 500, 0.6, 0.05))
-    # The sampler sought scenes near the threshold; of the others all were drawn.
-    near = table['distance_m'] < 500
-    drawn = ~near | (table['index'] % 3 == 0)
-    found = find_causes(planted_runs(table.assign(sampler='ce', drawn=drawn), tmp_path)).found
-    assert len(found) == 1
     failed = table['outcome'] == 'FAIL'
-    share = (failed & near & drawn).sum() / (failed & drawn).sum()
-    assert found[0].explained == pytest.approx(share, abs=0.03)
-    assert share < (failed & near).sum() / failed.sum() - 0.1
-    assert found[0].inside.effective == pytest.approx((near & drawn).sum(), abs=12)
+    near = table['distance_m'] < 500
+    weight = np.where(near & failed, 0.001, 1.0)
+    causes = find_causes(planted_runs(table.assign(weight=weight, sampler='ce'), tmp_path))
+    (cause,) = causes.found
+    assert causes.searched
+    assert cause.inside.rate == pytest.approx(0.6, abs=0.08)
+    assert cause.outside.rate == pytest.approx(0.05, abs=0.03)
+    assert cause.inside.failures / failed.sum() == cause.share
+    assert np.isnan(cause.inside.low), 'a sampler that learns leaves no interval'
+    assert 'of the runs made' in cause.sentence()
+
+
+def test_t16_given_two_causes_when_looked_for_then_what_goes_with_each_is_free_of_order(tmp_path):
+    def rate(table):
+        wet, crossing = table['rain_percent'] > 0, table['distance_m'].between(1200, 1450)
+        return np.where(wet, 0.95, np.where(crossing, 0.9, 0.2))
+
+    table = planted_table(3000, 4, rate)
+    failed = (table['outcome'] == 'FAIL').to_numpy()
+    found = find_causes(planted_runs(table, tmp_path)).found
+    assert len(found) == 2
+    frame = planted_runs(table, tmp_path).frame
+    for cause in found:
+        inside = cause.region.mask(frame)
+        assert cause.share == failed[inside].sum() / failed.sum()
+        alone = 1 - failed[~inside].mean() / failed.mean()
+        value, low, high = cause.attributable
+        assert value == pytest.approx(alone)
+        assert low < value < high
+    # In the order of finding the second adds less than it holds.
+    assert found[1].added < found[1].share - 0.03
+    assert sum(cause.added for cause in found) <= 1
+
+
+def test_t16_given_a_scene_that_was_run_again_and_again_then_it_counts_once(tmp_path):
+    table = planted_table(60, 2, lambda t: np.full(len(t), 0.3))
+    again = pd.concat([table] * 8, ignore_index=True).assign(
+        index=range(480), run_id=[f'r{number}' for number in range(480)], sampler='grid')
+    causes = find_causes(planted_runs(again, tmp_path))
+    assert (causes.found, causes.again) == ((), 420)
+
+
+def test_t6_given_slanted_crossed_and_round_causes_when_looked_for_then_they_are_named(tmp_path):
+    def diagonal(table):
+        apart = table['cross_track_m'] / 16 - table['heading_deg'] / 60
+        return np.where(apart.abs() < 0.1, 0.9, 0.05)
+
+    def crossed(table):
+        return np.where((table['distance_m'] > 1000) ^ (table['heading_deg'] > 0), 0.7, 0.05)
+
+    def night(table):
+        return np.where(
+            (table['time_of_day_h'] > 21.5) | (table['time_of_day_h'] < 3), 0.7, 0.05)
+
+    (one,) = causes_of(tmp_path, diagonal, runs=600).found
+    (slant,) = one.region.parts
+    assert isinstance(slant, Slant)
+    assert {slant.feature, slant.other} == {'cross_track_m', 'heading_deg'}
+    assert slant.factor == pytest.approx(-16 / 60, rel=0.1)
+    one, *_ = causes_of(tmp_path, crossed, runs=600).found
+    (either,) = one.region.parts
+    assert isinstance(either, Either)
+    assert 'not both' in one.region.words()
+    hours = np.random.default_rng(1).uniform(0, 24, 600)
+    (one,) = causes_of(tmp_path, night, runs=600, time_of_day_h=hours).found
+    (part,) = one.region.parts
+    assert (part.low, part.high) == (pytest.approx(21.5, abs=0.6), pytest.approx(3, abs=0.6))
+    assert one.region.words().startswith('after 21:')
+
+
+@pytest.mark.parametrize(('landscape', 'least'), [
+    ('either, not both', 0.25), ('night over midnight', 0.25),
+])
+def test_t6_given_a_hundred_runs_then_causes_of_two_features_are_found_often(landscape, least):
+    score = measure(landscape, 'random', 100, 8)
+    assert score.named >= least * score.tables
+
+
+@pytest.mark.parametrize('landscape', ['interaction, numbers'])
+def test_t5_given_a_cause_that_was_picked_then_its_intervals_hold_the_truth(landscape):
+    score = measure(landscape, 'random', 150, 6)
+    assert np.mean(score.holds, axis=0).min() >= 0.85, score.holds
+    assert np.mean(score.excess) > 0, 'picked for its rate, which is why the interval has to be'
+
+
+@pytest.mark.parametrize('sampler', ['mab', 'ce', 'cmaes'])
+def test_t4_given_a_search_of_nothing_when_looked_for_then_hardly_ever_a_cause_is_named(sampler):
+    """A shuffling names one in 8 to 9 of 100 such tables, for the search went where it failed."""
+    assert measure('no cause, 20 %', sampler, 60, 10).named <= 1
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=25, deadline=None)
+def test_t4_given_one_rate_then_the_mean_of_the_evidence_is_at_most_one(seed):
+    """Exact, over all outcomes of a sampler that follows failures for as long as it can."""
+    rng = np.random.default_rng(seed)
+    rate, runs = rng.uniform(0.05, 0.95), 8
+    left = rng.random() < 0.5
+    mean = 0.0
+    for outcomes in itertools.product((0, 1), repeat=runs):
+        inside = failures = 0
+        there = left
+        for failed in outcomes:
+            inside, failures = inside + there, failures + (there and failed)
+            there = there if failed else not there
+        count = sum(outcomes)
+        chance = rate**count * (1 - rate) ** (runs - count)
+        evidence = log_evidence(np.array([failures]), np.array([inside]), count, runs)[0]
+        mean += chance * np.exp(evidence)
+    assert mean <= 1 + 1e-9
 
 
 @given(
@@ -201,9 +326,9 @@ def test_given_counts_then_the_ratio_is_that_of_two_binomials(inside, outside, d
 @given(st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0, 2.5, 7.0, 8.0, 30.0]), min_size=1,
                 max_size=60), st.integers(1, 12))
 def test_given_values_then_each_lies_in_its_own_cell(values, most):
-    cells, places = interval_cells(np.array(values), most, 'distance_m')
+    firsts, lasts, places = interval_cells(np.array(values), most)
     assert len(places) == len(values)
-    assert all(cells[place].low <= value <= cells[place].high
+    assert all(firsts[place] <= value <= lasts[place]
                for place, value in zip(places, values, strict=True))
-    ends = [end for cell in cells for end in (cell.low, cell.high)]
+    ends = [end for cell in zip(firsts, lasts, strict=True) for end in cell]
     assert ends == sorted(ends), 'cells do not overlap'

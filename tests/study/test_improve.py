@@ -54,7 +54,9 @@ class Bench:
             campaign(folder, self.failures.get(stage.name, 0))
         elif word == 'analyze':
             (folder / 'report.html').write_text('')
-            found = {'causes': [{'words': 'rain'}], 'clusters': [{'words': 'wet, early'}]}
+            region = [{'feature': 'rain_percent', 'low': 25.0, 'high': None}]
+            found = {'causes': [{'words': 'rain', 'region': region}],
+                     'clusters': [{'words': 'wet, early'}]}
             (folder / 'analysis.json').write_text(json.dumps(found))
         else:
             data = to_bytes(random_weights(len(self.done)))

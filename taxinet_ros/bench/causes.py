@@ -1,0 +1,214 @@
+"""How well causes are found: ``python -m taxinet_ros.bench.causes``, on tables with known causes.
+
+Scenes are drawn, or chosen by one of our samplers, as a program like S_falsif has them; whether one
+fails is a toss of a coin that the scene weighs. So it is known what a cause is and how often it
+fails, and the table that is printed says how often causes are named where there are none, how often
+one is found where there is, and how often the intervals printed hold the truth. The same seed gives
+the same table.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.campaign_runs import CampaignRuns, runs_of
+from taxinet_ros.analysis.causes import find_causes
+from taxinet_ros.analysis.group_rates import Floats
+from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.core.scenario import CLOUDS
+
+SPACE = (
+    Dimension(name='time_of_day'), Dimension(name='clouds', weights=(1.0,) * 6),
+    Dimension(name='wet', weights=(1.0, 1.0)), Dimension(name='rain'),
+    Dimension(name='cross_track'), Dimension(name='distance'), Dimension(name='heading'),
+)
+DAY, NIGHT = (6.0, 18.0), (0.0, 24.0)
+
+_WEIGHTY = 20_000
+"""Scenes by which the true rate of a region is known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Landscape:
+    """How probable failing is in each scene.
+
+    Attributes:
+        rate: of a table of scenes.
+        hours: between which the time of day varies.
+    """
+
+    rate: Callable[[pd.DataFrame], Floats]
+    hours: tuple[float, float] = DAY
+
+
+def _either(low: float, high: float, where: pd.Series[bool]) -> Floats:
+    chance: Floats = np.where(where, high, low)
+    return chance
+
+
+LANDSCAPES: Mapping[str, Landscape] = {
+    'no cause, 2 %': Landscape(rate=lambda t: np.full(len(t), 0.02)),
+    'no cause, 20 %': Landscape(rate=lambda t: np.full(len(t), 0.2)),
+    'no cause, 50 %': Landscape(rate=lambda t: np.full(len(t), 0.5)),
+    'strong band': Landscape(
+        rate=lambda t: _either(0.05, 0.8, t['distance_m'].between(1200, 1600))),
+    'weak band': Landscape(rate=lambda t: _either(0.1, 0.25, t['distance_m'].between(800, 1500))),
+    'interaction, numbers': Landscape(
+        rate=lambda t: _either(0.1, 0.6, (t['distance_m'] > 1000) & (t['heading_deg'] > 0))),
+    'interaction, clouds': Landscape(
+        rate=lambda t: _either(
+            0.1, 0.6, t['clouds'].isin(CLOUDS[3:]) & (t['time_of_day_h'] < 12))),
+    'either, not both': Landscape(
+        rate=lambda t: _either(0.1, 0.5, (t['distance_m'] > 1000) ^ (t['heading_deg'] > 0))),
+    'diagonal': Landscape(
+        rate=lambda t: _either(
+            0.1, 0.6, (t['cross_track_m'] / 16 - t['heading_deg'] / 60).abs() < 0.1)),
+    'night over midnight': Landscape(
+        rate=lambda t: _either(
+            0.1, 0.5, (t['time_of_day_h'] > 21.5) | (t['time_of_day_h'] < 3)), hours=NIGHT),
+}
+"""By name; those with 'no cause' have none."""
+
+
+def scenes(points: Floats, hours: tuple[float, float] = DAY) -> pd.DataFrame:
+    """The scenes at quantiles of :data:`SPACE`, (runs, 7)."""
+    time, clouds, wet, rain, cross_track, distance, heading = points.T
+    sky = np.array(CLOUDS)[np.minimum((6 * clouds).astype(int), 5)]
+    rains = (wet > 0.5) & np.isin(sky, CLOUDS[3:])
+    return pd.DataFrame({
+        'cross_track_m': 16 * cross_track - 8, 'distance_m': 2000 * distance,
+        'heading_deg': 60 * heading - 30, 'clouds': sky,
+        'rain_percent': np.where(rains, 25 + 75 * rain, 0.0),
+        'time_of_day_h': hours[0] + (hours[1] - hours[0]) * time,
+    })
+
+
+def searched(sampler: str, runs: int, seed: int, landscape: Landscape) -> CampaignRuns:
+    """The runs of a search of a landscape, as an analysis reads them."""
+    rng = np.random.default_rng([7, seed])
+    search = make_sampler(sampler, SPACE, seed, runs)
+    points = np.zeros((runs, len(SPACE)))
+    rho = np.zeros(runs)
+    size = rng.uniform(0.01, 1.0, runs)
+    coins = rng.random(runs)
+    for _ in range(runs):
+        index, point = search.next()
+        points[index] = point
+        scene = scenes(points[index:index + 1], landscape.hours)
+        fails = coins[index] < landscape.rate(scene)[0]
+        rho[index] = -20 * size[index] if fails else 1.5 * size[index]
+        search.tell(index, float(rho[index]))
+    table = scenes(points, landscape.hours)
+    weight = [search.weight(index) for index in range(runs)]
+    table = table.assign(
+        run_id=[f'r{number}' for number in range(runs)], index=np.arange(runs), program='planted',
+        perception='network', sampler=sampler, weight=np.array(weight, dtype=np.float64),
+        outcome=np.where(rho <= 0, 'FAIL', 'PASS'), rho=rho, rho_phi=rho, date='2020-03-20',
+        aircraft='caravan', shadows=True,
+    )
+    return runs_of(table, Path('planted.parquet'))
+
+
+@dataclass
+class Score:
+    """What came of many tables of one kind.
+
+    Attributes:
+        tables, named: how many, and in how many a cause was found.
+        holds: whether the interval of the first cause, of the runs elsewhere, and of the share
+            that goes with it held the truth, for each table with a cause.
+        excess: rate of the first cause less the true one, for each table with a cause.
+        width: of the interval of its rate.
+    """
+
+    tables: int = 0
+    named: int = 0
+    holds: list[tuple[bool, bool, bool]] = field(default_factory=list)
+    excess: list[float] = field(default_factory=list)
+    width: list[float] = field(default_factory=list)
+
+    def cells(self) -> list[str]:
+        """Of the printed table."""
+        share = f'{100 * self.named / self.tables:.1f} % of {self.tables}'
+        if not self.holds:
+            return [share, *[''] * 5]
+        held = [f'{100 * part:.0f} %' for part in np.mean(self.holds, axis=0)]
+        return [share, *held, f'{100 * float(np.mean(self.excess)):+.0f}',
+                f'{100 * float(np.mean(self.width)):.0f}']
+
+
+def measure(name: str, sampler: str, runs: int, tables: int, seed: int = 0) -> Score:
+    """Look for causes in many tables of one kind.
+
+    Args:
+        name: of :data:`LANDSCAPES`.
+        sampler: that chooses the scenes.
+        runs: of each table.
+        tables: how many.
+        seed: of the first of them.
+    """
+    landscape, score = LANDSCAPES[name], Score()
+    rng = np.random.default_rng(99)
+    every = scenes(rng.random((_WEIGHTY, len(SPACE))), landscape.hours)
+    chance = landscape.rate(every)
+    features = every.assign(
+        abs_cross_track_m=every['cross_track_m'].abs(), abs_heading_deg=every['heading_deg'].abs())
+    for number in range(seed, seed + tables):
+        found = find_causes(searched(sampler, runs, number, landscape)).found
+        score.tables += 1
+        score.named += bool(found)
+        if not found or np.isnan(found[0].inside.low):
+            continue
+        first = found[0]
+        inside = first.region.mask(features)
+        if not inside.any() or inside.all():
+            continue
+        true, beyond = float(chance[inside].mean()), float(chance[~inside].mean())
+        goes_with_it = 1 - beyond / float(chance.mean())
+        _, low, high = first.attributable
+        score.holds.append((
+            first.inside.low <= true <= first.inside.high,
+            first.outside.low <= beyond <= first.outside.high,
+            low - 1e-9 <= goes_with_it <= high + 1e-9,
+        ))
+        score.excess.append(first.inside.rate - true)
+        score.width.append(first.inside.high - first.inside.low)
+    return score
+
+
+def lines(
+    landscapes: Sequence[str], samplers: Sequence[str], runs: Sequence[int], tables: int
+) -> Iterator[str]:
+    """A Markdown table, line by line as it comes."""
+    yield ('| landscape | sampler | runs | a cause is named | its rate is in its interval | '
+           'elsewhere | what goes with it | its rate is off by [points] | width [points] |')
+    yield '| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |'
+    for name in landscapes:
+        for sampler in samplers:
+            for count in runs:
+                cells = measure(name, sampler, count, tables).cells()
+                yield f'| {name} | {sampler} | {count:,} | {" | ".join(cells)} |'
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog='python -m taxinet_ros.bench.causes',
+                                     description='how well causes are found, and what is made up')
+    parser.add_argument('--landscapes', nargs='+', default=list(LANDSCAPES), choices=LANDSCAPES)
+    parser.add_argument('--samplers', nargs='+', default=['random'])
+    parser.add_argument('--runs', nargs='+', type=int, default=[100, 400, 2000])
+    parser.add_argument('--tables', type=int, default=200)
+    given = parser.parse_args()
+    for line in lines(given.landscapes, given.samplers, given.runs, given.tables):
+        print(line, flush=True)
+
+
+if __name__ == '__main__':
+    main()
