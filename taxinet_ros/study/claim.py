@@ -26,6 +26,7 @@ SIGNIFICANT = 0.05
 """Probability that any verdict of a study is wrong."""
 
 
+_LEAST_VALUES = 3
 _LEAST_ERROR = 1e-9
 """Standard error of a mean below which values are the same but for rounding."""
 
@@ -167,8 +168,8 @@ def pairs_more_often(rates: PairedRates) -> Sides:
 
 
 def mean_above(values: Sequence[float], level: float) -> Sides:
-    """Whether a mean is above ``level``: Student's t; nothing is known from one value."""
-    if len(values) < 2:
+    """Whether a mean is above ``level``: Student's t; two values say too little of their spread."""
+    if len(values) < _LEAST_VALUES:
         return NOTHING_KNOWN
     error = max(float(np.std(values, ddof=1)) / math.sqrt(len(values)), _LEAST_ERROR)
     distance = (float(np.mean(values)) - level) / error
