@@ -123,7 +123,8 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
     if findings.runs.sampler and findings.runs.weighting.value != 'drawn':
         sentences.append(
             'The causes were looked for among the runs as the sampler chose them, so p values are '
-            'approximate; the rates in them are weighted where weights are known.')
+            'approximate; the rates in them are of runs that the program itself drew, where there '
+            'are any.')
     return Section(
         name='causes', heading='Causes', sentences=tuple(sentences),
         pictures=(*((causes_picture(findings),) if findings.causes.found else ()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -15,6 +16,8 @@ from taxinet_ros.analysis.group_rates import Floats, GroupRate, Mask, group_rate
 from taxinet_ros.analysis.run_features import PLAIN, feature_columns
 from taxinet_ros.campaign.facts import FACTS_NAME
 from taxinet_ros.campaign.outcome_words import count_kinds, count_words
+from taxinet_ros.campaign.rates import as_planned, without_gaps
+from taxinet_ros.campaign.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
@@ -31,10 +34,10 @@ class Weighting(Enum):
 
     DRAWN = 'drawn'
     """The runs were drawn from it: shares are its rates."""
-    WEIGHTED = 'weighted'
-    """A sampler chose the runs, and says with which weights they stand for it."""
+    WEIGHTED = 'partly drawn'
+    """A sampler chose most runs, the program itself drew some: rates are of those alone."""
     UNKNOWN = 'unknown'
-    """A sampler chose the runs, and nobody knows their weights: shares are of these runs only."""
+    """A sampler chose all runs: there is no rate, shares are of these runs only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,7 @@ class CampaignRuns:
         kinds: number of runs that the bench broke, by how.
         undecided: judged runs that were stopped before this formula was decided.
         weighting: what shares of these runs say.
+        anytime: whether the number of runs was not settled before the first of them.
     """
 
     label: str
@@ -69,6 +73,7 @@ class CampaignRuns:
     kinds: Mapping[str, int]
     undecided: int
     weighting: Weighting
+    anytime: bool = False
 
     @property
     def folder(self) -> Path:
@@ -82,7 +87,7 @@ class CampaignRuns:
 
     @property
     def weight(self) -> Floats:
-        """Weight of each run, NaN where it is not known."""
+        """1 for each run that the program itself drew, else 0; NaN if it drew none."""
         return self.frame['weight'].to_numpy(dtype=np.float64)
 
     @property
@@ -92,16 +97,15 @@ class CampaignRuns:
 
     def rate(self, among: Mask | None = None) -> GroupRate:
         """How often the runs fail, or those of them that are named."""
-        if among is None:
-            return group_rate(self.failed, self.weight)
-        return group_rate(self.failed[among], self.weight[among])
+        among = np.ones(len(self.frame), dtype=bool) if among is None else among
+        return group_rate(self.failed[among], self.weight[among], anytime=self.anytime)
 
     def off_runway(self) -> GroupRate | None:
         """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
         left = self.frame['left_runway']
         if left.isna().any():
             return None
-        return group_rate(left.to_numpy() > 0, self.weight)
+        return group_rate(left.to_numpy() > 0, self.weight, anytime=self.anytime)
 
 
 def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
@@ -123,12 +127,14 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     if missing:
         raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
     name = _spec_name(table, path, spec)
+    facts = read_facts(path)
+    anytime, counted = _plan(table, facts)
     counts = table.loc[~table['outcome'].isin(_JUDGED), 'outcome'].value_counts()
     others = {str(outcome): int(count) for outcome, count in sorted(counts.items())}
     broken = table[table['outcome'] == Outcome.INFRA_ERROR]
     kinds = count_kinds(broken['kind'].astype(str)) if 'kind' in table.columns else {}
     judged = table[table['outcome'].isin(_JUDGED)].sort_values('index', ignore_index=True)
-    frame = _frame(judged, name)
+    frame = _frame(judged, name, counted)
     decided = ~frame['failed'].isna()
     _check(judged, decided, count_words(others, kinds), path, name)
     frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
@@ -137,7 +143,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         label=_network(perception), path=path, program=_common(table['program']),
         perception=perception,
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
-        spec=name, facts=read_facts(path), frame=frame,
+        spec=name, facts=facts, frame=frame, anytime=anytime,
         others=others, kinds=kinds,
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
     )
@@ -167,7 +173,7 @@ def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
     return spec or names[0]
 
 
-def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
+def _frame(judged: pd.DataFrame, spec: str, counted: float) -> pd.DataFrame:
     """Features and outcome of judged runs; ``failed`` is missing where the sign is not known."""
     rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
     empty = np.full(len(rho), np.nan)
@@ -183,20 +189,33 @@ def _frame(judged: pd.DataFrame, spec: str) -> pd.DataFrame:
     facts = pd.DataFrame({
         'run_id': judged['run_id'].astype(str), 'index': judged['index'],
         'bag': judged['bag'].fillna('').astype(str) if 'bag' in judged.columns else '',
-        'weight': _weights(judged),
+        'weight': _weights(judged, counted),
         'rho': rho, 'rho_exact': exact, 'failed': failed,
         'left_runway': empty if left is None else left.to_numpy(dtype=np.float64, na_value=np.nan),
     })
     return pd.concat([facts, feature_columns(judged)], axis=1)
 
 
-def _weights(judged: pd.DataFrame) -> pd.Series[float]:
-    """NaN where it is not known; a run that no sampler has chosen was drawn, and counts as one."""
-    weight = judged['weight'].where(judged['weight'] > 0)
-    if 'sampler' not in judged.columns:
-        return weight
-    drawn = judged['weight'].isna() & (judged['sampler'].fillna('') == '')
-    return weight.mask(drawn, 1.0)
+def _weights(judged: pd.DataFrame, counted: float) -> pd.Series[float]:
+    """1 for a run below an index that the program itself drew, else 0; all NaN if there is none."""
+    drawn = pd.Series(True, judged.index)
+    if 'sampler' in judged.columns:
+        drawn = judged['sampler'].fillna('').isin(SIMPLY_DRAWN)
+    if 'drawn' in judged.columns:
+        drawn = judged['drawn'].fillna(drawn).astype(bool)
+    drawn &= judged['index'] < counted
+    return drawn.astype(np.float64) if drawn.any() else pd.Series(math.nan, judged.index)
+
+
+def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
+    """Whether the number of runs was not settled beforehand, and below which index runs count."""
+    planned = facts.get('first_runs', facts.get('runs'))
+    if planned is None:
+        return False, math.inf
+    outcomes = dict(zip(table['index'].tolist(), table['outcome'].tolist(), strict=True))
+    if as_planned(outcomes, int(planned)):
+        return False, math.inf
+    return True, without_gaps(outcomes)
 
 
 def _check(

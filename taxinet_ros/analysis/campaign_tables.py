@@ -36,14 +36,15 @@ def rates_table(findings: Findings) -> Table:
                      _known(runs.rate().effective), sum(runs.others.values()) + runs.undecided))
     return Table(
         name='rates', title='Rates', rows=tuple(rows),
-        caption='With 95 % intervals. Unknown where the runs cannot say it: of a sampler without '
-        'weights, or where runs were stopped before the aircraft could leave the runway.',
+        caption='With 95 % intervals, of the runs that the program itself drew. Where there is no '
+        'such run there is no interval, and the rate is that of the runs made; the share that '
+        'leaves the runway is unknown where runs were stopped before.',
         columns=(
             Column(name='network', title='network'), Column(name='sampler', title='sampler'),
             *_RATE, Column(name='off_runway_percent', title='off the runway [%]', decimals=1),
             Column(name='off_runway_low_percent', title='from [%]', decimals=1),
             Column(name='off_runway_high_percent', title='to [%]', decimals=1),
-            Column(name='effective_runs', title='worth [runs]', decimals=0),
+            Column(name='effective_runs', title='drawn [runs]', decimals=0),
             Column(name='without_verdict', title='without verdict'),
         ),
     )

@@ -2,32 +2,49 @@
 
 A share of runs is known within an interval only, so there are three answers. PASS: the bound of
 the interval that matters clears the threshold. FAIL: the whole interval is beyond it. INCONCLUSIVE:
-the threshold lies within, and more runs would tell. Both bounds are one-sided, each at the stated
-confidence: a system that is just as bad as the threshold passes with a probability of at most
-1 - confidence, and one that is just as good fails with no more. Where several criteria are asked
-for, that holds for each; the gate passes if all do and fails if any does.
+the threshold lies within, and more runs would tell; or the runs say nothing of a rate. Both bounds
+are one-sided, each at the stated confidence: a system that is just as bad as the threshold passes
+with a probability of at most 1 - confidence, and one that is just as good fails with no more. Where
+several criteria are asked for, that holds for each; the gate passes if all do and fails if any
+does.
 
-Runs that were drawn, or weighted with 1, have exact binomial bounds (Clopper and Pearson,
-Biometrika 26, 1934); evenly spread ones (Halton, Sobol) as a rule know a share better, so theirs
-are on the safe side. Those of a biased sampler are weighted back to the program's distribution, and
-their bounds are those of as many runs as would have the same variance (Korn and Graubard, Survey
-Methodology 24, 1998).
+That probability is for all looks at a campaign together, so it may be watched as it goes, and one
+that does not tell may be given more runs. Half of it is spent on the one look at the number of runs
+that was planned before the first, with exact binomial bounds; the other half on all other looks,
+with bounds that hold at any number of runs. Both are in :mod:`taxinet_ros.campaign.rates`, with
+which runs count.
 """
 
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import numpy as np
-
-from taxinet_ros.analysis.gate_bounds import Bounds, bounds, further_runs
 from taxinet_ros.campaign.outcome_words import count_kinds, kind_words
+from taxinet_ros.campaign.rates import (
+    ProgramRate,
+    anytime_bounds,
+    off_runway_rate,
+    rate_of,
+    share_bounds,
+)
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.samplers.estimate import effective_runs
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+
+MOST_RUNS = 10**7
+"""Beyond so many further runs nobody waits for an answer."""
+
+
+class Bounds(NamedTuple):
+    """A share of runs with its one-sided bounds, as fractions; NaN, 0 and 1 without a run."""
+
+    share: float
+    low: float
+    high: float
 
 
 class Verdict(enum.StrEnum):
@@ -103,7 +120,7 @@ class GateAnswer:
         criteria: all that were asked.
         counts: runs by outcome, all five of them.
         judged: runs with a verdict.
-        effective: independent runs that would say as much; fewer than judged with weights.
+        effective: runs that the program itself drew, on which the shares rest.
         notes: what a reader has to know besides.
     """
 
@@ -111,7 +128,7 @@ class GateAnswer:
     criteria: tuple[Criterion, ...]
     counts: Mapping[Outcome, int]
     judged: int
-    effective: float
+    effective: int
     notes: tuple[str, ...]
 
 
@@ -121,58 +138,89 @@ def ask_gate(rows: Sequence[RunRow], options: GateOptions, *, planned: int = 0) 
     Args:
         rows: its runs.
         options: what is asked.
-        planned: number of runs that were to be made, 0 if not known.
+        planned: number of runs that was to be made when the first began, 0 for as many as there
+            are.
 
     Raises:
-        UsageError: the sampler's runs have no known weights, or runs were stopped before one could
-            know whether they leave the runway.
+        UsageError: runs were stopped before one could know whether they leave the runway.
     """
     counts = {outcome: sum(row.outcome is outcome for row in rows) for outcome in Outcome}
-    judged = [row for row in rows if row.outcome.judged]
-    weights = _weights(judged)
-    effective = effective_runs(np.array(weights, dtype=np.float64))
-    criteria = [*_criteria(judged, weights, options), _infra(rows, options.max_infra)]
+    satisfied = rate_of(rows, lambda row: row.outcome is Outcome.PASS, planned or None)
+    criteria = []
+    if options.min_satisfaction is not None:
+        criteria.append(_criterion(satisfied, options.min_satisfaction, options, off=False))
+    if options.max_off_runway is not None:
+        criteria.append(_criterion(
+            _on_runway(rows, planned or None), 1 - options.max_off_runway, options, off=True
+        ))
+    criteria.append(_infra(rows, options.max_infra))
     verdicts = {one.verdict for one in criteria}
     return GateAnswer(
         verdict=next((one for one in (Verdict.FAIL, Verdict.INCONCLUSIVE) if one in verdicts),
                      Verdict.PASS),
-        criteria=tuple(criteria), counts=counts, judged=len(judged),
-        effective=effective, notes=tuple(_notes(counts, weights, effective, planned)),
+        criteria=tuple(criteria), counts=counts, judged=satisfied.runs,
+        effective=satisfied.drawn, notes=tuple(_notes(counts, satisfied, planned)),
     )
 
 
-def _criteria(
-    judged: Sequence[RunRow], weights: Sequence[float], options: GateOptions
-) -> list[Criterion]:
-    found = []
-    if options.min_satisfaction is not None:
-        good = [row.outcome is Outcome.PASS for row in judged]
-        found.append(_criterion(good, weights, options.min_satisfaction, options, off=False))
-    if options.max_off_runway is not None:
+def bounds(found: ProgramRate, confidence: float) -> Bounds:
+    """A share with its one-sided bounds, each at a confidence over all looks at the campaign."""
+    share = found.drawn_hits / found.drawn if found.drawn else math.nan
+    return Bounds(share, *found.bounds((1 - confidence) / 2))
+
+
+def further_runs(found: ProgramRate, threshold: float, confidence: float) -> int | None:
+    """About how many further runs decide whether a share is ``threshold``.
+
+    It supposes that the share stays as it is; without a run, that all are good.
+
+    Returns:
+        None where the share is the threshold, or more than :data:`MOST_RUNS` would be needed.
+    """
+    share = found.drawn_hits / found.drawn if found.drawn else 1.0
+    # A campaign that has not begun can plan as many; else they come on top of those planned.
+    ends = anytime_bounds if found.runs else share_bounds
+
+    def decided(number: float) -> bool:
+        low, high = ends(share * number, (1 - share) * number, (1 - confidence) / 2)
+        return low >= threshold or high < threshold
+
+    low, high = found.drawn, MOST_RUNS
+    if not decided(high):
+        return None
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if decided(middle) else (middle, high)
+    return math.ceil((high - found.drawn) * (found.runs / found.drawn if found.drawn else 1.0))
+
+
+def _on_runway(rows: Sequence[RunRow], planned: int | None) -> ProgramRate:
+    off = off_runway_rate(rows, planned)
+    if off is None:
+        judged = [row for row in rows if row.outcome.judged]
         unknown = sum(row.left_runway is None for row in judged)
-        if unknown:
-            raise UsageError(
-                f'--max-off-runway: {unknown} of {len(judged)} runs were stopped before one knew '
-                'whether they leave the runway; run the campaign without --stop-on'
-            )
-        good = [not row.left_runway for row in judged]
-        found.append(_criterion(good, weights, 1 - options.max_off_runway, options, off=True))
-    return found
+        raise UsageError(
+            f'--max-off-runway: {unknown} of {len(judged)} runs were stopped before one knew '
+            'whether they leave the runway; run the campaign without --stop-on'
+        )
+    return rate_of(rows, lambda row: not row.left_runway, planned)
 
 
 def _criterion(
-    good: Sequence[bool], weights: Sequence[float], threshold: float, options: GateOptions, *,
-    off: bool,
+    good: ProgramRate, threshold: float, options: GateOptions, *, off: bool
 ) -> Criterion:
     """Ask for a least share of good runs; ``off`` words it as a largest share of the others."""
-    found = bounds(good, weights, options.confidence)
-    if found.low >= threshold:
-        verdict, more = Verdict.PASS, None
+    found = bounds(good, options.confidence)
+    more = None
+    if good.runs and not good.drawn:
+        verdict = Verdict.INCONCLUSIVE
+    elif found.low >= threshold:
+        verdict = Verdict.PASS
     elif found.high < threshold:
-        verdict, more = Verdict.FAIL, None
+        verdict = Verdict.FAIL
     else:
         verdict = Verdict.INCONCLUSIVE
-        more = further_runs(good, weights, threshold, options.confidence)
+        more = further_runs(good, threshold, options.confidence)
     name, shown, limit = 'satisfied', found, threshold
     if off:
         shown = Bounds(1 - found.share, 1 - found.high, 1 - found.low)
@@ -180,18 +228,21 @@ def _criterion(
     sign = '<=' if off else '>='
     return Criterion(
         name=f'{name} {sign} {limit:g}', verdict=verdict, bounds=shown, more_runs=more,
-        sentence=_sentence(name, shown, len(good), options.confidence, verdict, more),
+        sentence=_sentence(name, shown, good, options.confidence, verdict, more),
     )
 
 
 def _sentence(
-    name: str, shown: Bounds, runs: int, confidence: float, verdict: Verdict, more: int | None
+    name: str, shown: Bounds, good: ProgramRate, confidence: float, verdict: Verdict,
+    more: int | None,
 ) -> str:
-    if not runs:
+    if not good.runs:
         needed = f': all good, {more:,} would do' if more else ''
         return f'no run was judged{needed}'
+    if not good.drawn:
+        return good.why_not
     text = (
-        f'{_percent(shown.share)} of {runs:,} runs are {name}; with {100 * confidence:g} % '
+        f'{_percent(shown.share)} of {good.drawn:,} runs are {name}; with {100 * confidence:g} % '
         f'confidence each, at least {_percent(shown.low)} and at most {_percent(shown.high)}'
     )
     if verdict is not Verdict.INCONCLUSIVE:
@@ -223,26 +274,7 @@ def _infra(rows: Sequence[RunRow], most: int) -> Criterion:
     )
 
 
-def _weights(judged: Sequence[RunRow]) -> list[float]:
-    """Weight of each run; 1 where the scenes were simply drawn.
-
-    Raises:
-        UsageError: a sampler chose them, and nobody knows the weights.
-    """
-    known = [1.0 if row.weight is None and not row.sampler else row.weight for row in judged]
-    weights = [weight for weight in known if weight is not None]
-    if len(weights) < len(known):
-        sampler = next(row.sampler for row in judged if row.weight is None)
-        raise UsageError(
-            f'gate: {len(known) - len(weights)} runs were chosen by {sampler}, whose weights are '
-            'not known: they say where failures are, not how many; use random, halton or ce'
-        )
-    return weights
-
-
-def _notes(
-    counts: Mapping[Outcome, int], weights: Sequence[float], effective: float, planned: int
-) -> list[str]:
+def _notes(counts: Mapping[Outcome, int], found: ProgramRate, planned: int) -> list[str]:
     notes = []
     for outcome, words in (
         (Outcome.REJECTED, 'rejected by the program'), (Outcome.INTERRUPTED, 'interrupted'),
@@ -252,9 +284,9 @@ def _notes(
     missing = planned - sum(counts.values())
     if missing > 0:
         notes.append(f'{missing} of {planned} planned runs have no result')
-    if any(weight != 1 for weight in weights):
+    if 0 < found.drawn < found.runs:
         notes.append(
-            f'the sampler is biased: the runs are weighted and say as much as '
-            f'{effective:.0f} drawn ones; their bounds are approximate'
+            f'the sampler {found.sampler} is biased: shares are of the {found.drawn} of '
+            f'{found.runs} runs that the program itself drew'
         )
     return notes

@@ -8,10 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
-from taxinet_ros.campaign.samplers.estimate import Estimate, estimate_rate
-
-_FEW = 5
+from taxinet_ros.campaign.rates import rate
 
 Mask = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -23,9 +20,9 @@ class GroupRate(NamedTuple):
     Attributes:
         runs, failures: as they were made.
         rate, low, high: share of failures under the program's own distribution with its 95 %
-            interval. Where the weight of a run is not known, the share of the runs as they were
-            made, and NaN for the ends.
-        effective: number of independent runs that would say as much; NaN where not known.
+            interval, of the runs that the program itself drew. Where none was, the share of the
+            runs as they were made, and NaN for the ends.
+        effective: number of runs that the interval is of; NaN where there is none.
     """
 
     runs: int
@@ -44,34 +41,23 @@ class GroupRate(NamedTuple):
         return f'{self.rate:.1%} ({100 * self.low:.1f}–{self.high:.1%})'.replace('%', ' %')
 
 
-def group_rate(failed: Mask, weight: Floats) -> GroupRate:
-    """Rate of the runs in a group.
+def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupRate:
+    """Rate of the runs in a group that was chosen without a look at who failed.
 
     Args:
         failed: of each run.
-        weight: density of the program over the sampler's, NaN where it is not known.
+        weight: 1 where the program itself drew the run, else 0, or NaN where that is not known.
+        anytime: the number of runs was not settled beforehand (:mod:`taxinet_ros.campaign.rates`).
     """
     runs, failures = len(failed), int(np.count_nonzero(failed))
-    known = [None if math.isnan(one) else float(one) for one in weight]
-    found = estimate_rate(np.where(failed, -1.0, 1.0).tolist(), known)
-    if found is None or not runs:
-        share = failures / runs if runs else math.nan
-        return GroupRate(runs, failures, share, math.nan, math.nan, math.nan)
-    if found.effective < runs and min(failures, runs - failures) < _FEW:
-        return _of_few(runs, failures, found)
-    return GroupRate(runs, failures, *found.rate, found.effective)
-
-
-def _of_few(runs: int, failures: int, found: Estimate) -> GroupRate:
-    """The interval that as many independent runs as these weights are worth would give.
-
-    The variance of a weighted share is itself not known from a handful of failures.
-    """
-    share = found.rate.rate
-    low, high = share_bounds(
-        share * found.effective, (1 - share) * found.effective, (1 - CONFIDENCE) / 2
-    )
-    return GroupRate(runs, failures, share, low, high, found.effective)
+    drawn = weight == 1
+    number = int(np.count_nonzero(drawn))
+    if not runs:
+        return GroupRate(0, 0, *rate(0, 0), 0.0)
+    if not number:
+        return GroupRate(runs, failures, failures / runs, math.nan, math.nan, math.nan)
+    found = rate(int(np.count_nonzero(failed & drawn)), number, anytime=anytime)
+    return GroupRate(runs, failures, *found, float(number))
 
 
 class Difference(NamedTuple):

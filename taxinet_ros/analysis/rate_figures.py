@@ -197,5 +197,5 @@ def _cell(
 def _meaning(campaigns: Sequence[CampaignRuns]) -> str:
     kinds = {runs.weighting for runs in campaigns}
     if Weighting.UNKNOWN in kinds:
-        return '; of the runs as the sampler chose them, so without intervals'
-    return '; weighted, as under the program itself' if Weighting.WEIGHTED in kinds else ''
+        return '; of the runs as the sampler chose them, so no rates, and without intervals'
+    return '; of the runs that the program itself drew' if Weighting.WEIGHTED in kinds else ''

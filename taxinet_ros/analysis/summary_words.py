@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from taxinet_ros.analysis.campaign_runs import CampaignRuns, Weighting
 from taxinet_ros.analysis.failure_clusters import CLEAR, Clusters
 from taxinet_ros.analysis.findings import Findings
@@ -24,22 +26,24 @@ def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
     rate, off = runs.rate(), runs.off_runway()
     unit = 'run' if rate.runs == 1 else 'runs'
     count = f'{rate.runs:,} {unit} of {runs.program} with {runs.label}'
-    left = '' if off is None else f'; the aircraft leaves the runway in {off.words()}'
+    known = off is not None and not math.isnan(off.low)
+    left = f'; the aircraft leaves the runway in {off.words()}' if off and known else ''
     match runs.weighting:
         case Weighting.DRAWN:
-            first = f'{count}: {rate.words()} violate {runs.spec}{left}.'
+            first = f'{count}: {rate.words()} violate {runs.spec}{left}.{_anytime(runs)}'
         case Weighting.WEIGHTED:
             first = (
                 f'{count}, chosen by the sampler {runs.sampler}: {rate.failures:,} violate '
-                f'{runs.spec}. Weighted, so as to hold for the program itself, that is '
-                f'{rate.words()}{left}. These runs say as much as {rate.effective:.0f} that are '
-                'drawn at random; all rates here are weighted.'
+                f'{runs.spec}. Of the {rate.effective:,.0f} runs among them that the program '
+                f'itself drew it is {rate.words()}{left}; all rates here are of such runs.'
+                f'{_anytime(runs)}'
             )
         case Weighting.UNKNOWN:
             first = (
                 f'{count}, chosen by the sampler {runs.sampler or "(unknown)"}: {rate.failures:,} '
-                f'violate {runs.spec}. How often the program itself fails these runs cannot say, '
-                'for their weights are not known; all shares are of the runs made.'
+                f'violate {runs.spec}. There is no rate from this search: the program itself drew '
+                'none of its runs, so they say where failures are, and not how many. All shares '
+                'are of the runs made.'
             )
     return (first, *_without_verdict(runs))
 
@@ -76,6 +80,13 @@ def cluster_sentence(clusters: Clusters) -> str:
         f'fall into {len(clusters.found)} groups that are {clear} apart (silhouette '
         f'{clusters.silhouette:.2f}; 1 is perfect, 0 none).'
     )
+
+
+def _anytime(runs: CampaignRuns) -> str:
+    if not runs.anytime:
+        return ''
+    return (' As the number of runs was not settled beforehand, the intervals are those that hold '
+            'wherever a campaign stops.')
 
 
 def _without_verdict(runs: CampaignRuns) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``run
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
@@ -22,7 +23,6 @@ from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.world import last_step
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -57,6 +57,7 @@ class Campaign:
             laid_over=options.laid_over, meanwhile=meanwhile,
         )
         self._specs = tuple(parse_spec(text) for text in options.specs)
+        self._refused: dict[int, int] = {}
         self._next = 0
         self._broken = 0
         self._interrupted = False
@@ -103,8 +104,10 @@ class Campaign:
             try:
                 scenario = self._source.scene(index)
             except Rejected as error:
+                self._refused[index] = error.refused
                 self._keep(rejected_row(self.options, index, str(error)))
                 continue
+            self._refused[index] = self._source.refused
             request = run_request(self.options, index, scenario, self._participants)
             self._ledger.intent(index, request.run_id)
             yield request
@@ -118,13 +121,14 @@ class Campaign:
         return not infra and not self._interrupted
 
     def _keep(self, row: RunRow) -> None:
+        row = dataclasses.replace(row, refused=self._refused.pop(row.index, 0))
         self._ledger.result(row)
         self.rows.append(row)
         self._on_row(row)
 
     def _first_scene(self) -> None:
         with contextlib.suppress(Rejected):
-            last_step(self._source.scene(0))
+            self._source.scene(0)
 
 
 def exit_code(rows: list[RunRow]) -> int:

@@ -16,7 +16,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'processes', 'program_text'})
+_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text'})
 """Facts that may differ: more runs may be asked for; the text has its digest beside it."""
 
 _BEFORE: Mapping[str, Any] = {
@@ -33,13 +33,14 @@ class Earlier:
         rows: results by index, without those of interrupted runs, which are run again.
         begun: number of runs that were begun or done, counted from run 0.
         attempts: how often each run was begun, by index.
-        perception: facts on the perception, where the graph decided it.
+        facts: those that stay: how many runs were planned at first, and on the perception, where
+            the graph decided it.
     """
 
     rows: dict[int, RunRow] = field(default_factory=dict)
     begun: int = 0
     attempts: Mapping[int, int] = field(default_factory=dict)
-    perception: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 def check_resumable(out: Path) -> None:
@@ -75,8 +76,15 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
         raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
     return Earlier(
         rows=rows, begun=begun, attempts=content.attempts,
-        perception={key: content.campaign[key] for key in of_graph if key in content.campaign},
+        facts=_staying(content.campaign, of_graph),
     )
+
+
+def _staying(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
+    kept = {key: before[key] for key in of_graph if key in before}
+    # A search from before that was written down has its last plan on record only.
+    planned = before.get('first_runs', before.get('runs'))
+    return kept if planned is None else {**kept, 'first_runs': planned}
 
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -5,6 +5,8 @@ make the choices are replaced, as a person would have made Figure 8 of the paper
 
     Range(0, 2000)   ->   Options({Range(0, 200): 0.05, …, Range(1400, 1600): 0.79})
     Uniform(*KINDS)  ->   Options({'clear': 0.6, 'cirrus': 0.4})
+    Normal(0, 5)     ->   Options({TruncatedNormal(0, 5, float('-inf'), -6.4): 0.3, …})
+    Range(0, r)      ->   Options({Range(0, (0) + 0.1 * ((r) - (0))): 0.2, …})
 """
 
 from __future__ import annotations
@@ -18,19 +20,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from taxinet_ros.campaign.search_space import Choice, Piece, Place, SearchSpace
+import numpy as np
+
+from taxinet_ros.campaign.search_space import (
+    Choice,
+    Law,
+    Piece,
+    Place,
+    SearchSpace,
+    standard_values,
+)
 from taxinet_ros.core.errors import UsageError
 
 _WIDTH = 100
 _CALL = re.compile(
-    r'(Range|Uniform|Options|Discrete|DiscreteRange|Verifai(Range|Options|DiscreteRange))\s*\('
+    r'(Range|Uniform|Options|Discrete|DiscreteRange|Normal|TruncatedNormal'
+    r'|Verifai(Range|Options|DiscreteRange))\s*\('
 )
 _DOCSTRING = re.compile(r'\A(?:[ \t]*(?:#[^\n]*)?\n)*("""|\'\'\')(.*?)\1[ \t]*\n?', re.DOTALL)
 
 
 def learned_program(
     program: Path, space: SearchSpace, probabilities: Mapping[str, Sequence[float]], origin: str
-) -> str:
+) -> tuple[str, tuple[str, ...]]:
     """Text of a program that draws each choice with the given probabilities.
 
     Args:
@@ -42,25 +54,42 @@ def learned_program(
         origin: where the probabilities come from, for the head of the text: a sentence or more.
 
     Returns:
-        The text. It is found to compile where the program's imports are found.
+        The text, and why choices are left in it as the program has them, a line each. It is found
+        to compile where the program's imports are found.
 
     Raises:
-        UsageError: a choice is made in a way that cannot be rewritten, or the probabilities do not
+        UsageError: no choice is made in a way that can be rewritten, or the probabilities do not
             fit; one line says which.
     """
     try:
         source = program.read_bytes().decode()  # with its own line ends
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f'{program}: cannot be read: {error}') from error
-    text = _Text(program=program, source=source)
+    text = _Text(program=program.resolve(), source=source)
     unknown = set(probabilities) - {choice.dimension.name for choice in space.choices}
     if unknown:
         raise UsageError(f'{program.name}: has no choice named {sorted(unknown)[0]}')
-    edits = [text.edit(choice, probabilities) for choice in space.choices
-             if choice.dimension.name in probabilities]
-    _refuse_shared(text, edits, space)
+    made = Counter(choice.place for choice in space.choices)
+    edits: list[_Edit] = []
+    left: list[str] = []
+    for choice in space.choices:
+        if choice.dimension.name not in probabilities:
+            continue
+        weights = text.weights(choice, probabilities)
+        try:
+            text.refuse_resampled(choice, space)
+            edit = text.edit(choice, weights, shared=made[choice.place] > 1)
+            text.rewrite(edit.start, edit.end, [edit])
+        except UsageError as error:
+            left.append(str(error))
+        else:
+            edits.append(edit)
+    if left and not edits:
+        raise UsageError(left[0])
     start = _end_of_docstring(source)
-    return _head(program, source, origin) + text.rewrite(start, len(source), edits)
+    if left:
+        origin = '\n'.join([origin.rstrip(), '', 'Left as the program has them:', *left])
+    return _head(program, source, origin) + text.rewrite(start, len(source), edits), tuple(left)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,7 +109,10 @@ class _Text:
     program: Path
     source: str
 
-    def edit(self, choice: Choice, probabilities: Mapping[str, Sequence[float]]) -> _Edit:
+    def weights(
+        self, choice: Choice, probabilities: Mapping[str, Sequence[float]]
+    ) -> tuple[float, ...]:
+        """The probabilities of a choice's bins, made to add up to 1."""
         name = choice.dimension.name
         weights = tuple(float(weight) for weight in probabilities[name])
         bins = len(choice.dimension.prior)
@@ -88,10 +120,33 @@ class _Text:
             raise self._refusal(f'{name} has {bins} bins, got {len(weights)} probabilities')
         if not all(math.isfinite(weight) and weight >= 0 for weight in weights) or not sum(weights):
             raise self._refusal(f'{name}: probabilities have to be 0 or more, and one above 0')
-        start, end = self._span(choice)
         total = math.fsum(weights)
-        return _Edit(start=start, end=end, choice=choice,
-                     weights=tuple(weight / total for weight in weights))
+        return tuple(weight / total for weight in weights)
+
+    def refuse_resampled(self, choice: Choice, space: SearchSpace) -> None:
+        """``resample(x)`` would draw from what becomes of ``x``, and something else was learned.
+
+        Raises:
+            UsageError: a choice like this one is made by it.
+        """
+        for other in space.choices:
+            place = other.place
+            if place is None or other is choice or Path(place.file).resolve() != self.program:
+                continue
+            start = _line_starts(self.source)[place.line - 1] + place.column
+            same = (other.law, other.pieces, other.dimension.weights) == (
+                choice.law, choice.pieces, choice.dimension.weights)
+            if same and self.source.startswith('resample', start):
+                name = choice.dimension.name
+                raise self._refusal(f'{name} is drawn again by resample', choice.place)
+
+    def edit(self, choice: Choice, weights: tuple[float, ...], *, shared: bool) -> _Edit:
+        """What is to become of the call that makes a choice."""
+        start, end = self._span(choice)
+        if shared:
+            name = choice.dimension.name
+            raise self._refusal(f'{name} is not the only choice made there', choice.place)
+        return _Edit(start=start, end=end, choice=choice, weights=weights)
 
     def rewrite(self, start: int, end: int, edits: Sequence[_Edit]) -> str:
         """The text from ``start`` to ``end``, with every edit that lies within."""
@@ -104,7 +159,7 @@ class _Text:
 
     def _call(self, edit: _Edit, edits: Sequence[_Edit]) -> str:
         """The new call; choices that are made inside it are rewritten too."""
-        items = [f'{text}: {weight:.4g}' for text, weight in self._weighted(edit, edits)]
+        items = [f'{text}: {weight:.12g}' for text, weight in self._weighted(edit, edits)]
         line_start = self.source.rfind('\n', 0, edit.start) + 1
         line = self.source[line_start:edit.start]
         call = f'Options({{{", ".join(items)}}})'
@@ -123,6 +178,8 @@ class _Text:
         elif choice.options:
             items = [(repr(option), weight)
                      for option, weight in zip(choice.options, edit.weights, strict=True)]
+        elif choice.law is not None:
+            items = self._by_law(edit, choice.law)
         else:
             items = list(zip(self._written_options(edit, edits), edit.weights, strict=True))
         if len({text for text, _ in items}) < len(items):
@@ -145,17 +202,61 @@ class _Text:
             self.rewrite(edit.start + start, edit.start + end, inner) for start, end in spans
         ]
 
+    def _by_law(self, edit: _Edit, law: Law) -> list[tuple[str, float]]:
+        """Truncated parts of a distribution that is not uniform between fixed ends."""
+        edges = edit.choice.dimension.edges
+        if law.kind == 'DiscreteRange' and law.low is not None and law.high is not None:
+            return _whole_numbers(math.ceil(law.low), math.floor(law.high), edges, edit.weights)
+        values = law.values(edges)
+        if values is not None:
+            bell = f'TruncatedNormal({law.mean:.12g}, {law.stddev:.12g}'
+            parts = [f'{bell}, {_end(low)}, {_end(high)})'
+                     for low, high in itertools.pairwise(values)]
+        elif law.kind == 'Range':
+            low, high = self._arguments(edit)
+            between = [f'({low}) + {edge:.12g} * (({high}) - ({low}))' for edge in edges]
+            parts = [f'Range({first}, {last})' for first, last in itertools.pairwise(between)]
+        elif law.kind == 'Normal':
+            mean, stddev = self._arguments(edit)
+            parts = [f'({mean}) + ({stddev}) * TruncatedNormal(0, 1, {_end(low)}, {_end(high)})'
+                     for low, high in itertools.pairwise(standard_values(edges))]
+        else:
+            name = edit.choice.dimension.name
+            raise self._refusal(
+                f'{name} is a {law.kind} of what is drawn itself', edit.choice.place
+            )
+        return list(zip(parts, edit.weights, strict=True))
+
+    def _arguments(self, edit: _Edit) -> list[str]:
+        """Both arguments of a call as they are written, which may be written more than once."""
+        text = self.source[edit.start:edit.end]
+        name, place = edit.choice.dimension.name, edit.choice.place
+        try:
+            call = ast.parse(text, mode='eval').body
+        except SyntaxError:
+            call = None
+        if not isinstance(call, ast.Call) or call.keywords or len(call.args) != 2:
+            raise self._refusal(f'the two arguments of {name} do not stand there', place)
+        if any(isinstance(part, ast.Call) for each in call.args for part in ast.walk(each)):
+            raise self._refusal(
+                f'{name} has a call as its argument; give that a name of its own first', place
+            )
+        spans = [_offsets(text, each) for each in call.args]
+        return [text[start:end] for start, end in spans]
+
     def _span(self, choice: Choice) -> tuple[int, int]:
         name, place = choice.dimension.name, choice.place
-        if place is None or Path(place.file).resolve() != self.program.resolve():
+        if place is None:
+            raise self._refusal(f'{name} is made by no call that could be written anew')
+        if Path(place.file).resolve() != self.program.resolve():
             raise self._refusal(f'{name} is not made in this file')
-        if not (choice.pieces or choice.dimension.discrete):
-            raise self._refusal(f'{name} is not uniform between fixed ends', place)
+        if not (choice.pieces or choice.dimension.discrete or choice.law):
+            raise self._refusal(f'{name} has no distribution that could be written', place)
         lines = _line_starts(self.source)
         start = lines[place.line - 1] + place.column
         end = lines[place.end_line - 1] + place.end_column
         if not _CALL.match(self.source, start) or self.source[end - 1:end] != ')':
-            raise self._refusal(f'{name} is not made by Range, Uniform or Options', place)
+            raise self._refusal(f'{name} is not made by Range, Normal, Uniform or Options', place)
         return start, end
 
     def _refusal(self, why: str, place: Place | None = None) -> UsageError:
@@ -163,12 +264,23 @@ class _Text:
         return UsageError(f'{self.program.name}{line}: cannot be written back: {why}')
 
 
-def _refuse_shared(text: _Text, edits: Sequence[_Edit], space: SearchSpace) -> None:
-    made = Counter(choice.place for choice in space.choices)
-    for edit in edits:
-        if made[edit.choice.place] > 1:
-            name = edit.choice.dimension.name
-            raise text._refusal(f'{name} is not the only choice made there', edit.choice.place)
+def _whole_numbers(
+    low: int, high: int, edges: Sequence[float], weights: Sequence[float]
+) -> list[tuple[str, float]]:
+    """Runs of numbers with the same probability; an edge may fall amid a number's own quantiles."""
+    count = high - low + 1
+    ends = np.arange(count + 1) / count
+    # The learned distribution function is straight between the edges.
+    shares = np.diff(np.interp(ends, edges, np.cumsum([0.0, *weights])))
+    starts = [0, *(np.flatnonzero(~np.isclose(np.diff(shares), 0, atol=1e-12)) + 1).tolist(), count]
+    return [
+        (f'DiscreteRange({low + first}, {low + last - 1})', float(shares[first:last].sum()))
+        for first, last in itertools.pairwise(starts)
+    ]
+
+
+def _end(value: float) -> str:
+    return _number(value) if math.isfinite(value) else f"float('{value}')"
 
 
 def _ranges(

@@ -1,18 +1,26 @@
 """What searches have learned: kept as ``learned.json``, read back, and put together.
 
-One search says little of how sure it is. Several that differ in their seed alone do: the spread of
-what they learned is the sampler's own noise.
+A sampler's histograms are drawn towards the program, so that a search does not rush to a few early
+failures. So they are no estimates, and neither is their mean. What estimates the share of the
+failures in a bin are the failures themselves, each with the weight that it has under the program;
+they are kept beside the histograms, and of several searches that differ in their seed alone they
+give intervals.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import statistics
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import numpy as np
+import numpy.typing as npt
+
+from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.core.errors import UsageError
@@ -24,23 +32,46 @@ _SAME = ('program', 'program_sha256', 'sampler', 'perception', 'perception_sha25
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Evidence:
+    """The failures of one search in which a choice was made.
+
+    Attributes:
+        amounts: sum of their weights, in each of the choice's bins.
+        squares: sum of the squares of their weights.
+    """
+
+    amounts: tuple[float, ...]
+    squares: float
+
+    @property
+    def failures(self) -> float:
+        """Failures drawn by the program itself that are worth as much (Kish, 1965)."""
+        return sum(self.amounts) ** 2 / self.squares if self.squares else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LearnedResult:
     """What one search has learned.
 
     Attributes:
         facts: of the search: its program, sampler, perception, seed and number of runs.
         choices: that it made.
-        probabilities: of their bins, by name of the dimension.
+        probabilities: of their bins, by name of the dimension, as the sampler has them.
+        evidence: by name of the dimension; empty where the weights of the runs are not known.
     """
 
     facts: Mapping[str, Any]
     choices: tuple[Choice, ...]
     probabilities: Probabilities
+    evidence: Mapping[str, Evidence] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """Text of ``learned.json``."""
         dimensions = [
-            {**choice.to_json(), 'probabilities': list(self.probabilities[name])}
+            {
+                **choice.to_json(), 'probabilities': list(self.probabilities[name]),
+                'evidence': dataclasses.asdict(self.evidence[name]) if self.evidence else None,
+            }
             for choice in self.choices if (name := choice.dimension.name) in self.probabilities
         ]
         values = {'facts': dict(self.facts), 'dimensions': dimensions}
@@ -64,6 +95,14 @@ class LearnedResult:
                     choice.dimension.name: tuple(map(float, dimension['probabilities']))
                     for choice, dimension in zip(choices, dimensions, strict=True)
                 },
+                evidence={
+                    choice.dimension.name: Evidence(
+                        amounts=tuple(map(float, dimension['evidence']['amounts'])),
+                        squares=float(dimension['evidence']['squares']),
+                    )
+                    for choice, dimension in zip(choices, dimensions, strict=True)
+                    if dimension.get('evidence')
+                },
             )
         except FileNotFoundError as error:
             raise UsageError(
@@ -73,10 +112,10 @@ class LearnedResult:
             raise UsageError(f'{path}: cannot be read; --resume writes it anew') from error
 
 
-class Spread(NamedTuple):
-    """One number as several searches have it."""
+class Share(NamedTuple):
+    """A share of the failures under the program, with its 95 % interval; NaN where unknown."""
 
-    mean: float
+    share: float
     low: float
     high: float
 
@@ -106,21 +145,30 @@ class LearnedTogether:
         twice = [str(seed) for seed in seeds if seeds.count(seed) > 1]
         if twice:
             raise UsageError(f'seed {twice[0]} is there twice; name each search once')
+        for result, folder in zip(results, folders, strict=True):
+            if not result.evidence:
+                raise UsageError(
+                    f'{folder}: {LEARNED_NAME} does not say which failures it rests on: written by '
+                    'an earlier version, or the weights of its runs are not known'
+                )
         self.results = tuple(results)
         self.choices = first.choices
 
-    def bins(self, choice: Choice) -> list[Spread]:
-        """Probability of each of a choice's bins: mean, least and greatest over the searches."""
-        columns = zip(*(result.probabilities[choice.dimension.name] for result in self.results),
-                      strict=True)
-        return [_spread(column) for column in columns]
+    def bins(self, choice: Choice) -> list[Share]:
+        """The share of each of a choice's bins in the failures in which it is made."""
+        ones = np.eye(len(choice.dimension.prior))
+        return [self._share(choice.dimension.name, one) for one in ones]
+
+    def failures(self, choice: Choice) -> float:
+        """Failures drawn by the program itself that would say as much of a choice."""
+        return sum(result.evidence[choice.dimension.name].failures for result in self.results)
 
     @property
     def mean(self) -> Probabilities:
-        """Mean probabilities of the bins, by name of the dimension."""
+        """Mean of the samplers' probabilities of the bins, by name of the dimension."""
         return {
-            choice.dimension.name: tuple(spread.mean for spread in self.bins(choice))
-            for choice in self.choices
+            name: tuple(np.mean([result.probabilities[name] for result in self.results], axis=0))
+            for name in (choice.dimension.name for choice in self.choices)
         }
 
     def choice(self, name: str) -> Choice:
@@ -135,18 +183,40 @@ class LearnedTogether:
                              f'{", ".join(choices)}')
         return choices[name]
 
-    def within(self, name: str, low: float, high: float) -> Spread:
-        """How probable values in [low, high] are.
+    def within(self, name: str, low: float, high: float) -> Share:
+        """The share of values in [low, high], in a bin as likely as under the program.
 
         Raises:
             UsageError: no choice has that name, or it has no values to compare.
         """
         choice = self.choice(name)
-        return _spread([
-            choice.probability_within(low, high, result.probabilities[name])
-            for result in self.results
-        ])
+        ones = np.eye(len(choice.dimension.prior))
+        inside = [choice.probability_within(low, high, tuple(one)) for one in ones.tolist()]
+        return self._share(name, np.array(inside))
 
+    def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
+        """Share of the failures, ``inside`` being what part of each bin counts.
 
-def _spread(values: Sequence[float]) -> Spread:
-    return Spread(mean=statistics.fmean(values), low=min(values), high=max(values))
+        The interval is the Clopper-Pearson one for as many failures as would have the variance
+        (Korn and Graubard, Survey Methodology 24, 1998). Searches are the clusters of that
+        variance, with Student's quantile for their small number; they never count for more failures
+        than the weights allow (Kish), as equal shares by chance would else claim.
+        """
+        from scipy.stats import t
+
+        evidence = [result.evidence[name] for result in self.results]
+        amounts = np.array([each.amounts for each in evidence])
+        hits, totals = amounts @ inside, amounts.sum(axis=1)
+        squares = sum(each.squares for each in evidence)
+        if not squares:
+            return Share(share=math.nan, low=0.0, high=1.0)
+        total, searches = float(totals.sum()), len(evidence)
+        share = min(float(hits.sum() / total), 1.0)
+        failures = total**2 / squares
+        spread = float(np.sum((hits - share * totals) ** 2)) / total**2
+        if searches > 1 and spread > 0:
+            wider = (t.ppf(0.975, searches - 1) / t.ppf(0.975, max(failures - 1, 1))) ** 2
+            variance = spread * searches / (searches - 1)
+            failures = min(failures, share * (1 - share) / variance / wider)
+        low, high = share_bounds(share * failures, (1 - share) * failures, (1 - CONFIDENCE) / 2)
+        return Share(share=share, low=low, high=high)

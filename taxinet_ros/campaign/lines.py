@@ -10,7 +10,7 @@ from rich.text import Text
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.outcome_words import count_outcomes
-from taxinet_ros.campaign.rates import satisfied
+from taxinet_ros.campaign.rates import ProgramRate, failure_rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 
@@ -89,15 +89,38 @@ def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
     lines = [count_outcomes(rows)]
     speeds = [row.real_time_factor for row in rows if row.outcome.judged]
     if speeds:
-        value, low, high = satisfied(rows)
+        found = failure_rate(rows, options.runs)
         speed = statistics.median(speeds)
         lines.append(
-            f'satisfied {value:.0%} (95 % interval {low:.0%}-{high:.0%}), '
-            f'{off_runway_words(rows)}, median {speed:.1f}x real time'
+            f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
         )
         lines += stopped_words(rows)
+    lines += refused_words(rows)
     lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
+
+
+def _satisfied_words(failed: ProgramRate) -> str:
+    if failed.rate is None:
+        return failed.why_not
+    value, low, high = failed.rate.other
+    when = ' that holds wherever a campaign stops' if failed.anytime else ''
+    return f'satisfied {value:.0%} (95 % interval{when} {low:.0%}-{high:.0%})'
+
+
+def refused_words(rows: Sequence[RunRow]) -> list[str]:
+    """What the program's requirements refused, and what it drew that could not be run."""
+    rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
+    refused = sum(row.refused for row in rows)
+    lines = []
+    if refused:
+        lines.append(f'{refused} draws refused by the requirements and replaced')
+    if rejected:
+        lines.append(
+            f'{len(rejected)} of {len(rows)} scenes rejected; shares are among the judged runs; '
+            f'the first: {rejected[0].detail}'
+        )
+    return lines
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:

@@ -11,9 +11,14 @@ from typing import Any
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import RAIN_CLOUDS, Scenario, scenario_from_human
+from taxinet_ros.core.world import last_step
 
 WEATHER = ('clouds', 'rain')
 """The two keys that bind each other: rain falls from rain clouds only."""
+
+
+class Contradiction(UsageError):  # noqa: N818 (a kind of usage error)
+    """An override contradicts what a program has drawn beside it."""
 
 
 def check_overrides(overrides: Mapping[str, str]) -> None:
@@ -38,24 +43,49 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
         where: program and scene, to head an error.
 
     Raises:
-        UsageError: the program gives an impossible scenario, or an override makes it so.
+        Contradiction: rain from a sky that has none, one of them an override.
+        UsageError: any other impossible scenario, or a duration that is no whole number of steps.
     """
-    scenario = _build(drawn, where)
-    if not overrides:
-        return scenario
-    values = {**scenario.to_human(), **drawn, **overrides}
-    dry = values['clouds'] not in RAIN_CLOUDS and float(values['rain']) > 0
-    if dry and 'rain' not in overrides:
-        raise UsageError(
-            f'override clouds={values["clouds"]}: {where} has {float(values["rain"]):.0f} % rain, '
-            f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
-        )
-    if dry:
-        raise UsageError(
-            f'override rain={values["rain"]}: {where} has clouds {values["clouds"]}, which cannot '
+    values = {**drawn, **overrides}
+    # With both or neither overridden a contradiction is not between an override and the program.
+    if sum(key in overrides for key in WEATHER) == 1:
+        _check_weather(values, 'rain' in overrides, where)
+    scenario = _build(values, where)
+    try:
+        last_step(scenario)
+    except UsageError as error:
+        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+    return scenario
+
+
+def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> None:
+    clouds = values.get('clouds', Scenario().clouds)
+    try:
+        rain = float(values.get('rain', 0.0))
+    except (TypeError, ValueError):
+        return  # what it is is not known to be rain
+    if clouds in RAIN_CLOUDS or not rain > 0:
+        return
+    if rain_is_set:
+        raise Contradiction(
+            f'override rain={values["rain"]}: {where} has clouds {clouds}, which cannot '
             f'rain; set clouds={RAIN_CLOUDS[0]} (or {"/".join(RAIN_CLOUDS[1:])}) as well'
         )
-    return _build(values, where)
+    raise Contradiction(
+        f'override clouds={clouds}: {where} has {rain:.0f} % rain, '
+        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
+    )
+
+
+def impossible_keys(values: Mapping[str, Any]) -> set[str]:
+    """Keys of values that no scenario could have, whatever the others were."""
+    found = set()
+    for key, value in values.items():
+        try:
+            last_step(_build({'clouds': RAIN_CLOUDS[0], key: value}, ''))
+        except UsageError:
+            found.add(key)
+    return found
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

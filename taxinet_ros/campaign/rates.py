@@ -1,15 +1,40 @@
-"""How many runs satisfied the specification, and how sure that is."""
+"""How often a program fails, and how sure that is. All rates of the project are made here.
+
+**What counts.** A sampler chooses runs by what came out before, so neither their share of failures
+nor a weighted one has an error that is known for certain: importance weights are exact in the mean,
+but where the runs do not go, nothing in them tells what is missing. So a rate rests on those runs
+alone that *the program itself* drew: independently, and marked as such by seed and index before any
+result (:meth:`~taxinet_ros.campaign.samplers.sampler.Sampler.drawn`). Whatever a sampler does with
+its other runs, these are independent draws with one and the same probability, a stratum of plain
+Monte Carlo in any search. The interval below is then exact for every sampler and every number of
+runs. Runs that a sampler spread evenly (Halton, Sobol, grid) depend on one another and do not count
+either; binomial intervals of them are as a rule too wide and sometimes much too narrow.
+
+**Which interval.** Where as many runs were made as were planned before the first one, it is that of
+Clopper and Pearson (Biometrika 26, 1934). Where the number of runs depends on their results
+(``--until``, a budget, Ctrl-C, further runs because the first did not tell), it is a *confidence
+sequence*, which holds at all numbers of runs together: what is left are the probabilities against
+which a gambler who bets on each run would not have multiplied the stake by 1/tail (Ville, Étude
+critique de la notion de collectif, 1939; Robbins, Annals of Mathematical Statistics 41, 1970;
+Ramdas et al., Statistical Science 38, 2023). ``taxinet bench intervals`` measures both.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 
 CONFIDENCE = 0.95
+TAIL = (1 - CONFIDENCE) / 2
+"""Probability that is left out at each end of an interval."""
+
+NO_RATE = 'no rate from this search'
 
 
 class Rate(NamedTuple):
@@ -19,12 +44,21 @@ class Rate(NamedTuple):
     low: float
     high: float
 
+    @property
+    def other(self) -> Rate:
+        """The share of the other runs."""
+        return Rate(1 - self.rate, 1 - self.high, 1 - self.low)
+
+    def words(self) -> str:
+        """Such as ``85.0% [78.1%, 90.4%]``."""
+        return f'{self.rate:.1%} [{self.low:.1%}, {self.high:.1%}]'
+
 
 def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]:
-    """Ends of a Clopper-Pearson interval of a share.
+    """Ends of a Clopper-Pearson interval of a share, for a number of runs that was settled before.
 
     Args:
-        hits: runs that count; a fraction where runs are weighted.
+        hits: runs that count.
         misses: runs that do not.
         tail: probability that is left out at each end, 0.025 for an interval of 95 %.
     """
@@ -37,27 +71,167 @@ def share_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]
     return low, high
 
 
-def rate(k: int, n: int) -> Rate:
-    """Share ``k`` of ``n`` independent runs with its 95 % Clopper-Pearson interval.
+def anytime_bounds(hits: float, misses: float, tail: float) -> tuple[float, float]:
+    """Ends of an interval that holds at all numbers of runs together, whenever one stops.
 
-    The interval is the exact one (Clopper and Pearson, Biometrika 26, 1934): it holds the true
-    rate at least 95 times in 100, for small ``n`` too. It is meant for runs drawn from the
-    program's own distribution, not for those of an active sampler.
+    Each end is that of a one-sided confidence sequence: the upper one leaves out the probabilities
+    against which Jeffreys' mixture of all smaller ones has a likelihood ratio of 1/tail or more.
+
+    Args:
+        hits: runs that count.
+        misses: runs that do not.
+        tail: probability, for each end, that it is ever on the wrong side of the truth.
+    """
+    return 1 - _anytime_upper(misses, hits, tail), _anytime_upper(hits, misses, tail)
+
+
+@lru_cache(maxsize=1 << 14)
+def _anytime_upper(hits: float, misses: float, tail: float) -> float:
+    from scipy.special import betainc, betaln
+
+    if misses <= 0:
+        return 1.0
+    mixed = float(betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5))
+
+    def log_stake(truth: float) -> float:
+        below = float(betainc(hits + 0.5, misses + 0.5, truth) / betainc(0.5, 0.5, truth))
+        return math.log(below) + mixed - hits * math.log(truth) - misses * math.log1p(-truth)
+
+    low, high = hits / (hits + misses), 1.0
+    for _ in range(36):  # to ten digits
+        middle = (low + high) / 2
+        low, high = (low, middle) if log_stake(middle) >= -math.log(tail) else (middle, high)
+    return high
+
+
+def rate(k: int, n: int, *, anytime: bool = False) -> Rate:
+    """Share ``k`` of ``n`` independent runs with its 95 % interval.
 
     Args:
         k: runs that count, 0..n.
         n: runs that were judged; with none the rate is NaN and the interval everything.
+        anytime: the number of runs was not settled beforehand.
 
     Raises:
         ValueError: ``k`` is not within 0..n.
     """
     if not 0 <= k <= n:
         raise ValueError(f'{k} of {n} is no share')
-    low, high = share_bounds(k, n - k, (1 - CONFIDENCE) / 2)
+    low, high = (anytime_bounds if anytime else share_bounds)(k, n - k, TAIL)
     return Rate(rate=k / n if n else math.nan, low=low, high=high)
 
 
-def satisfied(rows: Sequence[RunRow]) -> Rate:
-    """Share of a campaign's judged runs that passed, so that no broken run hides in it."""
-    judged = [row for row in rows if row.outcome.judged]
-    return rate(sum(row.outcome is Outcome.PASS for row in judged), len(judged))
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ProgramRate:
+    """How often runs of the program itself are of a kind, as far as a campaign can say.
+
+    Attributes:
+        runs, hits: that were made and judged, and of them those of the kind, whoever chose them.
+        drawn, drawn_hits: likewise, of those that the program itself drew.
+        anytime: whether the number of runs was not settled beforehand.
+        sampler: word of the sampler, or ''.
+    """
+
+    runs: int
+    hits: int
+    drawn: int
+    drawn_hits: int
+    anytime: bool
+    sampler: str = ''
+
+    @property
+    def rate(self) -> Rate | None:
+        """Under the program itself with its 95 % interval; None where no run tells."""
+        if not self.drawn:
+            return None
+        return rate(self.drawn_hits, self.drawn, anytime=self.anytime)
+
+    def bounds(self, tail: float) -> tuple[float, float]:
+        """Ends of the interval that leaves out ``tail`` at each."""
+        ends = anytime_bounds if self.anytime else share_bounds
+        return ends(self.drawn_hits, self.drawn - self.drawn_hits, tail)
+
+    @property
+    def why_not(self) -> str:
+        """Why there is no rate, in a sentence, and what to do; '' where there is one."""
+        if self.drawn:
+            return ''
+        if not self.runs:
+            return f'{NO_RATE}: no run was judged'
+        return (
+            f'{NO_RATE}: {self.sampler or "a sampler"} chose all of its {self.runs:,} runs, and '
+            'the program itself drew none of them; search with --sampler-option floor=0.3, or '
+            '--sampler random'
+        )
+
+    @property
+    def rests_on(self) -> str:
+        """Which runs the interval is of, and when it holds; for brackets."""
+        words = '95 % intervals'
+        if self.drawn < self.runs:
+            words += f' of the {self.drawn:,} runs that the program itself drew'
+        if self.anytime:
+            words += ', wide enough to hold wherever a search stops'
+        return words
+
+
+def rate_of(
+    rows: Sequence[RunRow], hit: Callable[[RunRow], bool], planned: int | None = None
+) -> ProgramRate:
+    """How often judged runs of the program itself are of a kind.
+
+    Runs count in the order of their indices, up to the first that has no result yet: what ended
+    early is not a fair choice of what was begun.
+
+    Args:
+        rows: of a campaign.
+        hit: whether a judged run is of the kind.
+        planned: number of runs that was settled before the first of them; None for as many as
+            there are.
+    """
+    outcomes = {row.index: row.outcome for row in rows}
+    counted = without_gaps(outcomes)
+    judged = [row for row in rows if row.index < counted and row.outcome.judged]
+    drawn = [row for row in judged if row.from_program]
+    return ProgramRate(
+        runs=len(judged), hits=sum(map(hit, judged)),
+        drawn=len(drawn), drawn_hits=sum(map(hit, drawn)),
+        anytime=not as_planned(outcomes, planned),
+        sampler=next((row.sampler for row in judged if row.sampler), ''),
+    )
+
+
+def failure_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate:
+    """How often the program fails; as :func:`rate_of`."""
+    return rate_of(rows, lambda row: row.outcome is Outcome.FAIL, planned)
+
+
+def off_runway_rate(rows: Sequence[RunRow], planned: int | None = None) -> ProgramRate | None:
+    """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+    if any(row.outcome.judged and row.left_runway is None for row in rows):
+        return None
+    return rate_of(rows, lambda row: bool(row.left_runway), planned)
+
+
+def without_gaps(outcomes: Mapping[int, str]) -> int:
+    """Number of runs, from run 0 on, up to the first that has no result or was interrupted.
+
+    Args:
+        outcomes: word of the outcome by the run's index.
+    """
+    number = 0
+    while outcomes.get(number, Outcome.INTERRUPTED) != Outcome.INTERRUPTED:
+        number += 1
+    return number
+
+
+def as_planned(outcomes: Mapping[int, str], planned: int | None) -> bool:
+    """Whether exactly as many runs were made as were settled before the first.
+
+    Args:
+        outcomes: word of the outcome by the run's index. Rejected ones need not use up a run.
+        planned: None for as many as there are.
+    """
+    used = sum(outcome != Outcome.REJECTED for outcome in outcomes.values())
+    complete = without_gaps(outcomes) == len(outcomes)
+    return complete and (planned is None or used <= planned <= len(outcomes))

@@ -12,6 +12,9 @@ from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
+SIMPLY_DRAWN = ('', 'random')
+"""Samplers of which every run is an independent draw from the program; '' is none at all."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunRow:
@@ -22,7 +25,11 @@ class RunRow:
         program, seed: what the scenario was drawn from.
         sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
         point: the quantile that it chose for each dimension that is not idle there, by name.
+        refused: draws, or points of the sampler, that the program's requirements refused before
+            this scene.
         weight: density of the program's distribution over that of the sampler's, if known.
+        drawn: whether the scene was drawn from the program itself, whatever the results before it:
+            what rates rest on. None in a row from before that was written down.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
@@ -55,7 +62,9 @@ class RunRow:
     outcome: Outcome
     sampler: str = ''
     point: Mapping[str, float] = field(default_factory=dict)
+    refused: int = 0
     weight: float | None = None
+    drawn: bool | None = None
     perception_fingerprint: str = ''
     cross_track: float | None = None
     distance: float | None = None
@@ -135,6 +144,14 @@ class RunRow:
         return upper if upper <= 0 else lower if lower > 0 else None
 
     @property
+    def from_program(self) -> bool:
+        """Whether the program itself drew the scene; where that is not on record, by the sampler.
+
+        What Halton, Sobol and the grid lay out are no independent draws.
+        """
+        return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
+
+    @property
     def headline(self) -> tuple[float, float] | None:
         """The interval of the first formula."""
         return self.interval(next(iter(self.rho_upper or self.rho), ''))
@@ -163,11 +180,13 @@ class RunRow:
         )
 
     def chosen(
-        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int
+        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
+        refused: int = 0, drawn: bool | None = None,
     ) -> Self:
         """The row with how its scene was chosen, and how often it was begun anew."""
         return dataclasses.replace(
-            self, sampler=sampler, point=point, weight=weight, retries=retries
+            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries,
+            drawn=drawn,
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -16,13 +16,20 @@ from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.child_environment import child_environment
-from taxinet_ros.campaign.overrides import WEATHER, apply_overrides, check_overrides
+from taxinet_ros.campaign.overrides import (
+    WEATHER,
+    Contradiction,
+    apply_overrides,
+    check_overrides,
+    impossible_keys,
+)
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
-from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 
 MEMORY_BYTES = 4 << 30
 """Address space that the child may use; Scenic itself takes about a tenth of it."""
@@ -43,21 +50,23 @@ _NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
 
 class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
-    """No draw of a scene met the program's requirements; the run's outcome is ``REJECTED``.
+    """There is no such scene to be run; the run's outcome is ``REJECTED``.
+
+    No draw met the program's requirements, or the program has drawn what no scenario can be: a
+    start beside the runway, rain from a clear sky. That is what the program says, so nothing else
+    is drawn in its stead.
 
     Attributes:
-        index: number of the scene.
-        iterations: draws that were tried; 1 for a scene at a point.
+        refused: draws or points that the requirements refused.
     """
 
-    def __init__(self, program: str, index: int, iterations: int) -> None:
-        super().__init__(
-            f'{program}: scene {index}: the point does not meet the requirements'
-            if iterations == 1 else
-            f'{program}: scene {index}: no draw met the requirements in {iterations} tries'
-        )
-        self.index = index
-        self.iterations = iterations
+    def __init__(self, why: str, refused: int = 0) -> None:
+        super().__init__(why)
+        self.refused = refused
+
+
+class Refused(Rejected):
+    """A point does not meet the program's requirements; another may, for the same scene."""
 
 
 class SceneSource:
@@ -66,6 +75,9 @@ class SceneSource:
     Scene ``i`` depends on the program's text, the seed, ``i`` and the point, if any, only: any
     number of workers, in any order, after any interruption, draw the same scenes. Not for use by
     several threads at once.
+
+    Attributes:
+        refused: draws of the last scene without a point that the requirements refused before it.
     """
 
     def __init__(
@@ -101,6 +113,7 @@ class SceneSource:
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
         self._space: SearchSpace | None = None
+        self.refused = 0
 
     def __enter__(self) -> Self:
         """Start the child, compile, and look ahead for overrides that contradict the program.
@@ -144,35 +157,67 @@ class SceneSource:
         """
         return self.search_space().dimensions
 
-    def scene(self, index: int, point: Point | None = None) -> Scenario:
+    def scene(self, index: int, point: Point | None = None, attempt: int = 0) -> Scenario:
         """Scene ``index`` (from 0) with the overrides laid over it.
 
         Args:
             index: decides, with the seed, all that the point does not.
             point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space` that
                 is not idle there, None for the others.
+            attempt: points that were refused for this scene before; what the point does not decide
+                is drawn anew for each.
 
         Raises:
-            Rejected: no draw met the program's requirements, or this point does not.
-            UsageError: the program failed, hung or died, or its values are no scenario.
+            Refused: this point does not meet the requirements.
+            Rejected: no draw met them, or what was drawn is no scenario.
+            UsageError: the program failed, hung or died, or says what is no scenario in any scene.
             ValueError: the point is none of this space.
         """
+        values = self._drawn(index, point, attempt)
+        where = f'{self.program.name}: scene {index}'
+        try:
+            return apply_overrides(values, self._values, where)
+        except UsageError as error:
+            if self._by_chance({**values, **self._values}):
+                raise Rejected(str(error), self.refused) from error
+            raise
+
+    def _drawn(self, index: int, point: Point | None, attempt: int) -> dict[str, Any]:
+        """Human values of a scene as the program has them."""
         request: dict[str, Any] = {'op': 'scene', 'index': index}
         if point is not None:
-            request['point'] = self.search_space().spread(point)
+            request |= {'point': self.search_space().spread(point), 'attempt': attempt}
         answer = self._ask(request)
-        if 'rejected' in answer:
-            raise Rejected(self.program.name, index, answer['rejected'])
         where = f'{self.program.name}: scene {index}'
-        return apply_overrides(answer['values'], self._values, where)
+        if 'values' in answer:
+            self.refused = answer['refused']
+            return dict(answer['values'])
+        if point is not None:
+            raise Refused(f'{where}: the point does not meet the requirements', 1)
+        tries = answer['rejected']
+        raise Rejected(f'{where}: no draw met the requirements in {tries} tries', tries)
+
+    def _by_chance(self, values: Mapping[str, Any]) -> bool:
+        """Whether the program, which says what is no scenario, would not say so in every scene."""
+        drawn = self.search_space().drawn - set(self._values)
+        impossible = impossible_keys(values)
+        if impossible:
+            return impossible <= drawn & set(HUMAN_KEYS)
+        return bool(drawn & set(WEATHER))  # two that contradict each other
 
     def _probe_weather(self) -> None:
-        # One wet scene in three would else end a campaign after its first runs.
+        # One wet scene in three would else be rejected for an override that a person can mend.
         if sum(key in self._values for key in WEATHER) != 1:
             return
-        with contextlib.suppress(Rejected):
-            for index in range(_PROBED_SCENES):
-                self.scene(index)
+        for index in range(_PROBED_SCENES):
+            try:
+                apply_overrides(
+                    self._drawn(index, None, 0), self._values, f'{self.program.name}: scene {index}'
+                )
+            except Contradiction:
+                raise
+            except (Rejected, UsageError):
+                continue  # another matter
 
     def _start(self) -> None:
         request_read, request_write = os.pipe()
@@ -257,6 +302,37 @@ class SceneSource:
     def _error_line(self, *, file: str, line: int, message: str) -> str:
         place = _shown(Path(file) if file else self.program)
         return f'{place}:{line}: {message}' if line else f'{place}: {message}'
+
+
+def accepted_scene(
+    source: SceneSource, index: int, point: Point, again: Callable[[], Point]
+) -> tuple[Scenario, int]:
+    """The scene at the first of a sampler's points that meets the program's requirements.
+
+    Args:
+        source: of the scenes.
+        index: of the scene.
+        point: to begin with.
+        again: gives another one for the same scene.
+
+    Returns:
+        The scene, and how many points were refused before it.
+
+    Raises:
+        Rejected: as :meth:`SceneSource.scene`, or too many points were refused.
+        UsageError: as :meth:`SceneSource.scene`.
+    """
+    for attempt in range(MAX_ITERATIONS):
+        try:
+            return source.scene(index, point, attempt), attempt
+        except Refused:
+            point = again()
+        except Rejected as error:
+            raise Rejected(str(error), attempt) from error
+    raise Rejected(
+        f'{source.program.name}: scene {index}: no point met the requirements in '
+        f'{MAX_ITERATIONS} tries', MAX_ITERATIONS,
+    )
 
 
 def sample_scenarios(

@@ -10,9 +10,11 @@ imported. Then each request has one answer:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{}``
-``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...]}``
-``{"op": "scene", "index": i}``              ``{"values": {...}}`` or ``{"rejected": n}``
-``{"op": "scene", "index": i, "point": u}``  the same, with choice k at quantile ``u[k]``
+``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
+``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
+                                             ``n`` others, or ``{"rejected": n}``
+``{"op": "scene", "index": i, "point": u,    the same with choice k at quantile ``u[k]``, in
+"attempt": a}``                              one try
 ==========================================  ============================================
 
 or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches in
@@ -22,6 +24,7 @@ the units people type.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -32,7 +35,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
@@ -86,39 +89,64 @@ class Programs:
         """The random choices of the program that can be put at a quantile."""
         return self._found().describe()
 
-    def scene(self, index: int, point: Sequence[float | None] | None = None) -> dict[str, Any]:
-        """Draw scene ``index``: a function of the program, the seed, the index and the point.
+    def scene(
+        self, index: int, point: Sequence[float | None] | None = None, attempt: int = 0
+    ) -> dict[str, Any]:
+        """Draw scene ``index``: a function of the program, the seed and the arguments.
 
         Without a point it is drawn anew until it meets the requirements. At a point there is one
         try: another would be a scene that the sampler did not ask for, and accepting every point
-        would change the prior.
+        would change the prior. The sampler may try another point for the same scene, at the next
+        ``attempt``: whatever is not at a quantile is then drawn anew.
+
+        Scenic decides once for each scene which of the soft requirements (``require[p]``) it has to
+        meet, and draws until it meets those. So they are decided by the index here, and are the
+        same in every attempt: decided anew, one that is hard to meet would end up in fewer scenes
+        than it was promised for.
         """
         self._reseed(index)
         if point is None:
             return self._generate(MAX_ITERATIONS)
-        with self._found().placed(point):
+        requirements = self._scenario.userRequirements
+        active = [random.random() <= requirement.prob for requirement in requirements]
+        self._reseed(index, attempt)
+        with self._found().placed(point), _decided(requirements, active):
             return self._generate(1)
 
     def _generate(self, iterations: int) -> dict[str, Any]:
         from scenic.core.distributions import RejectionException
 
         try:
-            scene, _ = self._scenario.generate(maxIterations=iterations)
+            scene, drawn = self._scenario.generate(maxIterations=iterations)
         except RejectionException:
             return {'rejected': iterations}
-        return {'values': scene_values(scene)}
+        return {'values': scene_values(scene), 'refused': drawn - 1}
 
     def _found(self) -> Any:
         if self._choices is None:
             self._choices = self._find_choices(self._scenario)
         return self._choices
 
-    def _reseed(self, index: int) -> None:
+    def _reseed(self, index: int, attempt: int = 0) -> None:
         # Scenic draws from Python's generator and from NumPy's. Seeding both anew for every scene
         # makes it independent of the scenes before it, hence of the number of workers.
-        words = np.random.SeedSequence([self._seed, index]).generate_state(8)
+        key = [self._seed, index, attempt] if attempt else [self._seed, index]
+        words = np.random.SeedSequence(key).generate_state(8)
         random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
         np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
+
+
+@contextlib.contextmanager
+def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[None]:
+    """While this lasts, Scenic's own dice decide as ``active`` which requirements have to hold."""
+    before = [requirement.prob for requirement in requirements]
+    for requirement, wanted in zip(requirements, active, strict=True):
+        requirement.prob = 1.0 if wanted else -1.0
+    try:
+        yield
+    finally:
+        for requirement, probability in zip(requirements, before, strict=True):
+            requirement.prob = probability
 
 
 def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:

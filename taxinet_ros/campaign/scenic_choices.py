@@ -26,9 +26,11 @@ from scenic.core.distributions import (
     needsSampling,
     supportInterval,
 )
+from scenic.core.regions import PointInRegionDistribution
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
-from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range
+from taxinet_ros.campaign.scenic_regions import ends, point_at
+from taxinet_ros.campaign.scenic_walk import Found, find_choices, is_fixed_range, random_keys
 from taxinet_ros.campaign.search_words import buckets_of, pieces_of, place_of
 
 MAX_CATEGORIES = 100
@@ -52,8 +54,16 @@ class Choice:
         return {
             'dimension': dataclasses.asdict(self.dimension), 'feeds': sorted(self.found.feeds),
             'place': place_of(node.index if type(node) is Options else node),
-            'pieces': _pieces(node), 'options': _constants(self),
+            'pieces': self._pieces(), 'options': _constants(self),
+            'law': None if self._pieces() or self.dimension.discrete else _law(node),
         }
+
+
+    def _pieces(self) -> list[list[float]]:
+        low, high = self.dimension.low, self.dimension.high
+        if isinstance(self.found.node, PointInRegionDistribution):
+            return [] if math.isnan(low) else [[0.0, 1.0, low, high]]
+        return _pieces(self.found.node)
 
 
 class Choices:
@@ -73,12 +83,14 @@ class Choices:
             else:
                 searched.append(choice)
         self._choices = _conditional(searched, found)
+        self._drawn = random_keys(scenario)
+        self._soft = any(requirement.prob < 1 for requirement in scenario.userRequirements)
 
     def describe(self) -> dict[str, Any]:
         """The search space, for JSON."""
         return {
             'choices': [choice.describe() for choice in self._choices],
-            'unsearched': self._unsearched,
+            'unsearched': self._unsearched, 'drawn': self._drawn, 'soft': self._soft,
         }
 
     @contextlib.contextmanager
@@ -87,16 +99,17 @@ class Choices:
 
         The others draw as ever. What Scenic compiled is left as it was found.
         """
-        placed = [
-            (choice, quantile) for choice, quantile in zip(self._choices, point, strict=True)
-            if quantile is not None
-        ]
-        for choice, quantile in placed:
-            choice.found.node.sampleGiven = partial(_value, choice, quantile)
+        placed: dict[int, tuple[Choice, list[float]]] = {}
+        for choice, quantile in zip(self._choices, point, strict=True):
+            if quantile is not None:
+                # The quantiles of a point in a region come one after the other.
+                placed.setdefault(id(choice.found.node), (choice, []))[1].append(quantile)
+        for choice, quantiles in placed.values():
+            choice.found.node.sampleGiven = partial(_value, choice, quantiles)
         try:
             yield
         finally:
-            for choice, _ in placed:
+            for choice, _ in placed.values():
                 del choice.found.node.sampleGiven
 
 
@@ -107,15 +120,15 @@ def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choi
     may be: its quantile then does nothing in some of the scenes.
     """
     by_node = {id(choice.node): choice for choice in found}
-    dimensions = {id(choice.node): _dimension(choice) for choice in searched}
+    selectors = {id(choice.node): choice.name for choice in searched if choice.options is not None}
     order = {choice.name: number for number, choice in enumerate(searched)}
 
     def branches(choice: Found) -> dict[str, set[int]]:
         """Deciding categories by name of the dimension; empty for always."""
         merged: dict[str, set[int]] = {}
         for selector, number in choice.when:
-            if selector in dimensions:
-                ways = {dimensions[selector].name: {number}}
+            if selector in selectors:
+                ways = {selectors[selector]: {number}}
             else:
                 ways = branches(by_node[selector]) if selector in by_node else {}
                 if not ways:
@@ -132,7 +145,7 @@ def _conditional(searched: Sequence[Found], found: Sequence[Found]) -> list[Choi
             add(searched[order[parent]])
         ways = tuple(Branch(name, tuple(sorted(when[name])))
                      for name in sorted(when, key=order.__getitem__))
-        dimension = dataclasses.replace(dimensions[id(choice.node)], when=ways)
+        dimension = dataclasses.replace(_dimension(choice), when=ways)
         choices.setdefault(choice.name, Choice(found=choice, dimension=dimension))
 
     for choice in searched:
@@ -146,7 +159,8 @@ def _dimension(found: Found) -> Dimension:
     weights = _weights(node)
     if found.options is not None and not weights:
         weights = (1.0,) * len(found.options)
-    low, high = _shown_range(node)
+    low, high = (ends(node.region, found.part) if isinstance(node, PointInRegionDistribution)
+                 else _shown_range(node))
     return Dimension(name=found.name, weights=weights, low=low, high=high, buckets=buckets)
 
 
@@ -202,6 +216,19 @@ def _mixture_pieces(node: Any) -> list[list[float]]:
     ]
 
 
+def _law(node: Any) -> dict[str, Any] | None:
+    """Kind and constants of a distribution of numbers, for the parent."""
+    if type(node) not in _INVERSES or type(node) is Options:
+        return None
+    parts = {part: vars(node)[part] for part in ('mean', 'stddev', 'low', 'high')
+             if part in vars(node)}
+    return {
+        'kind': type(node).__name__,
+        **{part: None if needsSampling(value) or math.isinf(value) else float(value)
+           for part, value in parts.items()},
+    }
+
+
 def _constants(choice: Choice) -> list[Any] | None:
     """What a discrete choice selects among, if those are all plain values."""
     if not choice.dimension.discrete:
@@ -214,9 +241,12 @@ def _constants(choice: Choice) -> list[Any] | None:
     return list(options) if plain else None
 
 
-def _value(choice: Choice, quantile: float, given: Mapping[Any, Any]) -> float:
+def _value(choice: Choice, quantiles: Sequence[float], given: Mapping[Any, Any]) -> Any:
     """What stands in for ``sampleGiven``: the value at a quantile, ``given`` what it rests on."""
     node = choice.found.node
+    if isinstance(node, PointInRegionDistribution):
+        return point_at(given[node.region], quantiles)
+    (quantile,) = quantiles
     if choice.dimension.discrete:
         return math.ceil(given[node.low]) + choice.dimension.bin(quantile)
     return _INVERSES[type(node)](node, quantile, given)

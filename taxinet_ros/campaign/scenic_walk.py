@@ -29,9 +29,11 @@ from scenic.core.distributions import (
     needsSampling,
 )
 from scenic.core.object_types import Constructible
+from scenic.core.regions import PointInRegionDistribution
 from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperatorDistribution
 
 from taxinet_ros.campaign.scene_values import EGO_VALUES, of_scenario
+from taxinet_ros.campaign.scenic_regions import coordinates
 from taxinet_ros.campaign.search_words import buckets_of
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
@@ -56,6 +58,7 @@ class Found:
         name: unique among those found.
         node: the distribution that draws.
         options: what a selector's number selects among, in order; None if it is no selector.
+        part: which of its quantiles, where several together make one draw: a point in a region.
         feeds: keys of the scenario that depend on it, and :data:`REQUIREMENTS`.
         when: identities of the selectors by which alone it gets there, each with the number of the
             option that it is part of; empty where it counts whatever they select.
@@ -66,6 +69,7 @@ class Found:
     options: tuple[Any, ...] | None
     feeds: frozenset[str]
     when: frozenset[tuple[int, int]] = frozenset()
+    part: int = 0
 
 
 def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
@@ -82,12 +86,22 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
     found = [
         Found(name=name, node=node, options=walk.selects.get(id(node)),
               feeds=frozenset(key for key, nodes in feeds.items() if id(node) in nodes),
-              when=branches.get(id(node), frozenset()))
-        for name, node in _unique(walk.found)
+              when=branches.get(id(node), frozenset()), part=part)
+        for name, node, part in _unique(walk.found)
     ]
     soft = (f'{req} (holds in {req.prob:.0%} of scenes)'
             for req in scenario.userRequirements if req.prob < 1)
     return found, [*walk.others, *soft]
+
+
+def random_keys(scenario: Any) -> list[str]:
+    """Keys of the scenario whose values are not the same in every scene."""
+    ego = scenario.egoObject
+    moved = set(EGO_VALUES) if isinstance(ego, Constructible) and _draws(ego) else set()
+    return sorted(moved | {
+        key for key, values in _entries(scenario).items()
+        if key != REQUIREMENTS and any(needsSampling(value) for value in values)
+    })
 
 
 @dataclass(kw_only=True, slots=True)
@@ -98,7 +112,7 @@ class _Walk:
     coordinates: dict[int, dict[int, str]]
     uses: Counter[int]
     selects: dict[int, tuple[Any, ...]] = field(default_factory=dict)
-    found: list[tuple[str, Any]] = field(default_factory=list)
+    found: list[tuple[str, Any, int]] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     seen: set[int] = field(default_factory=set)
 
@@ -109,12 +123,15 @@ class _Walk:
         path = self.labels.get(id(value), path)
         node = value._conditioned  # what Scenic draws in its stead
         if self._is_mixture(node):
-            self.found.append((path, node))
+            self.found.append((path, node, 0))
             return
         if type(node) in QUANTILED:
-            self.found.append((path, node))
+            self.found.append((path, node, 0))
+        elif in_region := _coordinates(node):
+            self.found += [(f'{path}.{name}' if path else '', node, part)
+                           for part, name in enumerate(in_region)]
         elif _draws(node):
-            self.others.append(f'{path} ({type(node).__name__})')
+            self.others.append(f'{path} ({_kind_words(node)})')
         for child_path, child in self._children(node, path):
             self.visit(child, child_path)
 
@@ -151,6 +168,17 @@ class _Walk:
         for number, option in enumerate(node.options):
             self.coordinates.setdefault(id(option), self.coordinates.get(id(node), {}))
             yield f'{path}[{number}]', option
+
+
+def _coordinates(node: Any) -> tuple[str, ...]:
+    """Names of the quantiles of a point in a region; empty for all else."""
+    return coordinates(node.region) if type(node) is PointInRegionDistribution else ()
+
+
+def _kind_words(node: Any) -> str:
+    if isinstance(node, PointInRegionDistribution):
+        return f'a point in {type(node.region._conditioned).__name__}'
+    return 'mutated' if isinstance(node, Constructible) else type(node).__name__
 
 
 def is_fixed_range(node: Any) -> bool:
@@ -275,13 +303,13 @@ def _uses(values: Iterable[Any]) -> Counter[int]:
     return uses
 
 
-def _unique(found: list[tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
+def _unique(found: list[tuple[str, Any, int]]) -> Iterator[tuple[str, Any, int]]:
     taken: set[str] = set()
-    for path, node in found:
+    for path, node, part in found:
         # Several choices in one expression share its name: x, x.2; range1 where there is none.
         later = (f'{path}.{number}' for number in itertools.count(2))
         nameless = (f'{type(node).__name__.lower()}{number}' for number in itertools.count(1))
         tries = itertools.chain([path], later) if path else nameless
         name = next(name for name in tries if name not in taken)
         taken.add(name)
-        yield name, node
+        yield name, node, part

@@ -24,10 +24,10 @@ from taxinet_ros.campaign.put_aside import put_aside
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import make_sampler
-from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource, accepted_scene
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
@@ -37,7 +37,6 @@ from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.world import last_step
 
 PATIENCE = 3
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -50,6 +49,7 @@ class Search:
         options: what to do.
         rows: one row per run that is done, in the order in which they were.
         stopped: which rule ended the search before all its runs were done; '' where none did.
+        exhausted: whether that was for want of other points.
         interrupted: whether :meth:`interrupt` was called.
     """
 
@@ -67,6 +67,7 @@ class Search:
         self.options = options
         self.rows: list[RunRow] = []
         self.stopped = ''
+        self.exhausted = False
         self.interrupted = False
         self._campaign = options.campaign
         self._participants = participants
@@ -77,6 +78,7 @@ class Search:
         )
         self._specs = tuple(parse_spec(text) for text in self._campaign.specs)
         self._points: dict[int, Point] = {}
+        self._refused: dict[int, int] = {}
         self._again: list[RunRequest] = []
         self._retried: set[int] = set()
         self._earlier = Earlier()
@@ -104,7 +106,7 @@ class Search:
             try:
                 self._earlier = read_earlier(out, facts)
                 self._attempts.update(self._earlier.attempts)
-                self._record({**facts, **self._earlier.perception})
+                self._record({**facts, **self._earlier.facts})
             except BaseException:
                 self._ledger.__exit__(None, None, None)
                 raise
@@ -137,14 +139,17 @@ class Search:
         """
         if self._again and not self.interrupted:
             return self._again.pop()
-        while self._more() and self._sampler.ready:
-            index, point = self._sampler.next()
-            self._asked, self._points[index] = index + 1, point
-            if self._replayed(index):
-                continue
-            request = self._drawn(index, point)
-            if request is not None:
-                return request
+        try:
+            while self._sampler.ready and self._more():
+                index, point = self._sampler.next()
+                self._asked, self._points[index] = index + 1, point
+                if self._replayed(index):
+                    continue
+                request = self._drawn(index)
+                if request is not None:
+                    return request
+        except Exhausted as error:
+            self.stopped, self.exhausted = str(error), True
         return None
 
     def take(self, request: RunRequest, result: RunResult) -> None:
@@ -172,6 +177,11 @@ class Search:
         return str(self._facts['perception'])
 
     @property
+    def first_planned(self) -> int:
+        """Number of runs that were planned before the first of them; only within the ``with``."""
+        return int(self._facts['first_runs'])
+
+    @property
     def facts(self) -> dict[str, Any]:
         """What ``campaign.json`` says of the search; only within the ``with``."""
         return dict(self._facts)
@@ -194,8 +204,10 @@ class Search:
         options = self.options
         if self._broken >= PATIENCE:
             return f'{self._broken} runs in a row were broken by the bench'
-        if options.stop is not None and options.stop.met(self.rows):
-            return f'{options.stop} reached'
+        # By the results that the next run depends on, so workers make no difference.
+        known = [row for row in self.rows if row.index < self._sampler.due]
+        if options.stop is not None and options.stop.met(known):
+            return options.stop.reached
         if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
             return f'the budget of {options.budget_s / 60:g} min is spent'
         return ''
@@ -204,6 +216,9 @@ class Search:
         row = self._earlier.rows.get(index)
         if row is None:
             return False
+        for _ in range(row.refused):
+            self._points[index] = self._sampler.again()
+        self._refused[index] = row.refused
         if row.point != self.space.named(self._points[index]):
             raise UsageError(
                 f'--resume: the sampler chose another point for run {index} than before; was a '
@@ -212,10 +227,18 @@ class Search:
         self._remember(row)
         return True
 
-    def _drawn(self, index: int, point: Point) -> RunRequest | None:
+    def _drawn(self, index: int) -> RunRequest | None:
+        """The run at the first of the sampler's points that meets the program's requirements."""
+        def again() -> Point:
+            self._points[index] = self._sampler.again()
+            return self._points[index]
+
         try:
-            scenario = self._source.scene(index, point)
+            scenario, self._refused[index] = accepted_scene(
+                self._source, index, self._points[index], again
+            )
         except Rejected as error:
+            self._refused[index] = error.refused
             self._keep(rejected_row(self._campaign, index, str(error)))
             return None
         request = run_request(self._campaign, index, scenario, self._participants)
@@ -235,18 +258,30 @@ class Search:
     def _keep(self, row: RunRow, *, retries: int = 0) -> None:
         row = row.chosen(
             sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
-            weight=self._sampler.weight(row.index), retries=retries,
+            weight=self._weight(row.index), drawn=self._sampler.drawn(row.index),
+            refused=self._refused[row.index], retries=retries,
         )
         self._ledger.result(row)
         self._remember(row)
         self._on_row(row)
 
+    def _weight(self, index: int) -> float | None:
+        """Density of the program's distribution over the sampler's at a run's point, if known.
+
+        Where a requirement holds for a share of the runs only, the accepted points of a sampler
+        with another distribution than the program's have a density that nobody knows: it depends
+        on how likely the sampler and the program are to meet what this run has to meet.
+        """
+        weight = self._sampler.weight(index)
+        return None if self.space.soft and weight != 1 else weight
+
     def _remember(self, row: RunRow) -> None:
         self.rows.append(row)
         if row.outcome is Outcome.INTERRUPTED:
             return
-        infra = row.outcome is Outcome.INFRA_ERROR
-        self._broken = self._broken + 1 if infra else 0
+        if row.outcome is not Outcome.REJECTED:  # the bench had no part in that
+            infra = row.outcome is Outcome.INFRA_ERROR
+            self._broken = self._broken + 1 if infra else 0
         self._sampler.tell(row.index, row.told(self._specs[0].name))
 
     # Beginning ---------------------------------------------------------------------------------
@@ -258,15 +293,15 @@ class Search:
         self._sampler = make_sampler(
             options.sampler, space, campaign.seed, campaign.runs, **names
         )
-        if options.stop is not None and options.stop.kind == HALF_WIDTH:
-            trial = make_sampler(options.sampler, space, campaign.seed, campaign.runs, **names)
-            if trial.weight(trial.next()[0]) is None:
-                raise UsageError(
-                    f'--until {options.stop}: with {options.sampler} no rate is known; '
-                    'use failures=K'
-                )
+        if options.stop is not None and options.stop.kind == HALF_WIDTH and not drawn_share(
+            options.sampler, options.sampler_options
+        ):
+            raise UsageError(
+                f'--until {options.stop}: no rate is known with {options.sampler}, which chooses '
+                'all of its runs; add --sampler-option floor=0.3, or use failures=K'
+            )
         with contextlib.suppress(Rejected):
-            last_step(self._source.scene(0))
+            self._source.scene(0)
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts
@@ -278,6 +313,7 @@ class Search:
         word = campaign.perception
         return {
             **campaign_facts(campaign, self._source.program),
+            'first_runs': campaign.runs,
             'perception_sha256': '' if campaign.standing_graph else check_perception(word),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),

@@ -8,20 +8,21 @@ from collections.abc import Sequence
 from taxinet_ros.campaign.lines import (
     GRAPH_OF_OTHERS,
     off_runway_words,
+    refused_words,
     rho_words,
     scene_words,
     stopped_words,
     table_line,
 )
 from taxinet_ros.campaign.outcome_words import count_outcomes
-from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.samplers.estimate import Estimate
 from taxinet_ros.campaign.samplers.space import Branch
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import SearchSpace
-from taxinet_ros.campaign.stop_rule import failure_estimate, off_runway_estimate
+from taxinet_ros.campaign.stop_rule import FAILURES
+from taxinet_ros.core.outcome import Outcome
 
 
 def search_heading(options: SearchOptions) -> str:
@@ -67,43 +68,39 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     """
     rows, campaign = search.rows, search.options.campaign
     lines = [count_outcomes(rows) or 'no run ended']
-    lines += [*_rate_lines(rows), *stopped_words(rows), *_worst(rows)]
+    lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows), *_worst(rows)]
     lines.append(table_line(rows, campaign))
     why = 'interrupted' if search.interrupted else search.stopped
     if why and len(rows) < campaign.runs:
-        lines.append(f'ended before its {campaign.runs} runs: {why}; {resuming} continues it')
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
     return lines
 
 
-def estimate_words(found: Estimate | None) -> str:
-    """A rate with its interval in a few words; empty where none is known."""
-    return _rate_words(found.rate) if found is not None and found.runs else ''
-
-
-def _rate_lines(rows: Sequence[RunRow]) -> list[str]:
+def _rate_lines(search: Search) -> list[str]:
+    rows, planned = search.rows, search.first_planned
     judged = [row for row in rows if row.outcome.judged]
     if not judged:
         return []
+    failed, off = failure_rate(rows, planned), off_runway_rate(rows, planned)
     speed = statistics.median(row.real_time_factor for row in judged)
-    failed, off = failure_estimate(rows), off_runway_estimate(rows)
-    if failed is None:
+    failures = sum(row.outcome is Outcome.FAIL for row in judged)
+    made = f'{failures} of {len(judged)} judged runs failed'
+    if failed.rate is None:
         return [
-            f'{off_runway_words(judged)}, median {speed:.1f}x real time; this sampler says nothing '
-            'on how often the program fails'
+            failed.why_not, f'{made}, {off_runway_words(judged)}, median {speed:.1f}x real time',
         ]
-    satisfied = Rate(1 - failed.rate.rate, 1 - failed.rate.high, 1 - failed.rate.low)
-    drawn = all(row.weight == 1 for row in judged)
-    worth = '' if drawn else f', weighted: worth {failed.effective:.0f} independent runs'
-    left = '' if off is None else f', off the runway {_rate_words(off.rate)}'
-    return [
-        f'under the program itself: satisfied {_rate_words(satisfied)}{left} '
-        f'(95 % intervals{worth})',
-        f'{failed.failures} of {failed.runs} judged runs failed, median {speed:.1f}x real time',
+    left = '' if off is None or off.rate is None else f', off the runway {off.rate.words()}'
+    lines = [
+        f'under the program itself: satisfied {failed.rate.other.words()}{left} '
+        f'({failed.rests_on})',
+        f'{made}, median {speed:.1f}x real time',
     ]
-
-
-def _rate_words(rate: Rate) -> str:
-    return f'{rate.rate:.1%} [{rate.low:.1%}, {rate.high:.1%}]'
+    stop = search.options.stop
+    if stop is not None and stop.kind == FAILURES and search.stopped == stop.reached:
+        lines.append('it ended with a failure, so the share of failures is too high on average; '
+                     'the interval holds all the same')
+    return lines
 
 
 def _worst(rows: Sequence[RunRow]) -> list[str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from statistics import NormalDist
 from typing import Any, Self
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
@@ -60,6 +62,48 @@ class Piece:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Law:
+    """A distribution whose values do not run straight with the quantile, or not between fixed ends.
+
+    Attributes:
+        kind: Scenic's word: ``Normal``, ``TruncatedNormal``, ``Range`` or ``DiscreteRange``.
+        mean, stddev: of a normal one; None where they are drawn themselves.
+        low, high: its ends; None where they are drawn themselves, or there are none.
+    """
+
+    kind: str
+    mean: float | None = None
+    stddev: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def values(self, quantiles: Sequence[float]) -> list[float] | None:
+        """The values of a normal distribution at quantiles 0 … 1; None where they are not known."""
+        if self.mean is None or self.stddev is None:
+            return None
+        mean, stddev = self.mean, self.stddev
+        low, high = (
+            None if end is None else (end - mean) / stddev for end in (self.low, self.high)
+        )
+        return [mean + stddev * sigmas for sigmas in standard_values(quantiles, low, high)]
+
+
+def standard_values(
+    quantiles: Sequence[float], low: float | None = None, high: float | None = None
+) -> list[float]:
+    """Values of the standard normal distribution between two ends, None for endless."""
+    unit = NormalDist()
+    below, above = 0.0 if low is None else unit.cdf(low), 1.0 if high is None else unit.cdf(high)
+    values = []
+    for quantile in quantiles:
+        share = below + quantile * (above - below)
+        first, last = (-math.inf if low is None else low), (math.inf if high is None else high)
+        inner = unit.inv_cdf(share) if 0 < share < 1 else first if share <= 0 else last
+        values.append(first if quantile <= 0 else last if quantile >= 1 else inner)
+    return values
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Choice:
     """One random choice of a program.
 
@@ -69,6 +113,7 @@ class Choice:
             acceptance does.
         place: where the program makes it; None where that is not known.
         pieces: its inverse distribution function, if that is made of straight pieces, else empty.
+        law: what it is otherwise, if it is one of Scenic's distributions of numbers.
         options: what a discrete choice selects among, if those are plain values, else empty.
     """
 
@@ -77,6 +122,7 @@ class Choice:
     place: Place | None = None
     pieces: tuple[Piece, ...] = ()
     options: tuple[Any, ...] = ()
+    law: Law | None = None
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -95,6 +141,7 @@ class Choice:
                 Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']
             ),
             options=tuple(values['options'] or ()),
+            law=Law(**values['law']) if values.get('law') else None,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -106,6 +153,7 @@ class Choice:
             'place': [getattr(place, name) for name in _PLACE] if place else None,
             'pieces': [[getattr(piece, name) for name in _PIECE] for piece in self.pieces],
             'options': list(self.options),
+            'law': None if self.law is None else dataclasses.asdict(self.law),
         }
 
     def value(self, quantile: float) -> float | None:
@@ -114,7 +162,8 @@ class Choice:
             if piece.start <= quantile <= piece.end and piece.end > piece.start:
                 share = (quantile - piece.start) / (piece.end - piece.start)
                 return piece.low + share * (piece.high - piece.low)
-        return None
+        values = None if self.law is None else self.law.values([quantile])
+        return values[0] if values else None
 
     def probability_within(
         self, low: float, high: float, probabilities: Sequence[float] = ()
@@ -148,11 +197,15 @@ class SearchSpace:
         choices: all that have quantiles, in the program's order.
         fixed: names of those among them that overrides leave without effect.
         unsearched: what else is drawn at random, as names with a word of why.
+        drawn: keys of the scenario that are not the same in every scene.
+        soft: whether a requirement has to hold in a share of the scenes only.
     """
 
     choices: tuple[Choice, ...]
     fixed: frozenset[str] = frozenset()
     unsearched: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+    soft: bool = False
 
     @classmethod
     def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
@@ -164,7 +217,8 @@ class SearchSpace:
         unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
         return cls(
             choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
-            unsearched=unsearched,
+            unsearched=unsearched, drawn=frozenset(answer['drawn']) - set(overridden),
+            soft=answer['soft'],
         )
 
     @property
@@ -176,12 +230,13 @@ class SearchSpace:
 
     @property
     def dimensions(self) -> Space:
-        """The space as samplers take it.
+        """The space as samplers take it; empty where nothing that is drawn can be searched.
 
         Raises:
-            UsageError: nothing is left to search.
+            UsageError: nothing is drawn at all.
         """
-        return make_space(choice.dimension for choice in self.searched)
+        dimensions = [choice.dimension for choice in self.searched]
+        return Space(dimensions) if self.drawn else make_space(dimensions)
 
     def spread(self, point: Point) -> list[float | None]:
         """A point with None put in for the choices that are not searched, for the Scenic child.

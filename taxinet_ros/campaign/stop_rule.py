@@ -1,4 +1,8 @@
-"""When a search has seen enough: so many failures, or a rate that is known well enough."""
+"""When a search has seen enough: so many failures, or a rate that is known well enough.
+
+A search that ends by what it has seen has a number of runs that depends on its results, so its
+intervals are those that hold at any number of runs (:mod:`taxinet_ros.campaign.rates`).
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.samplers.estimate import Estimate, estimate_rate
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 
@@ -30,12 +34,17 @@ class StopRule:
     def __str__(self) -> str:
         return f'{self.kind}={self.value:g}'
 
+    @property
+    def reached(self) -> str:
+        """What a search says that was ended by it."""
+        return f'{self} reached'
+
     def met(self, rows: Sequence[RunRow]) -> bool:
-        """Whether the runs so far are enough."""
+        """Whether these runs are enough."""
         if self.kind == FAILURES:
             return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value
-        found = failure_estimate(rows)
-        return found is not None and (found.rate.high - found.rate.low) / 2 <= self.value
+        found = failure_rate(rows, 0).rate
+        return found is not None and (found.high - found.low) / 2 <= self.value
 
 
 def parse_stop_rule(text: str) -> StopRule:
@@ -55,19 +64,3 @@ def parse_stop_rule(text: str) -> StopRule:
             f'--until {text}: expected {FAILURES}=K (1, 2, …) or {HALF_WIDTH}=W (0…0.5)'
         )
     return StopRule(kind=kind, value=value)
-
-
-def failure_estimate(rows: Sequence[RunRow]) -> Estimate | None:
-    """Failure rate under the program's own distribution; None where weights are unknown."""
-    judged = [row for row in rows if row.outcome.judged]
-    signs = [-1.0 if row.outcome is Outcome.FAIL else 1.0 for row in judged]
-    return estimate_rate(signs, [row.weight for row in judged])
-
-
-def off_runway_estimate(rows: Sequence[RunRow]) -> Estimate | None:
-    """Rate at which the aircraft leaves the runway, likewise; None if runs were stopped on it."""
-    judged = [row for row in rows if row.outcome.judged]
-    if any(row.left_runway is None for row in judged):
-        return None
-    signs = [-1.0 if row.left_runway else 1.0 for row in judged]
-    return estimate_rate(signs, [row.weight for row in judged])

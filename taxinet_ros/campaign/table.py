@@ -32,7 +32,7 @@ _RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 _BEFORE_POINT = {
     'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
-    'sampler': 'string', 'weight': 'float64',
+    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string',

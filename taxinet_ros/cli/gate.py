@@ -38,7 +38,8 @@ def run_gate(
     if not path.is_file():
         raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
     content = read_ledger(path)
-    answer = ask_gate(content.rows, options, planned=int(content.campaign.get('runs', 0)))
+    planned = content.campaign.get('first_runs', content.campaign.get('runs', 0))
+    answer = ask_gate(content.rows, options, planned=int(planned))
     if junit is not None:
         document = junit_xml(
             content.rows, answer, folder, content.campaign,
@@ -64,7 +65,7 @@ def _json(answer: GateAnswer, options: GateOptions) -> dict[str, Any]:
     return {
         'verdict': answer.verdict.value,
         'confidence': options.confidence,
-        'bounds': 'one-sided, each at this confidence',
+        'bounds': 'one-sided, each at this confidence over all looks at the campaign',
         'judged': answer.judged,
         'effective': answer.effective,
         'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},

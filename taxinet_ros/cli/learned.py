@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.campaign.learned_result import LearnedResult, LearnedTogether, Spread
+from taxinet_ros.campaign.learned_result import LearnedResult, LearnedTogether, Share
 from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.core.errors import UsageError
 
@@ -35,10 +36,10 @@ def show_learned(folders: Sequence[Path], within: Sequence[str], out: Path | Non
     console.print(heading(together), soft_wrap=True)
     console.print(_table(together))
     for name, low, high in asked:
-        spread = together.within(name, low, high)
+        share = together.within(name, low, high)
         before = together.choice(name).probability_within(low, high)
         console.print(
-            f'{name} in {low:g} to {high:g}: {_words(spread)}; the program {before:.1%}',
+            f'{name} in {low:g} to {high:g}: {_words(share)}; the program {before:.1%}',
             soft_wrap=True,
         )
     if out is not None:
@@ -68,14 +69,16 @@ def _table(together: LearnedTogether) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column('choice')
     table.add_column('likeliest values')
-    for title in ('program', 'learned', 'least', 'most'):
+    for title in ('program', 'failures', 'from', 'to (95 %)', 'rests on'):
         table.add_column(title, justify='right')
     for choice in together.choices:
         bins = together.bins(choice)
-        best = max(range(len(bins)), key=lambda number: bins[number].mean)
+        shares = [-1.0 if math.isnan(one.share) else one.share for one in bins]
+        best = max(range(len(bins)), key=shares.__getitem__)
         table.add_row(
             choice.dimension.name, _bin_words(choice, best),
             f'{choice.dimension.prior[best]:.1%}', *(f'{value:.1%}' for value in bins[best]),
+            f'{together.failures(choice):.0f}',
         )
     return table
 
@@ -92,8 +95,8 @@ def _bin_words(choice: Choice, number: int) -> str:
     return f'{values[0]:.4g} to {values[1]:.4g}'
 
 
-def _words(spread: Spread) -> str:
-    return f'{spread.mean:.1%} ({spread.low:.1%} to {spread.high:.1%})'
+def _words(share: Share) -> str:
+    return f'{share.share:.1%} of the failures (95 % interval {share.low:.1%} to {share.high:.1%})'
 
 
 def _interval(text: str) -> tuple[str, float, float]:

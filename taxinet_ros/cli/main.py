@@ -63,7 +63,8 @@ def bench(
         typer.Argument(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
-            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or soak',
+            'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or '
+            'soak; or intervals [SAMPLER]...',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -96,7 +97,14 @@ def bench(
 
     `taxinet bench soak` runs very many short scenes in one process, or watches a process that runs
     already, for memory, files, threads and shared memory that grow; exit code 1 if any does.
+
+    `taxinet bench intervals` searches landscapes whose failure rate is known, and says how often
+    the intervals of `falsify` hold it and `gate` passes what it should not.
     """
+    from taxinet_ros.cli.intervals import asks_for_intervals, run_intervals
+
+    if asks_for_intervals(subjects or (), given_options(context)):
+        raise typer.Exit(run_intervals((subjects or ())[1:], repeats=repeats, as_json=as_json))
     from taxinet_ros.cli.soak import asks_for_soak, run_soak
 
     if asks_for_soak(subjects or (), given_options(context)):

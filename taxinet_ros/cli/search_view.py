@@ -19,9 +19,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from taxinet_ros.campaign.rates import failure_rate
 from taxinet_ros.campaign.search import Search
-from taxinet_ros.campaign.search_lines import estimate_words
-from taxinet_ros.campaign.stop_rule import failure_estimate
 from taxinet_ros.core.outcome import Outcome
 
 _REFRESH_PER_S = 2.0
@@ -66,9 +65,10 @@ class _Figures(ProgressColumn):
             words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
         if rows:
             words.append(f'least rho {least:+.2f}')
-        estimate = estimate_words(failure_estimate(rows))
-        if estimate:
-            words.append(f'failing {estimate}')
+        # Whoever watches may stop when it looks good: the interval that holds all along.
+        found = failure_rate(rows, 0).rate
+        if found is not None:
+            words.append(f'failing {found.words()}')
         if self._search.interrupted:
             words.append('ending the runs at hand')
         return Text('  '.join(words))

@@ -5,8 +5,7 @@ A picture is kept as the network gets it, 12 KiB instead of 211.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.campaign.samplers.make import make_sampler
-from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.samplers.sampler import Exhausted
+from taxinet_ros.campaign.scene_source import Rejected, SceneSource, accepted_scene
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
 from taxinet_ros.core.scenario import Scenario
@@ -63,7 +62,7 @@ def draw_scenes(
     program: str | Path, *, seed: int, images: int, sampler: str = 'random',
     progress: Progress = silent,
 ) -> list[Scenario]:
-    """The first scenes of a program, leaving out those that its requirements reject.
+    """The first scenes of a program, leaving out those that are rejected.
 
     Args:
         program: word of a shipped Scenic program or path of one.
@@ -73,37 +72,42 @@ def draw_scenes(
         progress: told after every scene.
 
     Raises:
-        UsageError: the program is wrong, or rejects more scenes than it gives.
+        UsageError: the program is wrong, rejects more scenes than it gives, or has too few.
     """
     scenes: list[Scenario] = []
     rejected = 0
     with SceneSource(program, seed=seed) as source:
-        points = _points(source, sampler, seed, images)
+        scene = _sampled(source, sampler, seed, images)
         while len(scenes) < images:
             try:
-                scenes.append(source.scene(len(scenes) + rejected, next(points)))
-            except Rejected:
+                scenes.append(scene(len(scenes) + rejected))
+            except Rejected as error:
                 rejected += 1
                 if rejected > images:
-                    raise UsageError(
-                        f'{program}: its requirements reject most scenes; loosen them'
-                    ) from None
+                    raise UsageError(f'{error}; most scenes are rejected') from None
+            except Exhausted as error:
+                raise UsageError(f'{program}: {error}, which are fewer than {images}') from error
             else:
                 progress('scenes', len(scenes), images)
     return scenes
 
 
-def _points(
+def _sampled(
     source: SceneSource, sampler: str, seed: int, images: int
-) -> Iterator[Point | None]:
-    """Where in the program's search space the scenes lie; None leaves it to Scenic."""
+) -> Callable[[int], Scenario]:
+    """What gives the scene of a number, from 0 on."""
     if sampler == 'random':
-        yield from itertools.repeat(None)
-    drawn = make_sampler(sampler, source.space(), seed, images)
-    while True:
-        index, point = drawn.next()
-        drawn.tell(index, None)
-        yield point
+        return source.scene
+    points = make_sampler(sampler, source.space(), seed, images)
+
+    def scene(index: int) -> Scenario:
+        ticket, point = points.next()
+        try:
+            return accepted_scene(source, index, point, points.again)[0]
+        finally:
+            points.tell(ticket, None)
+
+    return scene
 
 
 def make_dataset(

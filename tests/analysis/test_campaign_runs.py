@@ -13,6 +13,7 @@ from planted_runs import planted_runs, planted_table
 from taxinet_ros.analysis.campaign_runs import Weighting, read_runs, told_apart
 from taxinet_ros.analysis.group_rates import GroupRate, difference, group_rate
 from taxinet_ros.analysis.run_features import BY_NAME
+from taxinet_ros.analysis.summary_words import rate_sentences
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.core.errors import UsageError
 
@@ -56,28 +57,44 @@ def test_given_another_formula_when_read_then_it_says_who_failed(tmp_path):
         planted_runs(frame, tmp_path, 'none')
 
 
-def test_given_weights_when_rated_then_they_count_and_say_what_the_runs_are_worth(tmp_path):
+def test_given_a_search_when_rated_then_only_what_the_program_itself_drew_counts(tmp_path):
     frame = table(200)
     failed = (frame['outcome'] == 'FAIL').to_numpy()
-    weight = np.where(failed, 0.25, 1.5)
-    weighted = planted_runs(frame.assign(weight=weight), tmp_path)
-    assert weighted.weighting is Weighting.WEIGHTED
-    found = weighted.rate()
-    assert found.rate == pytest.approx(weight[failed].sum() / weight.sum())
-    assert found.low < found.rate < found.high
-    assert found.effective == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
-    unknown = planted_runs(frame.assign(weight=math.nan, sampler='cmaes'), tmp_path)
-    assert unknown.weighting is Weighting.UNKNOWN
-    assert unknown.rate().rate == failed.mean()
-    assert math.isnan(unknown.rate().low)
-    assert 'of the runs made' in unknown.rate().words()
+    drawn = frame['index'].to_numpy() % 4 == 0
+    searched = planted_runs(frame.assign(sampler='ce', weight=0.4, drawn=drawn), tmp_path)
+    assert searched.weighting is Weighting.WEIGHTED
+    assert searched.rate() == (200, failed.sum(), *rate(int((failed & drawn).sum()), 50), 50)
 
 
-def test_given_a_handful_of_weighted_runs_when_rated_then_the_interval_is_wide():
-    failed = np.array([True] * 7 + [False])
-    found = group_rate(failed, np.array([1.0] * 7 + [0.01]))
-    assert found.rate > 0.99
-    assert found.low < 0.75
+@pytest.mark.parametrize('sampler', ['cmaes', 'halton', 'grid', 'ce'])
+def test_given_a_search_without_draws_then_there_is_no_rate(sampler, tmp_path):
+    """Also one of an older version, whose table does not say who drew what."""
+    for weight in (math.nan, 1.0, 2.5):
+        frame = table(200).assign(weight=weight, sampler=sampler)
+        unknown = planted_runs(frame, tmp_path)
+        assert unknown.weighting is Weighting.UNKNOWN
+        assert unknown.rate().rate == (frame['outcome'] == 'FAIL').mean()
+        assert math.isnan(unknown.rate().low)
+        assert 'of the runs made' in unknown.rate().words()
+        assert 'There is no rate from this search' in rate_sentences(unknown)[0]
+
+
+def test_given_a_group_in_which_nothing_was_drawn_then_it_has_no_interval():
+    found = group_rate(np.array([True] * 7 + [False]), np.zeros(8))
+    assert found.rate == 7 / 8
+    assert math.isnan(found.low)
+
+
+def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_any(tmp_path):
+    frame = table(60)
+    failures = int((frame['outcome'] == 'FAIL').sum())
+    for planned, anytime in ((60, False), (40, True), (80, True)):
+        (tmp_path / 'campaign.json').write_text(f'{{"first_runs": {planned}, "runs": 60}}')
+        frame.to_parquet(tmp_path / 'runs.parquet')
+        runs = read_runs(tmp_path)
+        assert runs.anytime is anytime
+        assert runs.rate()[2:5] == rate(failures, 60, anytime=anytime)
+        assert ('not settled beforehand' in rate_sentences(runs)[0]) is anytime
 
 
 @given(st.integers(0, 40), st.integers(0, 40), st.integers(1, 40), st.integers(1, 40))

@@ -13,15 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import GateOptions, Verdict, ask_gate
-from taxinet_ros.analysis.gate_bounds import bounds, further_runs
+from taxinet_ros.analysis.gate import GateOptions, Verdict, ask_gate, bounds, further_runs
 from taxinet_ros.analysis.junit import again, junit_xml
+from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 
 ALPHA = 0.05
+LOOK = ALPHA / 2
+"""What the look at the planned number of runs may spend; the rest is for all other looks."""
 
 
 def row(index: int, outcome: Outcome, *, left: bool | None = False, **changes) -> RunRow:
@@ -47,35 +49,39 @@ def verdict(passed: int, runs: int, threshold: float) -> Verdict:
         rows(passed, runs - passed), GateOptions(min_satisfaction=threshold)).verdict
 
 
-@pytest.mark.parametrize(('runs', 'threshold'), [(100, 0.9), (59, 0.95), (40, 0.5), (200, 0.86)])
+def counted(good: int, runs: int, *, anytime: bool = False) -> ProgramRate:
+    return ProgramRate(runs=runs, hits=good, drawn=runs, drawn_hits=good, anytime=anytime)
+
+
+@pytest.mark.parametrize(('runs', 'threshold'), [(100, 0.9), (72, 0.95), (40, 0.5), (200, 0.86)])
 def test_given_as_many_passes_as_chance_seldom_gives_then_pass_and_with_one_less_not(
     runs, threshold
 ):
-    # The least number that a system at the threshold reaches with 5 % at most: from the
+    # The least number that a system at the threshold reaches with 2.5 % at most: from the
     # distribution itself, and not by way of any interval.
-    least = next(k for k in range(runs + 1) if binom.sf(k - 1, runs, threshold) <= ALPHA)
+    least = next(k for k in range(runs + 1) if binom.sf(k - 1, runs, threshold) <= LOOK)
     assert verdict(least, runs, threshold) is Verdict.PASS
     assert verdict(least - 1, runs, threshold) is Verdict.INCONCLUSIVE
-    most = next(k for k in range(runs, -1, -1) if binom.cdf(k, runs, threshold) < ALPHA)
+    most = next(k for k in range(runs, -1, -1) if binom.cdf(k, runs, threshold) < LOOK)
     assert verdict(most, runs, threshold) is Verdict.FAIL
     assert verdict(most + 1, runs, threshold) is Verdict.INCONCLUSIVE
 
 
-def test_given_no_failure_at_all_then_it_takes_59_runs_to_prove_95_per_cent():
-    # 0.95 ** 59 < 0.05 < 0.95 ** 58
-    assert verdict(59, 59, 0.95) is Verdict.PASS
-    assert verdict(58, 58, 0.95) is Verdict.INCONCLUSIVE
+def test_given_no_failure_at_all_then_it_takes_72_runs_to_prove_95_per_cent():
+    # 0.95 ** 72 < 0.025 < 0.95 ** 71
+    assert verdict(72, 72, 0.95) is Verdict.PASS
+    assert verdict(71, 71, 0.95) is Verdict.INCONCLUSIVE
 
 
 def test_given_the_runway_then_the_largest_share_counts_and_not_the_smallest():
     options = GateOptions(max_off_runway=0.05)
-    assert ask_gate(rows(59, 0), options).verdict is Verdict.PASS
-    assert ask_gate(rows(58, 0), options).verdict is Verdict.INCONCLUSIVE
+    assert ask_gate(rows(72, 0), options).verdict is Verdict.PASS
+    assert ask_gate(rows(71, 0), options).verdict is Verdict.INCONCLUSIVE
     answer = ask_gate(rows(20, 40, off=30), options)
     assert answer.verdict is Verdict.FAIL
     found = answer.criteria[0].bounds
     assert found is not None
-    assert 0.38 < found.low < found.share == 0.5 < found.high < 0.62
+    assert 0.36 < found.low < found.share == 0.5 < found.high < 0.64
 
 
 def test_given_several_criteria_then_one_that_fails_is_enough_and_one_open_keeps_it_open():
@@ -86,7 +92,7 @@ def test_given_several_criteria_then_one_that_fails_is_enough_and_one_open_keeps
 
 
 def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_asked():
-    broken = [row(900 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
+    broken = [row(100 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
     strict = ask_gate([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
     assert strict.verdict is Verdict.FAIL
     assert strict.criteria[-1].name == 'broken by the bench <= 0'
@@ -96,7 +102,7 @@ def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_a
     assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
     nothing = ask_gate(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
     assert nothing.verdict is Verdict.INCONCLUSIVE
-    assert nothing.criteria[0].sentence == 'no run was judged: all good, 59 would do'
+    assert nothing.criteria[0].sentence == 'no run was judged: all good, 72 would do'
 
 
 def test_given_runs_without_a_result_then_the_reader_is_told():
@@ -109,26 +115,40 @@ def test_given_runs_without_a_result_then_the_reader_is_told():
     )
 
 
-def test_given_a_biased_sampler_then_its_weights_undo_the_bias():
-    # A sampler that finds failures ten times as often as they are: 9 % fail, not half.
-    chosen = rows(100, 100)
-    weighted = [
-        dataclasses.replace(one, sampler='ce', weight=1.0 if one.outcome is Outcome.PASS else 0.1)
-        for one in chosen
-    ]
-    assert ask_gate(chosen, GateOptions(min_satisfaction=0.8)).verdict is Verdict.FAIL
-    answer = ask_gate(weighted, GateOptions(min_satisfaction=0.8))
+def test_given_a_biased_sampler_then_only_what_the_program_itself_drew_counts():
+    # A sampler that finds failures far more often than they are: 10 % of the draws fail, not half.
+    chosen = rows(100, 100, sampler='ce')
+    searched = [dataclasses.replace(one, drawn=one.index < 109) for one in chosen]
+    answer = ask_gate(searched, GateOptions(min_satisfaction=0.8))
     assert answer.verdict is Verdict.PASS
     assert answer.criteria[0].bounds is not None
-    assert answer.criteria[0].bounds.share == pytest.approx(100 / 110)
-    assert answer.effective == pytest.approx(110**2 / 101)
-    assert any('biased' in note for note in answer.notes)
+    assert answer.criteria[0].bounds.share == pytest.approx(100 / 109)
+    assert (answer.judged, answer.effective) == (200, 109)
+    assert 'shares are of the 109 of 200 runs that the program itself drew' in answer.notes[0]
 
 
-def test_given_weights_that_nobody_knows_or_runs_stopped_too_early_then_one_line_refuses():
-    unknown = rows(10, 10, sampler='bo', weight=None)
-    with pytest.raises(UsageError, match='20 runs were chosen by bo, whose weights are not known'):
-        ask_gate(unknown, GateOptions(min_satisfaction=0.5))
+@pytest.mark.parametrize('sampler', ['ce', 'mab', 'bo', 'halton', 'grid'])
+def test_given_a_search_without_draws_then_it_is_inconclusive_and_never_a_pass(sampler):
+    for drawn in (None, False):
+        searched = rows(1000, 0, sampler=sampler, weight=1.0, drawn=drawn)
+        answer = ask_gate(searched, GateOptions(min_satisfaction=0.01, max_off_runway=0.99))
+        assert answer.verdict is Verdict.INCONCLUSIVE
+        for criterion in answer.criteria[:2]:
+            assert criterion.verdict is Verdict.INCONCLUSIVE
+            assert criterion.sentence.startswith('no rate from this search: ' + sampler)
+            assert 'floor=0.3' in criterion.sentence
+
+
+def test_given_more_runs_than_were_planned_at_first_then_the_bounds_hold_at_any_number():
+    # 0.95 ** 72 < 0.025: enough if 72 were planned, not if one looked before and went on.
+    options = GateOptions(min_satisfaction=0.95)
+    assert ask_gate(rows(72, 0), options, planned=72).verdict is Verdict.PASS
+    assert ask_gate(rows(72, 0), options, planned=40).verdict is Verdict.INCONCLUSIVE
+    assert ask_gate(rows(72, 0), options, planned=100).verdict is Verdict.INCONCLUSIVE
+    assert ask_gate(rows(110, 0), options, planned=40).verdict is Verdict.PASS
+
+
+def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
     stopped = [row(0, Outcome.FAIL, left=None)]
     with pytest.raises(UsageError, match='1 of 1 runs were stopped before'):
         ask_gate(stopped, GateOptions(max_off_runway=0.1))
@@ -156,34 +176,35 @@ def test_given_options_that_make_no_sense_then_one_line_says_so(options, words):
 def test_given_any_counts_then_the_share_is_within_bounds_that_more_confidence_widens(
     passed, failed, confidence
 ):
-    good = [True] * passed + [False] * failed
-    found = bounds(good, [1.0] * len(good), confidence)
-    if not good:
-        assert math.isnan(found.share)
-        assert (found.low, found.high) == (0.0, 1.0)
-        return
-    assert found.low <= found.share <= found.high
-    wider = bounds(good, [1.0] * len(good), (1 + confidence) / 2)
-    assert wider.low <= found.low
-    assert found.high <= wider.high
-    mirrored = bounds([not one for one in good], [1.0] * len(good), confidence)
-    assert mirrored.low == pytest.approx(1 - found.high, abs=1e-9)
+    runs = passed + failed
+    for anytime in (False, True):
+        found = bounds(counted(passed, runs, anytime=anytime), confidence)
+        if not runs:
+            assert math.isnan(found.share)
+            assert (found.low, found.high) == (0.0, 1.0)
+            continue
+        assert found.low <= found.share <= found.high
+        wider = bounds(counted(passed, runs, anytime=anytime), (1 + confidence) / 2)
+        assert wider.low <= found.low
+        assert found.high <= wider.high
+        mirrored = bounds(counted(failed, runs, anytime=anytime), confidence)
+        assert mirrored.low == pytest.approx(1 - found.high, abs=1e-9)
 
 
 def test_given_a_share_at_the_threshold_then_no_number_of_runs_decides():
-    assert further_runs([True, False], [1.0, 1.0], 0.5, 0.95) is None
+    assert further_runs(counted(1, 2), 0.5, 0.95) is None
     answer = ask_gate(rows(5, 5), GateOptions(min_satisfaction=0.5))
     assert 'no number of runs' in answer.criteria[0].sentence
 
 
 def test_given_the_runs_that_are_said_to_be_missing_then_they_decide_and_fewer_do_not():
-    good = [True] * 45 + [False] * 5
-    more = further_runs(good, [1.0] * 50, 0.86, 0.95)
+    more = further_runs(counted(45, 50), 0.86, 0.95)
     assert more is not None
-    runs = 50 + more
-    assert binom.sf(round(0.9 * runs) - 1, runs, 0.86) == pytest.approx(ALPHA, abs=0.005)
-    half = 50 + more // 2
-    assert binom.sf(round(0.9 * half) - 1, half, 0.86) > 1.5 * ALPHA
+    for runs, expected in ((50 + more, Verdict.PASS), (50 + more // 2, Verdict.INCONCLUSIVE)):
+        good = math.ceil(0.9 * runs)
+        answer = ask_gate(
+            rows(good, runs - good), GateOptions(min_satisfaction=0.86), planned=50)
+        assert answer.verdict is expected
     sentence = ask_gate(rows(45, 5), GateOptions(min_satisfaction=0.86)).criteria[0].sentence
     number = int(re.search(r'about ([\d,]+) runs more', sentence)[1].replace(',', ''))
     assert number == pytest.approx(more, rel=0.06)
@@ -194,14 +215,14 @@ def test_given_a_system_at_the_threshold_then_it_passes_or_fails_as_seldom_as_pr
     runs, threshold
 ):
     counts = range(runs + 1)
-    found = [bounds([True] * k + [False] * (runs - k), [1.0] * runs, 0.95) for k in counts]
+    found = [bounds(counted(k, runs), 0.95) for k in counts]
     chance = binom.pmf(counts, runs, threshold)
     wrongly = [
         sum(p for p, one in zip(chance, found, strict=True) if one.low >= threshold),
         sum(p for p, one in zip(chance, found, strict=True) if one.high < threshold),
     ]
-    assert max(wrongly) <= ALPHA
-    assert max(wrongly) > ALPHA / 10
+    assert max(wrongly) <= LOOK
+    assert max(wrongly) > LOOK / 10
 
 
 # JUnit -------------------------------------------------------------------------------------------

@@ -149,16 +149,18 @@ def test_given_the_same_runs_twice_then_the_same_is_found(tmp_path):
     assert first == second
 
 
-def test_given_runs_of_a_sampler_when_looked_for_then_rates_are_weighted(tmp_path):
+def test_given_runs_of_a_sampler_when_looked_for_then_rates_are_of_what_the_program_drew(tmp_path):
     table = planted_table(1000, 3, lambda t: np.where(t['distance_m'] < 500, 0.6, 0.05))
-    weight = np.where(table['distance_m'] < 500, 0.5, 1.3)
-    found = find_causes(planted_runs(table.assign(weight=weight), tmp_path)).found
+    # The sampler sought scenes near the threshold; of the others all were drawn.
+    near = table['distance_m'] < 500
+    drawn = ~near | (table['index'] % 3 == 0)
+    found = find_causes(planted_runs(table.assign(sampler='ce', drawn=drawn), tmp_path)).found
     assert len(found) == 1
     failed = table['outcome'] == 'FAIL'
-    near = table['distance_m'] < 500
-    share = weight[failed & near].sum() / weight[failed].sum()
+    share = (failed & near & drawn).sum() / (failed & drawn).sum()
     assert found[0].explained == pytest.approx(share, abs=0.03)
     assert share < (failed & near).sum() / failed.sum() - 0.1
+    assert found[0].inside.effective == pytest.approx((near & drawn).sum(), abs=12)
 
 
 @given(

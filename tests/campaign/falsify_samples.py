@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,8 @@ import pandas as pd
 
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.programs import find_program
-from taxinet_ros.campaign.samplers.space import Dimension, Space
-from taxinet_ros.campaign.scene_source import Rejected
+from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
+from taxinet_ros.campaign.scene_source import Refused, Rejected
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.campaign.search_space import Choice, SearchSpace
@@ -28,7 +28,10 @@ SPACE = SearchSpace(choices=tuple(
 
 
 class ToySource:
-    """Scenes of a program with two dimensions; those with both quantiles high are rejected."""
+    """Scenes of a program with two dimensions; points with both quantiles high are refused.
+
+    Where the second is high the program draws what is no scenario.
+    """
 
     def __init__(self, program: str, **others: Any) -> None:
         self.program = find_program(program)
@@ -45,10 +48,14 @@ class ToySource:
     def space(self) -> Space:
         return SPACE.dimensions
 
-    def scene(self, index: int, point: Sequence[float] | None = None) -> Scenario:
+    def scene(self, index: int, point: Point | None = None, attempt: int = 0) -> Scenario:
         x, y = point or (0.5, 0.5)
-        if min(x, y) > 0.7:
-            raise Rejected('toy', index, 1)
+        assert x is not None
+        assert y is not None
+        if min(x, y) > 0.6:
+            raise Refused(f'toy: scene {index}: the point does not meet the requirements', 1)
+        if y > 0.88:
+            raise Rejected(f'toy: scene {index}: distance_m is 2601')
         return Scenario(cross_track_m=10 * x - 5, distance_m=2000 * y, duration_s=1.0)
 
 

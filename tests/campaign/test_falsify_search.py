@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -9,9 +10,14 @@ from pathlib import Path
 import falsify_samples as toy
 import pytest
 
+from taxinet_ros.campaign import scene_source
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.search import PATIENCE
+from taxinet_ros.campaign.search_lines import search_summary
+from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.campaign.stop_rule import parse_stop_rule
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.core.errors import UsageError
@@ -40,6 +46,73 @@ def test_given_a_search_then_its_table_has_a_row_for_every_run_and_how_it_was_ch
     drawn = table[table['outcome'] != 'REJECTED']
     assert list(drawn['cross_track_m']) == pytest.approx(list(10 * drawn['u_x'] - 5))
     assert (table['weight'] != 1).any(), 'the sampler has learned nothing, so the test would not'
+
+
+def test_s9_given_refused_points_then_they_use_up_no_run_and_are_counted(whole):
+    """A point in six is refused, and none of the 20 runs is lost to one."""
+    table = read_table(whole)
+    assert table['refused'].sum() >= 1
+    assert not (table[['u_x', 'u_y']].min(axis=1) > 0.6).any()
+    assert table['detail'].str.contains('requirements').sum() == 0
+    events = map(json.loads, (whole / 'ledger.jsonl').read_text().splitlines())
+    refused = {event['row']['index']: event['row']['refused']
+               for event in events if event['event'] == 'result'}
+    assert refused == dict(zip(table['index'], table['refused'], strict=True))
+
+
+def test_s6_given_draws_that_are_no_scenario_then_they_are_rejected_with_the_reason(whole):
+    table = read_table(whole)
+    rejected = table[table['outcome'] == 'REJECTED']
+    assert 1 <= len(rejected) <= 8
+    assert (rejected['u_y'] > 0.88).all()
+    assert list(rejected['detail']) == [
+        f'toy: scene {index}: distance_m is 2601' for index in rejected['index']
+    ]
+    assert rejected['rho'].isna().all()
+
+
+def test_s9_given_a_point_that_is_never_accepted_then_the_run_is_rejected_and_the_search_goes_on(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(scene_source, 'MAX_ITERATIONS', 1)
+    done = toy.finish(toy.options(tmp_path / 'one', runs=200, sampler='random'))
+    never = [row for row in done.rows if row.refused == 1]
+    assert never
+    assert {row.detail.split(': ')[-1] for row in never} == {
+        'no point met the requirements in 1 tries',
+    }
+    assert len(done.rows) == 200
+    with toy.searching(toy.options(tmp_path / 'two', runs=200, sampler='random')) as search:
+        for number, _ in enumerate(toy.answers(search, 2)):
+            if number == 60:
+                break
+    toy.finish(toy.options(tmp_path / 'two', runs=200, sampler='random', resume=True))
+    toy.same_table(tmp_path / 'one', tmp_path / 'two')
+
+
+def test_t11_given_a_grid_with_an_end_then_the_search_ends_there_and_says_so(
+    tmp_path, monkeypatch
+):
+    kinds = SearchSpace(choices=tuple(
+        Choice(dimension=Dimension(name=name, weights=(1, 1, 1))) for name in ('x', 'y')
+    ))
+    monkeypatch.setattr(toy, 'SPACE', kinds)
+    done = toy.finish(toy.options(tmp_path / 'grid', runs=36, sampler='grid'))
+    assert len(done.rows) == 8  # of nine cells one is refused
+    assert sum(row.refused for row in done.rows) <= 1  # unless it was the last
+    assert done.exhausted
+    assert search_summary(done)[-1] == (
+        'ended before its 36 runs: all 9 combinations of the grid have been tried'
+    )
+
+
+def test_s3_given_requirements_that_hold_in_a_share_only_then_a_learned_density_is_not_known(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(toy, 'SPACE', dataclasses.replace(toy.SPACE, soft=True))
+    for sampler, weights in (('ce', {None, 1.0}), ('random', {1.0}), ('mab', {None})):
+        done = toy.finish(toy.options(tmp_path / sampler, sampler=sampler))
+        assert {row.weight for row in done.rows} == weights, sampler
 
 
 @pytest.mark.parametrize(('workers', 'pick'), [(2, toy.first), (3, toy.last), (8, toy.last)])
@@ -142,7 +215,8 @@ def test_given_a_broken_bench_then_patience_ends(tmp_path):
         toy.options(tmp_path / 'c', sampler='halton'),
         judge=lambda request: toy.result(request, Outcome.INFRA_ERROR),
     )
-    assert [row.outcome for row in search.rows] == [Outcome.INFRA_ERROR] * PATIENCE
+    outcomes = [row.outcome for row in search.rows if row.outcome is not Outcome.REJECTED]
+    assert outcomes == [Outcome.INFRA_ERROR] * PATIENCE
     assert 'broken by the bench' in search.stopped
 
 
@@ -152,12 +226,53 @@ def test_given_a_stop_rule_then_the_search_ends_with_the_run_that_meets_it(rule,
     search = toy.finish(chosen)
     assert 3 <= len(search.rows) < runs
     assert search.stopped == f'{rule} reached'
-    assert chosen.stop.met(search.rows)
-    assert not chosen.stop.met(search.rows[:-1])
+    assert chosen.stop.met(search.rows[:1 - LAG])
+    assert not chosen.stop.met(search.rows[:-LAG])
     again = toy.finish(
         toy.options(tmp_path / 'c', runs=runs, sampler='random', stop=chosen.stop, resume=True)
     )
     assert len(again.rows) == len(search.rows)
+
+
+@pytest.mark.parametrize('rule', ['failures=2', 'half-width=0.3'])
+def test_t15_given_a_stop_rule_then_workers_make_no_difference(rule, tmp_path):
+    """One worker stopped after 10 runs, two after 11."""
+    folders = []
+    for workers, pick in ((1, toy.first), (2, toy.last), (8, toy.last)):
+        chosen = toy.options(
+            tmp_path / str(workers), runs=200, workers=workers, stop=parse_stop_rule(rule))
+        search = toy.finish(chosen, workers, pick)
+        assert search.stopped == f'{rule} reached'
+        folders.append(tmp_path / str(workers))
+    for folder in folders[1:]:
+        toy.same_table(folders[0], folder)
+
+
+def test_t15_given_a_search_until_failures_then_its_summary_says_what_that_does(tmp_path):
+    stop = parse_stop_rule('failures=1')
+    words = '\n'.join(search_summary(toy.finish(toy.options(tmp_path / 'a', runs=200, stop=stop))))
+    assert 'too high on average; the interval holds all the same' in words
+    assert 'wide enough to hold wherever a search stops' in words
+    words = '\n'.join(
+        search_summary(toy.finish(toy.options(tmp_path / 'b', sampler='random'))))
+    assert 'too high' not in words
+    assert '(95 % intervals)' in words
+
+
+def test_t15_given_a_search_that_was_given_more_runs_then_its_interval_is_for_any_stop(tmp_path):
+    toy.finish(toy.options(tmp_path / 'c', runs=20))
+    search = toy.finish(toy.options(tmp_path / 'c', runs=30, resume=True))
+    assert search.first_planned == 20
+    words = '\n'.join(search_summary(search))
+    assert 'wide enough to hold wherever a search stops' in words
+    assert read_ledger(tmp_path / 'c' / 'ledger.jsonl').campaign['first_runs'] == 20
+
+
+def test_t1_given_a_search_without_draws_then_its_summary_says_that_there_is_no_rate(tmp_path):
+    lines = search_summary(toy.finish(toy.options(tmp_path / 'c', sampler='grid')))
+    (line,) = [line for line in lines if 'rate' in line]
+    assert line.startswith('no rate from this search: grid chose all of its')
+    assert not any('%' in line for line in lines)
 
 
 def test_given_a_budget_then_no_run_begins_after_it_is_spent(tmp_path, monkeypatch):
@@ -255,8 +370,8 @@ def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refu
         toy.finish(toy.options(whole, resume=True))
 
 
-@pytest.mark.parametrize('sampler', ['bo', 'tpe', 'cmaes'])
-def test_given_a_sampler_without_weights_then_no_rate_can_be_waited_for(sampler, tmp_path):
+@pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid', 'ce-verifai'])
+def test_given_a_sampler_without_draws_then_no_rate_can_be_waited_for(sampler, tmp_path):
     chosen = toy.options(
         tmp_path / 'c', sampler=sampler, stop=parse_stop_rule('half-width=0.1')
     )

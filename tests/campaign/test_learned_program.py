@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def learn(client: Any, tmp_path: Path) -> Learn:
         path.write_text(text)
         assert client.ask(op='compile', program=str(path)) == {}
         space = SearchSpace.from_json(client.ask(op='space'))
-        return learned_program(path, space, probabilities, origin)
+        return learned_program(path, space, probabilities, origin)[0]
 
     return learn_text
 
@@ -125,13 +126,19 @@ def test_given_weighted_ranges_when_learned_then_the_slices_of_the_prior_are_kep
 
 
 @pytest.mark.parametrize(('text', 'probabilities', 'message'), [
-    ('param rain = Normal(3, 1)', {'rain': [1] * 10},
-     'mine.scenic:3: cannot be written back: rain is not uniform between fixed ends'),
-    ('r = Range(0, 1)\nparam rain = Range(0, r)', {'rain': [1] * 10}, 'mine.scenic:4: '),
+    ('param rain = Range(0, Range(1, 2))', {'rain': [1] * 10},
+     'mine.scenic:3: cannot be written back: rain has a call as its argument; give that a name'),
+    ('r = Range(0, 1)\nparam rain = TruncatedNormal(r, 1, 0, 2)', {'rain': [1] * 10},
+     'mine.scenic:4: cannot be written back: rain is a TruncatedNormal of what is drawn itself'),
+    ('n = DiscreteRange(0, 9)\nparam rain = DiscreteRange(0, n)', {'rain': [1] * 10},
+     'mine.scenic:4: cannot be written back: rain is a DiscreteRange of what is drawn itself'),
     ('def f(): return Range(0, 1)\nparam rain = f() + f()', {'rain': [1] * 10},
      'mine.scenic:3: cannot be written back: rain is not the only choice made there'),
     ('w = Range\nparam rain = w(0, 1)', {'rain': [1] * 10},
-     'mine.scenic:4: cannot be written back: rain is not made by Range, Uniform or Options'),
+     'mine.scenic:4: cannot be written back: rain is not made by Range, Normal, Uniform or Opt'),
+    ('x = Normal(4, 1)\nparam time_of_day = x\nparam rain = resample(x)',
+     {'time_of_day': [1] * 10},
+     'mine.scenic:3: cannot be written back: time_of_day is drawn again by resample'),
     ('param rain = Uniform(1, 1)', {'rain': [1, 2]},
      'mine.scenic:3: cannot be written back: rain has the same option twice'),
     ('x = [(Range(0, 1), 1), (2, 3)]\nparam rain = Uniform(*x)[0]', {'rain': [1, 2]},
@@ -173,3 +180,65 @@ def test_given_no_docstring_and_signs_beyond_ascii_when_learned_then_the_columns
         'y = "Ä"; z = Options({Range(-1, -0.8): 1})  # ±1 m\nego = new Plane at (z, 4)\n'
     )
     assert 0.8 <= draw(text, 1)[0]['cross_track'] <= 1
+
+
+LEARNED = [.4, .02, .02, .02, .1, .02, .02, .1, .2, .1]
+UNIT = NormalDist()
+ROUND_TRIPS: dict[str, tuple[str, Callable[[dict[str, float]], float]]] = {
+    'normal': ('param rain = Normal(30, 5)', lambda scene: UNIT.cdf((scene['rain'] - 30) / 5)),
+    'truncated normal': (
+        'param rain = TruncatedNormal(20, 30, 0, 100)',
+        lambda scene: (UNIT.cdf((scene['rain'] - 20) / 30) - UNIT.cdf(-2 / 3))
+        / (UNIT.cdf(8 / 3) - UNIT.cdf(-2 / 3))),
+    'range to a drawn end': (
+        'r = Range(20, 90)\nparam time_of_day = r / 10\nparam rain = Range(0, r)',
+        lambda scene: scene['rain'] / scene['time_of_day'] / 10),
+    'normal of a drawn mean': (
+        'm = Range(20, 60)\nparam time_of_day = m / 10\nparam rain = Normal(m, 4)',
+        lambda scene: UNIT.cdf((scene['rain'] - 10 * scene['time_of_day']) / 4)),
+    'many whole numbers': (
+        'param rain = DiscreteRange(1, 130)', lambda scene: (scene['rain'] - 0.5) / 130),
+    'derived': (
+        'x = Normal(2, 1)\nparam time_of_day = x\nparam rain = 20 + 3 * x ** 2',
+        lambda scene: UNIT.cdf(scene['time_of_day'] - 2)),
+    'under an option': (
+        'x = Normal(0, 1)\nparam rain = x\nparam clouds = "broken"',
+        lambda scene: UNIT.cdf(scene['rain'])),
+}
+
+
+@pytest.mark.parametrize('kind', ROUND_TRIPS)
+def test_s8_given_a_choice_that_is_not_uniform_when_learned_then_draws_have_its_histogram(
+    client: Any, learn: Learn, draw: Callable[..., list[dict[str, Any]]], kind: str,
+) -> None:
+    """By the quantile of each draw under the old program, given what else was drawn."""
+    text, quantile = ROUND_TRIPS[kind]
+    source = f'{WORLD}ego = new Plane at (0, 400)\n{text}\n'
+    learn(source, {})
+    names = [choice['dimension']['name'] for choice in client.ask(op='space')['choices']]
+    name = 'rain' if 'rain' in names else names[0]
+    quantiles = [quantile(scene) for scene in draw(learn(source, {name: LEARNED}))]
+    counts = np.histogram(quantiles, 10, (0, 1))[0]
+    assert_shares(counts.tolist(), LEARNED)
+
+
+def test_s8_given_a_choice_that_cannot_be_written_then_the_others_are_and_it_is_named(
+    client: Any, tmp_path: Path,
+) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(f'{WORLD}param rain = Range(0, Range(1, 2))\nego = new Plane in '
+                    'CircularRegion((0, 400), 5), facing Normal(0, 3) deg\n')
+    assert client.ask(op='compile', program=str(path)) == {}
+    space = SearchSpace.from_json(client.ask(op='space'))
+    text, left = learned_program(
+        path, space, {choice.dimension.name: LEARNED for choice in space.choices}, 'Me.'
+    )
+    assert [line.partition('back: ')[2] for line in left] == [
+        'rain has a call as its argument; give that a name of its own first',
+        'ego.position.radius is made by no call that could be written anew',
+        'ego.position.angle is made by no call that could be written anew',
+    ]
+    assert 'Left as the program has them:' in text
+    assert all(line in text for line in left)
+    assert 'Range(1, 1.1): 0.4,' in text, 'the inner choice is written within the outer call'
+    assert "TruncatedNormal(0, 3, float('-inf'), -3.844654" in text

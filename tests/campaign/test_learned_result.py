@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult, LearnedTogether
+from taxinet_ros.campaign.learned_result import (
+    LEARNED_NAME,
+    Evidence,
+    LearnedResult,
+    LearnedTogether,
+)
+from taxinet_ros.campaign.rates import share_bounds
+from taxinet_ros.campaign.samplers.make import make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.search_space import Choice, Piece
 from taxinet_ros.core.errors import UsageError
@@ -26,10 +35,15 @@ CLOUDS = Choice(
 
 
 def result(seed: int, distance: tuple[float, ...] = (0.25,) * 4, **facts: object) -> LearnedResult:
+    """A search that learned ``distance``, from 100 plain failures in these proportions."""
     return LearnedResult(
         facts={'program': 's_falsif', 'sampler': 'ce', 'perception': 'original', 'seed': seed,
                'runs_made': 10, **facts},
         choices=(DISTANCE, CLOUDS), probabilities={'distance': distance, 'clouds': (0.5, 0.5)},
+        evidence={
+            'distance': Evidence(amounts=tuple(100 * each for each in distance), squares=100.0),
+            'clouds': Evidence(amounts=(50.0, 50.0), squares=100.0),
+        },
     )
 
 
@@ -42,20 +56,24 @@ def test_given_a_result_when_written_then_it_reads_back_equal(tmp_path: Path) ->
     assert LearnedResult.read(tmp_path) == result(3)
 
 
-def test_given_several_then_each_bin_has_its_mean_and_its_extremes() -> None:
+def test_given_several_then_each_bin_has_its_share_of_all_failures_and_its_interval() -> None:
     both = together(result(1, (0.1, 0.2, 0.3, 0.4)), result(2, (0.3, 0.2, 0.1, 0.4)))
-    assert [tuple(spread) for spread in both.bins(DISTANCE)] == [
-        pytest.approx(values) for values in
-        [(0.2, 0.1, 0.3), (0.2, 0.2, 0.2), (0.2, 0.1, 0.3), (0.4, 0.4, 0.4)]
-    ]
+    shares = both.bins(DISTANCE)
+    assert [each.share for each in shares] == pytest.approx([0.2, 0.2, 0.2, 0.4])
+    # Where both agree it is as of 200 plain failures, no better; else two searches say little.
+    assert tuple(shares[1]) == pytest.approx((0.2, *share_bounds(40, 160, 0.025)))
+    assert tuple(shares[3]) == pytest.approx((0.4, *share_bounds(80, 120, 0.025)))
+    assert shares[0].low < 0.01
+    assert shares[0].high > 0.9
+    assert both.failures(DISTANCE) == pytest.approx(200)
     assert both.mean['distance'] == pytest.approx((0.2, 0.2, 0.2, 0.4))
 
 
 def test_given_what_was_learned_then_an_interval_of_values_has_its_probability() -> None:
     both = together(result(1, (0, 0, 0, 1)), result(2, (1, 0, 0, 0)))
-    assert tuple(both.within('distance', 0, 100)) == pytest.approx((0.5, 0, 1))
-    assert tuple(both.within('distance', 1100, 2000)) == pytest.approx((0.5, 0, 1))
-    assert tuple(both.within('distance', 1100, 1550)) == pytest.approx((0.25, 0, 0.5))
+    assert both.within('distance', 0, 100).share == pytest.approx(0.5)
+    assert both.within('distance', 1100, 2000).share == pytest.approx(0.5)
+    assert both.within('distance', 1100, 1550).share == pytest.approx(0.25)
     assert DISTANCE.probability_within(0, 200) == pytest.approx(0.5), 'by the program itself'
 
 
@@ -104,3 +122,48 @@ def test_given_no_result_or_a_damaged_one_then_one_line_says_so(
     with pytest.raises(UsageError, match=str(tmp_path)) as caught:
         LearnedResult.read(tmp_path)
     assert '\n' not in str(caught.value)
+
+
+def test_t14_given_no_failures_or_no_weights_then_no_share_is_claimed() -> None:
+    none = dataclasses.replace(result(1), evidence={
+        name: Evidence(amounts=(0.0,) * bins, squares=0.0)
+        for name, bins in (('distance', 4), ('clouds', 2))
+    })
+    assert [(each.low, each.high) for each in together(none).bins(DISTANCE)] == [(0, 1)] * 4
+    assert math.isnan(together(none).bins(DISTANCE)[0].share)
+    with pytest.raises(UsageError, match=r'seed-0: learned\.json does not say which failures'):
+        together(dataclasses.replace(result(1), evidence={}))
+
+
+def searched(seed: int, runs: int, fails: float) -> LearnedResult:
+    """A search by cross-entropy: 98 % of the failures are in the third quarter of the distances."""
+    sampler = make_sampler('ce', (DISTANCE.dimension,), seed, runs)
+    chance = np.random.default_rng([seed, 7])
+    amounts, squares = [0.0] * 4, 0.0
+    for _ in range(runs):
+        index, point = sampler.next()
+        assert point[0] is not None
+        bin_ = DISTANCE.dimension.bin(point[0])
+        failed = chance.random() < 4 * fails * (0.98 if bin_ == 2 else 0.02 / 3)
+        weight = sampler.weight(index)
+        assert weight is not None
+        sampler.tell(index, -1.0 if failed else 1.0)
+        if failed:
+            amounts[bin_] += weight
+            squares += weight**2
+    return LearnedResult(
+        facts={'seed': seed}, choices=(DISTANCE,), probabilities=sampler.learned(),
+        evidence={'distance': Evidence(amounts=tuple(amounts), squares=squares)},
+    )
+
+
+def test_t14_given_five_searches_then_the_interval_of_a_share_holds_the_truth() -> None:
+    """The mean of the samplers' own histograms says 80 % where the truth is 98 %."""
+    groups = [together(*(searched(100 * group + seed, 120, 0.1) for seed in range(5)))
+              for group in range(40)]
+    shares = [group.bins(DISTANCE)[2] for group in groups]
+    held = sum(share.low <= 0.98 <= share.high for share in shares)
+    assert held >= 36
+    assert np.mean([share.share for share in shares]) == pytest.approx(0.98, abs=0.01)
+    assert np.mean([share.high - share.low for share in shares]) < 0.15
+    assert np.mean([group.mean['distance'][2] for group in groups]) < 0.95

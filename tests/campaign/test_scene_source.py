@@ -76,7 +76,10 @@ def test_given_a_requirement_that_cannot_hold_when_drawn_then_it_is_rejected_not
         for index in (0, 1):  # the source stays usable
             with pytest.raises(Rejected) as caught:
                 source.scene(index)
-            assert (caught.value.index, caught.value.iterations) == (index, 2000)
+            assert caught.value.refused == 2000
+            assert str(caught.value) == (
+                f'mine.scenic: scene {index}: no draw met the requirements in 2000 tries'
+            )
 
 
 def test_given_a_requirement_that_may_hold_when_drawn_then_it_holds(tmp_path: Path) -> None:
@@ -166,3 +169,63 @@ def test_given_an_impossible_seed_when_made_then_it_is_refused(seed: int) -> Non
 def test_given_no_with_statement_when_asked_then_it_says_so() -> None:
     with pytest.raises(RuntimeError, match='with statement'):
         SceneSource('s_falsif', seed=1).scene(0)
+
+
+WORLD = 'model runway_world\n'
+OFF_CENTRE = WORLD + 'ego = new Plane at (Normal(0, 8), 400)\n'
+INDEPENDENT = (WORLD + 'param clouds = Uniform("clear", "broken")\nparam rain = Range(20, 30)\n'
+               'ego = new Plane at (0, 400)\n')
+
+
+@pytest.mark.parametrize(('text', 'reason', 'share'), [
+    (OFF_CENTRE, 'cross_track_m is', 0.06),
+    (INDEPENDENT, "rain needs clouds broken/overcast/stratus, got 'clear'", 0.5),
+    (PLANE + 'param duration = Uniform(3, 3.01)\n', 'is not a multiple of the control period', 0.5),
+    (PLANE + 'param clouds = Uniform("clear", "purple")\n', "clouds is 'purple', not one of", 0.5),
+], ids=['beside the runway', 'rain from a clear sky', 'broken step', 'unknown word'])
+@pytest.mark.parametrize('searched', [False, True], ids=['drawn', 'searched'])
+def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
+    tmp_path: Path, text: str, reason: str, share: float, searched: bool,
+) -> None:
+    path = write(tmp_path, text)
+    chance = np.random.default_rng(0)
+    rejected = []
+    with SceneSource(path, seed=0) as source:
+        size = len(source.space())
+        for index in range(100):
+            point = source.space().point(chance.random(size)) if searched else None
+            try:
+                source.scene(index, point)
+            except Rejected as error:
+                rejected.append((index, error))
+    assert abs(len(rejected) - 100 * share) < 18
+    assert len(rejected) >= 1
+    for index, error in rejected:
+        assert type(error) is Rejected, 'no other point is to be tried'
+        assert reason in str(error)
+        assert str(error).startswith(f'mine.scenic: scene {index}: ')
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    (WORLD + 'ego = new Plane at (16, Range(0, 9))\n', 'cross_track_m is -16'),
+    (INDEPENDENT.replace('Uniform("clear", "broken")', '"clear"').replace('Range(20, 30)', '20'),
+     'rain needs clouds'),
+    (PLANE + 'param clouds = "purple"\nparam rain = Range(0, 90)\n', "clouds is 'purple'"),
+    (PLANE + 'param duration = 1.01\n', 'not a multiple'),
+    (PLANE + 'param wind = Range(0, 1)\n', 'wind'),
+])
+def test_s6_given_what_is_wrong_in_every_scene_then_it_is_an_error_at_once(
+    tmp_path: Path, text: str, message: str,
+) -> None:
+    with SceneSource(write(tmp_path, text), seed=0) as source, \
+            pytest.raises(UsageError, match=message):
+        source.scene(0)
+
+
+def test_s6_given_an_override_of_what_is_drawn_out_of_range_then_nothing_is_rejected(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, OFF_CENTRE + 'param rain = Range(500, 900)\nparam clouds = "broken"\n')
+    with SceneSource(path, seed=0, overrides={'rain': '20', 'cross_track': '3'}) as source:
+        assert {(scene.rain, scene.cross_track_m)
+                for scene in (source.scene(index) for index in range(50))} == {(0.2, 3.0)}

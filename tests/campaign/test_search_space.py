@@ -14,8 +14,9 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from taxinet_ros.campaign.programs import known_programs, shipped_folder
+from taxinet_ros.campaign.samplers.make import make_sampler
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource
+from taxinet_ros.campaign.scene_source import Refused, SceneSource
 from taxinet_ros.campaign.search_lines import space_lines
 from taxinet_ros.campaign.search_space import Choice, SearchSpace
 from taxinet_ros.core.errors import UsageError
@@ -200,9 +201,8 @@ def test_given_a_requirement_when_a_point_breaks_it_then_it_is_rejected_and_not_
                             'require ego.position.x > 0.5\n')
     with SceneSource(path, seed=1) as source:
         assert source.scene(0, (0.8, 0.5)).cross_track_m == pytest.approx(-0.6)
-        with pytest.raises(Rejected) as caught:
+        with pytest.raises(Refused) as caught:
             source.scene(0, (0.7, 0.5))
-        assert (caught.value.index, caught.value.iterations) == (0, 1)
         assert str(caught.value) == 'mine.scenic: scene 0: the point does not meet the requirements'
         assert source.scene(0).cross_track_m < -0.5, 'without a point it draws until it holds'
 
@@ -212,12 +212,12 @@ def test_given_randomness_without_quantiles_when_searched_then_it_is_named_and_d
 ) -> None:
     space = compiled(
         WORLD + 'param rain = Range(0, 9)\nunused = Range(0, 1)\n'
-        'ego = new Plane in RectangularRegion((0, 500), 0, 10, 10), with lane unused\n'
-        'require[0.9] ego.position.y > 100\n'
+        'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 10, 4)), '
+        'with lane unused\nrequire[0.9] ego.position.y > 100\n'
     )
     assert names(space) == ['rain', 'unused']
     assert space.choices[1].feeds == {'requirements'}, 'it hangs on the ego, which is judged'
-    assert space.unsearched == ('ego.position (PointInRegionDistribution)',
+    assert space.unsearched == ('ego.position (a point in BoxRegion)',
                                 'requirement on line 5 (holds in 90% of scenes)')
     first, again = at(client, 0.5, 0.5), at(client, 0.5, 0.5)
     other = client.ask(op='scene', index=1, point=[0.5, 0.5])['values']
@@ -373,7 +373,7 @@ def test_s9_given_an_override_when_a_choice_has_one_branch_left_then_it_hangs_on
         return {'dimension': dimension, 'feeds': sorted(feeds), 'place': None, 'pieces': [],
                 'options': None}
 
-    answer = {'unsearched': [], 'choices': [
+    answer = {'unsearched': [], 'drawn': [], 'soft': False, 'choices': [
         choice('a', {'clouds'}, weights=[1, 1]), choice('b', {'rain'}, weights=[1, 1]),
         choice('both', {'clouds', 'rain'}, when=[['a', [0]], ['b', [1]]]),
         choice('of a', {'clouds'}, when=[['a', [0]]]),
@@ -402,3 +402,60 @@ def test_s9_given_a_space_when_shown_then_conditions_and_what_is_not_searched_ar
     assert space_lines(SearchSpace(choices=(a, b), unsearched=('c (Lottery)', 'd (fixed)'))) == [
         'searched: a; where a is clear or rain: b', 'drawn, not searched: c (Lottery), d (fixed)',
     ]
+
+
+REGIONS = {
+    'RectangularRegion((1, 500), 0, 6, 300)': (['across', 'along'], (0.25, 0.5), (-0.5, 500)),
+    'CircularRegion((0, 400), 8)': (['radius', 'angle'], (0.25, 0.5), (4, 400)),
+    'SectorRegion(0 @ 400, 8, 0, 1)': (['radius', 'angle'], (0.25, 0.5), (0, 404)),
+    'PolygonalRegion([(0, 100), (8, 100), (8, 300), (0, 300)])': (
+        ['x', 'y'], (0.25, 0.5), (2, 200)),
+    'PolygonalRegion([(0, 0), (8, 0), (0, 800)])': (['x', 'y'], (0.75, 0.5), (4, 200)),
+    'PolylineRegion([(0, 0), (0, 300), (4, 303)])': (['way'], (200 / 305,), (0, 200)),
+    'PathRegion(points=[(0, 0, 0), (0, 300, 0), (4, 303, 0)])': (
+        ['way'], (302.5 / 305,), (2, 301.5)),
+    'PointSetRegion("p", [(1, 2, 0), (3, 4, 0)])': (['which'], (0.6,), (3, 4)),
+}
+
+
+@pytest.mark.parametrize('region', REGIONS)
+def test_s7_given_a_region_when_searched_then_its_points_are_at_quantiles_of_its_own_sampling(
+    client: Any, compiled: Compile, region: str,
+) -> None:
+    parts, quantiles, (x, y) = REGIONS[region]
+    space = compiled(WORLD + f'ego = new Plane in {region}\n')
+    assert names(space) == [f'ego.position.{part}' for part in parts]
+    assert space.unsearched == ()
+    values = at(client, *quantiles)
+    assert (-values['cross_track'], values['distance']) == pytest.approx((x, y), abs=1e-9)
+    for corner in itertools.product((0.0, 1 - 2**-53), repeat=len(parts)):
+        assert math.isfinite(at(client, *corner)['distance'])
+
+
+def test_s7_given_a_rectangle_along_the_runway_when_asked_then_its_values_are_known(
+    compiled: Compile,
+) -> None:
+    space = compiled(WORLD + 'ego = new Plane in RectangularRegion((1, 500), 0, 6, 300)\n')
+    across, along = space.choices
+    assert (across.dimension.low, across.dimension.high) == (-2, 4)
+    assert along.probability_within(350, 380) == pytest.approx(0.1)
+
+
+def test_s7_given_a_region_without_quantiles_when_searched_then_random_draws_and_it_is_named(
+    client: Any, compiled: Compile,
+) -> None:
+    space = compiled(
+        WORLD + 'ego = new Plane in BoxRegion(position=(0, 500, 0), dimensions=(8, 600, 4))\n'
+    )
+    assert space_lines(space) == [
+        'searched: nothing', 'drawn, not searched: ego.position (a point in BoxRegion)',
+    ]
+    with pytest.raises(UsageError, match='ce: nothing that the program draws can be searched; '
+                                         '--sampler random draws as it does'):
+        make_sampler('ce', space.dimensions, 0, 10)
+    sampler = make_sampler('random', space.dimensions, 0, 10)
+    points = [sampler.next() for _ in range(5)]
+    assert {point for _, point in points} == {()}
+    scenes = {client.ask(op='scene', index=index, point=space.spread(point))['values']['distance']
+              for index, point in points}
+    assert len(scenes) == 5

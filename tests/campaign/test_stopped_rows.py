@@ -11,8 +11,8 @@ import pytest
 from taxinet_ros.campaign.earlier import read_earlier
 from taxinet_ros.campaign.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.lines import row_line, stopped_words, summary
+from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.stop_rule import failure_estimate, off_runway_estimate
 from taxinet_ros.campaign.table import read_table, table, write_tables
 from taxinet_ros.campaign.wire import (
     request_from_json,
@@ -74,11 +74,10 @@ def test_given_a_stopped_run_then_nobody_claims_to_know_what_came_after():
     assert outside.left_runway is True
     assert inside.max_cross_track_m == 4.0
     rows = [inside, outside, row(2, stopped=False)]
-    assert off_runway_estimate(rows) is None
-    assert off_runway_estimate(rows[1:]) is not None
-    estimate = failure_estimate(rows)
-    assert estimate is not None
-    assert (estimate.failures, estimate.runs) == (3, 3)
+    assert off_runway_rate(rows) is None
+    assert off_runway_rate(rows[1:]) is not None
+    found = failure_rate(rows)
+    assert (found.hits, found.runs, found.drawn_hits) == (3, 3, 3)
 
 
 def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_zero():

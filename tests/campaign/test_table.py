@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.campaign.rates import rate, satisfied
+from taxinet_ros.campaign.rates import failure_rate, rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table, table, write_tables
 from taxinet_ros.core.errors import UsageError
@@ -143,4 +143,4 @@ def test_given_published_counts_when_rated_then_the_interval_is_the_textbooks() 
 
 def test_given_a_broken_run_then_it_is_in_no_rate() -> None:
     assert len(rows := [*mixed(), run(4, Outcome.PASS)]) == 5
-    assert satisfied(rows) == rate(2, 3)
+    assert failure_rate(rows).rate == rate(1, 3)

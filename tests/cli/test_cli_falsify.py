@@ -22,7 +22,7 @@ from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 
 WORDS = [
     'falsify', 'nominal', '--runs', '10', '--perception', 'truth', '--set', 'duration=2',
-    '--seed', '4', '--sampler-option', 'every=2',
+    '--seed', '4', '--sampler-option', 'every=2', '--spec', 'tight=always(abs(cte) <= 0.3)',
 ]
 
 pytestmark = pytest.mark.ros
@@ -78,7 +78,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert (done.returncode, done.stderr) in ((0, ''), (1, '')), done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith('searching nominal for failures: up to 10 runs, sampler ce, seed 4')
-    assert [line.split()[0] for line in lines[1:11]] == [str(index) for index in range(10)]
+    assert lines[1] == 'searched: time_of_day, clouds, ego.position.x, distance, ego.heading'
+    assert [line.split()[0] for line in lines[2:12]] == [str(index) for index in range(10)]
     assert 'under the program itself: satisfied' in done.stdout
     return out
 
@@ -112,7 +113,8 @@ def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_pa
     done = learned(whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
     assert (done.returncode, done.stderr) == (0, '')
     assert 'Failures of truth on nominal, found by ce: 1 search of 10 runs' in done.stdout
-    assert '100.0% (100.0% to 100.0%); the program 100.0%' in done.stdout
+    assert '100.0% of the failures (95 % interval ' in done.stdout
+    assert 'to 100.0%); the program 100.0%' in done.stdout
     assert picture.read_bytes().startswith(b'\x89PNG')
     for words, said in (((whole, whole), 'is there twice'), ((tmp_path,), 'no such file'),
                         ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):

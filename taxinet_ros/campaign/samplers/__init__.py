@@ -3,6 +3,6 @@
 A campaign gets one from :func:`~taxinet_ros.campaign.samplers.make.make_sampler`. All of them work
 on quantiles of the program's own prior (:mod:`~taxinet_ros.campaign.samplers.space`), are wrapped
 so that their sequence does not depend on the number of workers
-(:mod:`~taxinet_ros.campaign.samplers.lagged`), and say where they can how likely the prior would
-have been to propose the same point (:mod:`~taxinet_ros.campaign.samplers.estimate`).
+(:mod:`~taxinet_ros.campaign.samplers.lagged`), and say which points the program itself drew, for
+rates rest on those (:mod:`taxinet_ros.campaign.rates`).
 """

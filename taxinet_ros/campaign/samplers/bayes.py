@@ -52,12 +52,14 @@ class Bayes:
         self._space = space
         self._distributions = _distributions(space)
         self._points: list[Point] = []
+        self._asked: list[int] = []
         self._results: dict[int, float] = {}
         self._pending: set[int] = set()
         self._refused: list[Point] = []
 
     def ask(self) -> Point:
         """The next point."""
+        self._asked.append(len(self._points))
         self._points.append(())
         self._refused = []
         return self._next()
@@ -79,9 +81,15 @@ class Bayes:
 
     def tell(self, index: int, rho: float | None) -> None:
         """Take a result in."""
-        self._pending.remove(index)
+        number = self._asked[index]
+        self._pending.remove(number)
         if rho is not None:
-            self._results[index] = rho
+            self._results[number] = rho
+
+    def add(self, point: Point, rho: float) -> None:
+        """Take in the result of a point that was not asked for."""
+        self._points.append(point)
+        self._results[len(self._points) - 1] = rho
 
     def weight(self, index: int) -> None:
         """Unknown."""

@@ -29,7 +29,7 @@ class CrossEntropy(HistogramSampler):
             floor: share of the runs drawn from the prior, above 0, at most 1.
             every: number of results between two fits.
         """
-        super().__init__(space, seed, floor)
+        super().__init__(space, seed, floor, blind=every)
         self._every = every
         self._fitted = prior_product(space)
         self._history = History(len(space))

@@ -34,6 +34,10 @@ class FromPrior:
 class Random(FromPrior):
     """Independent draws: run i's point depends on the seed and i only."""
 
+    def drawn(self, index: int) -> bool:
+        """True: every one."""
+        return True
+
     def __init__(self, space: Space, seed: int) -> None:
         self._space = space
         self._seed = seed

@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 
 from taxinet_ros.campaign.samplers.draws import generator
-from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
 from taxinet_ros.campaign.samplers.space import IDLE, Dimension, Point, Space
 from taxinet_ros.core.errors import UsageError
 
@@ -27,7 +27,7 @@ class Grid:
     others; the weight sets that right. Options that decide which other choices are made have a grid
     of the others for each of their combinations: an idle dimension has no cells, so no scene comes
     twice. When all cells have been visited they are visited again in the same order, each run then
-    somewhere within its cell.
+    somewhere within its cell; without ranges there are no other points, and that is the end.
     """
 
     def __init__(self, space: Space, seed: int, runs: int, *, points: int = 0) -> None:
@@ -50,6 +50,7 @@ class Grid:
         cells = [_cells(each, size) for each, size in zip(space, sizes, strict=True)]
         self._grids = [_Subgrid(space, cells, bins, seed) for bins in branches]
         self.cells = sum(grid.order.cells for grid in self._grids)
+        self._finite = all(dimension.discrete for dimension in space)
         self._visits = 0
         self._weights: list[float] = []
 
@@ -60,6 +61,8 @@ class Grid:
 
     def again(self) -> Point:
         """The one after it, for the same run."""
+        if self._finite and self._visits == self.cells:
+            raise Exhausted(f'all {self.cells} combinations of the grid have been tried')
         # Each grid once, then always the one of which the least part has been visited.
         grid = min(self._grids, key=lambda grid: grid.visits / grid.order.cells)
         cells = grid.next()

@@ -18,19 +18,23 @@ class HistogramSampler(ABC):
     Hesterberg, Technometrics 37, 1995).
     """
 
-    def __init__(self, space: Space, seed: int, floor: float) -> None:
+    def __init__(self, space: Space, seed: int, floor: float, *, blind: int = 0) -> None:
         """Know nothing yet.
 
         Args:
             space: what to search.
             seed: of the campaign.
             floor: share of the runs drawn from the prior, 0..1.
+            blind: number of runs, from run 0 on, that come too early for anything to be learned,
+                and so are all drawn from the prior.
         """
         self._space = space
         self._seed = seed
         self._floor = floor
+        self._blind = blind
         self._bins: list[tuple[int, ...]] = []
         self._weights: list[float] = []
+        self._of_prior: list[bool] = []
         self._attempt = 0
 
     def ask(self) -> Point:
@@ -41,7 +45,7 @@ class HistogramSampler(ABC):
         return self._drawn()
 
     def again(self) -> Point:
-        """Another draw for the same run, from the same mixture."""
+        """Another draw for the same run, from the same part of the mixture."""
         self._attempt += 1
         return self._drawn()
 
@@ -49,7 +53,10 @@ class HistogramSampler(ABC):
         chance = generator(self._seed, len(self._bins) - 1, self._attempt)
         *uniform, mixing = chance.random(len(self._space) + 1)
         proposal = self._proposal()
-        point = (self._space if mixing < self._floor else proposal).point(uniform)
+        if not self._attempt:  # settled once: refusals must not favour either
+            blind = len(self._of_prior) < self._blind
+            self._of_prior.append(blind or bool(mixing < self._floor))
+        point = (self._space if self._of_prior[-1] else proposal).point(uniform)
         self._bins[-1] = self._space.bins(point)
         density = self._floor + (1 - self._floor) * proposal.density(self._bins[-1])
         self._weights[-1] = 1 / density
@@ -63,6 +70,10 @@ class HistogramSampler(ABC):
     def weight(self, index: int) -> float:
         """Density of the prior over that of the proposal as it was when asked."""
         return self._weights[index]
+
+    def drawn(self, index: int) -> bool:
+        """Whether the run is of the prior's share, or came before anything was learned."""
+        return self._of_prior[index]
 
     def learned(self) -> Probabilities:
         """The histograms, without the prior's share."""

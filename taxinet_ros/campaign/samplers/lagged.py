@@ -31,7 +31,7 @@ class Lagged:
     @property
     def ready(self) -> bool:
         """Whether the results that the next run depends on are in."""
-        return all(index in self._waiting for index in range(self._told, self._due))
+        return all(index in self._waiting for index in range(self._told, self.due))
 
     def next(self) -> tuple[int, Point]:
         """The next run: its number, which is the ticket to :meth:`tell` with, and its point.
@@ -40,11 +40,11 @@ class Lagged:
             RuntimeError: a result that it depends on is missing; ask :attr:`ready` before.
         """
         if not self.ready:
-            missing = next(i for i in range(self._told, self._due) if i not in self._waiting)
+            missing = next(i for i in range(self._told, self.due) if i not in self._waiting)
             raise RuntimeError(f'run {self._asked} depends on the result of run {missing}')
-        for index in range(self._told, self._due):
+        for index in range(self._told, self.due):
             self._sampler.tell(index, self._waiting.pop(index))
-        self._told = max(self._told, self._due)
+        self._told = max(self._told, self.due)
         point = self._sampler.ask()
         self._asked += 1
         return self._asked - 1, point
@@ -70,8 +70,7 @@ class Lagged:
         Raises:
             ValueError: no such ticket was given out, it has its result already, or rho is NaN.
         """
-        if not 0 <= index < self._asked:
-            raise ValueError(f'run {index} was not asked for: {self._asked} runs were, from 0 on')
+        self._check_asked(index)
         if index < self._told or index in self._waiting:
             raise ValueError(f'run {index} has its result already')
         if rho is not None and math.isnan(rho):
@@ -84,9 +83,17 @@ class Lagged:
         Raises:
             ValueError: the run was not asked for.
         """
-        if not 0 <= index < self._asked:
-            raise ValueError(f'run {index} was not asked for: {self._asked} runs were, from 0 on')
+        self._check_asked(index)
         return self._sampler.weight(index)
+
+    def drawn(self, index: int) -> bool:
+        """Whether a run's point was drawn from the program itself; as of the sampler.
+
+        Raises:
+            ValueError: the run was not asked for.
+        """
+        self._check_asked(index)
+        return self._sampler.drawn(index)
 
     def learned(self) -> Probabilities:
         """Where failures are, by all results that are in; empty where the sampler has no idea."""
@@ -97,7 +104,11 @@ class Lagged:
             ahead.tell(index, rho)
         return ahead.learned()
 
+    def _check_asked(self, index: int) -> None:
+        if not 0 <= index < self._asked:
+            raise ValueError(f'run {index} was not asked for: {self._asked} runs were, from 0 on')
+
     @property
-    def _due(self) -> int:
-        """Number of results that the next run depends on."""
+    def due(self) -> int:
+        """Number of results, counted from run 0, that the next run depends on."""
         return max(self._asked - self._lag + 1, 0)

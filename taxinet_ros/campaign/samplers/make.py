@@ -14,16 +14,28 @@ from taxinet_ros.campaign.samplers.lagged import Lagged
 from taxinet_ros.campaign.samplers.option import Option, parse_options
 from taxinet_ros.campaign.samplers.optuna_study import cmaes, tpe
 from taxinet_ros.campaign.samplers.sampler import Sampler
-from taxinet_ros.campaign.samplers.space import Dimension, Space, make_space
+from taxinet_ros.campaign.samplers.space import Dimension, Space
 from taxinet_ros.campaign.samplers.verifai_rule import VerifaiRule
+from taxinet_ros.campaign.samplers.with_drawn import Proposer, WithDrawn
 from taxinet_ros.core.errors import UsageError
 
 Values = Mapping[str, float]
 
 
+def _floor(default: float, low: float = 0.0) -> Mapping[str, Option]:
+    """The option that a rate rests on."""
+    return {'floor': Option(
+        meaning='share of the runs drawn from the program, on which rates rest',
+        default=default, low=low, high=1.0,
+    )}
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Kind:
-    """A sampler of the table.
+    """A sampler of the table that says of each run whether it was drawn from the program itself.
+
+    A rate rests on those runs alone (:mod:`taxinet_ros.campaign.rates`), so it is as valid with a
+    new sampler as with any other, whatever that does with the rest.
 
     Attributes:
         meaning: what it does, in a line.
@@ -36,6 +48,27 @@ class Kind:
     options: Mapping[str, Option] = field(default_factory=dict)
 
 
+def proposing(
+    meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
+    options: Mapping[str, Option] | None = None,
+) -> Kind:
+    """The row of a sampler that only proposes: a share of plain draws is mixed in for it.
+
+    Args:
+        meaning: what it does, in a line.
+        make: makes one, as :attr:`Kind.make`. One that has a method ``add`` is told of the draws.
+        floor: share of plain draws where the option ``floor`` is not given. With 0 there are none,
+            so no rate either, and its sequence is undisturbed.
+        options: of its own.
+    """
+    return Kind(
+        meaning=meaning, options={**(options or {}), **_floor(floor)},
+        make=lambda space, seed, runs, values: WithDrawn(
+            make(space, seed, runs, values), space, seed, values['floor']
+        ),
+    )
+
+
 _STARTUP = Option(
     meaning='results before the model is used; plain draws until then',
     default=10, low=2, high=1e6, whole=True,
@@ -46,19 +79,18 @@ SAMPLERS: Mapping[str, Kind] = {
         meaning='independent draws from the program',
         make=lambda space, seed, runs, values: from_prior.Random(space, seed),
     ),
-    'halton': Kind(
-        meaning='evenly spread draws (Halton, scrambled)',
-        make=lambda space, seed, runs, values: from_prior.halton(space, seed),
+    'halton': proposing(
+        'evenly spread points (Halton, scrambled)',
+        lambda space, seed, runs, values: from_prior.halton(space, seed), floor=0.0,
     ),
-    'sobol': Kind(
-        meaning='evenly spread draws (Sobol, scrambled); best with 2^n runs',
-        make=lambda space, seed, runs, values: from_prior.sobol(space, seed),
+    'sobol': proposing(
+        'evenly spread points (Sobol, scrambled); best with 2^n runs',
+        lambda space, seed, runs, values: from_prior.sobol(space, seed), floor=0.0,
     ),
-    'grid': Kind(
-        meaning='all combinations of even steps and categories, widely spaced ones first',
-        make=lambda space, seed, runs, values: Grid(
-            space, seed, runs, points=int(values['points'])
-        ),
+    'grid': proposing(
+        'all combinations of even steps and categories, widely spaced ones first',
+        lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
+        floor=0.0,
         options={
             'points': Option(
                 meaning='steps of each continuous dimension; 0: as many as fit into the runs',
@@ -72,9 +104,7 @@ SAMPLERS: Mapping[str, Kind] = {
             space, seed, floor=values['floor'], every=int(values['every'])
         ),
         options={
-            'floor': Option(
-                meaning='share of the runs drawn from the program', default=0.3, low=0.01, high=1.0,
-            ),
+            **_floor(0.3, low=0.01),
             'every': Option(
                 meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
             ),
@@ -82,8 +112,11 @@ SAMPLERS: Mapping[str, Kind] = {
     ),
     'ce-verifai': Kind(
         meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
-        make=lambda space, seed, runs, values: VerifaiRule(space, seed, alpha=values['alpha']),
+        make=lambda space, seed, runs, values: VerifaiRule(
+            space, seed, alpha=values['alpha'], floor=values['floor']
+        ),
         options={
+            **_floor(0.0),
             'alpha': Option(
                 meaning='what a failure leaves of the old histograms',
                 default=0.9, low=0.5, high=0.99999,
@@ -96,19 +129,18 @@ SAMPLERS: Mapping[str, Kind] = {
             space, seed, floor=values['floor'], explore=values['explore']
         ),
         options={
-            'floor': Option(
-                meaning='share of the runs drawn from the program', default=0.1, low=0.01, high=1.0,
-            ),
+            **_floor(0.1, low=0.01),
             'explore': Option(
                 meaning='how much little-tried buckets are favoured', default=0.3, low=0, high=100,
             ),
         },
     ),
-    'bo': Kind(
-        meaning='Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
-        make=lambda space, seed, runs, values: Bayes(
+    'bo': proposing(
+        'Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
+        lambda space, seed, runs, values: Bayes(
             space, seed, startup=int(values['startup']), window=int(values['window'])
         ),
+        floor=0.1,
         options={
             'startup': _STARTUP,
             'window': Option(
@@ -116,16 +148,18 @@ SAMPLERS: Mapping[str, Kind] = {
             ),
         },
     ),
-    'tpe': Kind(
-        meaning='tree-structured Parzen estimator: towards a minimum, cheaply',
-        make=lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
+    'tpe': proposing(
+        'tree-structured Parzen estimator: towards a minimum, cheaply',
+        lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
+        floor=0.1,
         options={'startup': _STARTUP},
     ),
-    'cmaes': Kind(
-        meaning='evolution strategy CMA-ES: into one minimum',
-        make=lambda space, seed, runs, values: cmaes(
+    'cmaes': proposing(
+        'evolution strategy CMA-ES: into one minimum',
+        lambda space, seed, runs, values: cmaes(
             space, seed, population=int(values['population'])
         ),
+        floor=0.1,
         options={
             'population': Option(
                 meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
@@ -156,7 +190,18 @@ def make_sampler(
     values = check_sampler(name, options)
     if seed < 0:
         raise UsageError(f'seed is {seed}; it has to be 0 or more')
-    return Lagged(SAMPLERS[name].make(make_space(dimensions), seed, runs, values))
+    space = Space(dimensions)
+    if not space and name != 'random':
+        raise UsageError(
+            f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
+            'draws as it does'
+        )
+    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
+
+
+def drawn_share(name: str, options: Mapping[str, str | float]) -> float:
+    """Share of a sampler's runs that the program itself draws: those that a rate can rest on."""
+    return check_sampler(name, options).get('floor', 1.0)
 
 
 def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:

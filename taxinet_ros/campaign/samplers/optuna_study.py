@@ -87,6 +87,23 @@ class StudySampler:
             else:
                 self._study.tell(self._trials[index], rho)
 
+    def add(self, point: Point, rho: float) -> None:
+        """Take in the result of a point that was not asked for. CMA-ES makes nothing of it."""
+        from optuna.distributions import FloatDistribution
+        from optuna.trial import create_trial
+
+        if not self._conditional:
+            return
+        known = {
+            name: quantile for name, quantile in zip(_names(self._space), point, strict=True)
+            if quantile is not None
+        }
+        unit = FloatDistribution(0.0, 1.0)
+        with quiet():
+            self._study.add_trial(create_trial(
+                value=rho, params=known, distributions=dict.fromkeys(known, unit),
+            ))
+
     def weight(self, index: int) -> None:
         """Unknown."""
 

@@ -11,6 +11,10 @@ Probabilities = Mapping[str, tuple[float, ...]]
 """Probability of each category or bucket, by name of the dimension."""
 
 
+class Exhausted(Exception):  # noqa: N818 (an end, not a fault)
+    """A sampler has proposed all the points that it has."""
+
+
 class Sampler(Protocol):
     """Proposes points, and may learn from their results.
 
@@ -19,7 +23,11 @@ class Sampler(Protocol):
     """
 
     def ask(self) -> Point:
-        """The point of the next run: of run 0 at the first call, then of 1, 2 and so on."""
+        """The point of the next run: of run 0 at the first call, then of 1, 2 and so on.
+
+        Raises:
+            Exhausted: there is no other one; nothing is asked for any more.
+        """
 
     def again(self) -> Point:
         """Another point for the run that was asked for last.
@@ -27,6 +35,9 @@ class Sampler(Protocol):
         The program's requirements refuse the former one. It counts for nothing, and nothing has
         been told since it was asked for. Accepted points are then distributed as the proposal is
         where the requirements hold.
+
+        Raises:
+            Exhausted: there is no other one.
         """
 
     def tell(self, index: int, rho: float | None) -> None:
@@ -46,6 +57,14 @@ class Sampler(Protocol):
         share of the requirements' space under the prior over that under the proposal, which nobody
         knows and which changes as a sampler learns; weighted sums over the sum of the weights
         (self-normalised) still tend to the mean of the prior where the requirements hold.
+        """
+
+    def drawn(self, index: int) -> bool:
+        """Whether the point of run ``index`` was drawn from the program itself.
+
+        That is: from the prior, independently of all other points, and whether it is drawn was
+        settled by seed and index alone, never by a result. Rates rest on these runs and no others
+        (:mod:`taxinet_ros.campaign.rates`).
         """
 
     def learned(self) -> Probabilities:

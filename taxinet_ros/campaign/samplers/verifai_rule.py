@@ -17,19 +17,22 @@ class VerifaiRule(HistogramSampler):
     from the prior, and a robustness of 0 is a failure. It ends on the likeliest failures alone, and
     drifts in dimensions that do not matter: the closer ``alpha`` is to 1, the slower. The default
     is VerifAI's own, for the paper names no other. It remembers some ten failures, so that what one
-    search comes to depends on chance: ask several, that differ in their seed. The weights are
-    exact, and grow without bound.
+    search comes to depends on chance: ask several, that differ in their seed. The rule has no plain
+    draws; a ``floor`` gives it some.
     """
 
-    def __init__(self, space: Space, seed: int, *, alpha: float = 0.9) -> None:
+    def __init__(
+        self, space: Space, seed: int, *, alpha: float = 0.9, floor: float = 0.0,
+    ) -> None:
         """Know nothing yet.
 
         Args:
             space: what to search.
             seed: of the campaign.
             alpha: what one failure leaves of the histograms, above 0, below 1.
+            floor: share of the runs drawn from the prior, 0..1.
         """
-        super().__init__(space, seed, floor=0.0)
+        super().__init__(space, seed, floor)
         self._alpha = alpha
         self._current = prior_product(space)
 

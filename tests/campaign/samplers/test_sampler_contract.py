@@ -80,7 +80,7 @@ def test_given_runs_without_results_when_told_then_nothing_is_learned_of_them(na
     points = run(name, 1, rho=lambda point: None)
     assert points[:8] == run(name, 1)[:8]
     assert 0.3 < np.mean([point[0] for point in points]) < 0.7
-    if name in ('ce', 'ce-verifai', 'bo'):
+    if name in ('ce', 'ce-verifai'):
         np.testing.assert_allclose(points, run('random', 1), atol=1e-12)
 
 

@@ -38,6 +38,9 @@ class Diary:
     def weight(self, index: int) -> float:
         return 1.0 + index
 
+    def drawn(self, index: int) -> bool:
+        return index % 2 == 0
+
     def learned(self) -> dict[str, tuple[float, ...]]:
         return {'x': (float(len(self.told)),)}
 

@@ -1,0 +1,218 @@
+"""Whether intervals hold what they promise: searches of landscapes whose failure rate is known.
+
+The samplers are the real ones; in place of a simulator stands a formula for ρ. Each repetition is
+one search, whose first 100, 400 and 1,000 runs are rated, by the functions that rate a campaign.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.analysis.gate import bounds
+from taxinet_ros.bench.machine import machine_facts
+from taxinet_ros.campaign.rates import ProgramRate
+from taxinet_ros.campaign.samplers.make import SAMPLERS, drawn_share, make_sampler
+from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.core.errors import UsageError
+
+RUNS = (100, 400, 1000)
+RATES = (0.5, 0.1, 0.01, 0.001)
+REPEATS = 500
+LOOK = 20
+"""Runs between two looks of somebody who watches a search."""
+
+_SPACE = (
+    Dimension(name='x'), Dimension(name='y'), Dimension(name='z'),
+    Dimension(name='kind', weights=(2, 1, 1)),
+)
+_CONFIDENCE = 0.95
+_USUAL = ('random', 'ce', 'ce-verifai', 'mab')
+"""What is measured where no sampler is named: those that are fast enough."""
+
+Rho = Callable[[Point], float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Held:
+    """How the intervals of one sampler did at one failure rate; shares are of the repetitions.
+
+    Attributes:
+        sampler, rate: which.
+        repeats: searches, the landscapes in turn.
+        drawn: runs that the program itself drew, per number of runs, in the mean.
+        covers: the 95 % interval holds the rate, per number of runs.
+        width: median width of that interval, per number of runs.
+        passes: the gate, asked for the very rate of satisfied runs, says PASS, per number of runs.
+        watched_covers: the interval of somebody who may stop at any look holds the rate at all.
+        watched_passes: the gate says PASS at any look, where 100 runs were planned.
+    """
+
+    sampler: str
+    rate: float
+    repeats: int
+    drawn: tuple[float, ...]
+    covers: tuple[float, ...]
+    width: tuple[float, ...]
+    passes: tuple[float, ...]
+    watched_covers: float
+    watched_passes: float
+
+
+def _band(rate: float) -> Rho:
+    return lambda point: abs((point[0] or 0.0) - 0.6) - rate / 2
+
+
+def _corner(rate: float) -> Rho:
+    side = rate**0.5
+    return lambda point: max(point[0] or 0.0, point[1] or 0.0) - side
+
+
+def _diagonal(rate: float) -> Rho:
+    half = 1 - (1 - rate) ** 0.5
+    return lambda point: abs((point[0] or 0.0) - (point[1] or 0.0)) - half
+
+
+def _two_regions(rate: float) -> Rho:
+    half = (rate / 2) ** 0.5 / 2
+
+    def rho(point: Point) -> float:
+        x, y = point[0] or 0.0, point[1] or 0.0
+        return min(max(abs(x - at), abs(y - at)) for at in (0.25, 0.75)) - half
+
+    return rho
+
+
+LANDSCAPES: Mapping[str, Callable[[float], Rho]] = {
+    'band': _band, 'corner': _corner, 'diagonal': _diagonal, 'two regions': _two_regions,
+}
+"""Robustness with a given failure rate over quantiles of x and y, by name."""
+
+
+def measure_intervals(
+    samplers: Sequence[str], repeats: int, progress: Callable[[int, int], object],
+    *, runs: Sequence[int] = RUNS, rates: Sequence[float] = RATES, workers: int | None = None,
+) -> dict[str, Any]:
+    """Search every landscape with every sampler, and see what the intervals held.
+
+    Args:
+        samplers: words; none for the usual ones. One without draws of its own gets ``floor=0.3``.
+        repeats: searches for each sampler and rate, the landscapes in turn.
+        progress: is told how many searches of how many are done.
+        runs: numbers of runs to rate after, ascending.
+        rates: true failure rates.
+        workers: processes; None for as many as there are cores.
+
+    Raises:
+        UsageError: an unknown sampler, or no repetition.
+    """
+    words = list(dict.fromkeys(samplers)) or list(_USUAL)
+    for word in words:
+        if word not in SAMPLERS:
+            raise UsageError(f'sampler {word!r} is unknown; known: {", ".join(SAMPLERS)}')
+    if repeats < 1:
+        raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
+    cases = list(product(words, rates))
+    found = []
+    spawned = get_context('spawn')  # a progress bar has threads, which do not survive a fork
+    pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=spawned)
+    try:
+        for number, (word, rate) in enumerate(cases):
+            search = partial(_search, word, rate, tuple(runs))
+            done = []
+            searches = map(search, range(repeats)) if workers == 1 else pool.map(
+                search, range(repeats), chunksize=5
+            )
+            for one in searches:
+                done.append(one)
+                progress(number * repeats + len(done), len(cases) * repeats)
+            found.append(_held(word, rate, done))
+    finally:  # after Ctrl-C the searches at hand are enough
+        pool.shutdown(cancel_futures=True)
+    return {
+        'machine': machine_facts(), 'runs': list(runs), 'repeats': repeats, 'look': LOOK,
+        'landscapes': list(LANDSCAPES), 'intervals': [asdict(one) for one in found],
+    }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Search:
+    """What one repetition gave."""
+
+    drawn: tuple[int, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    passes: tuple[bool, ...]
+    watched_covers: bool
+    watched_passes: bool
+
+
+def _search(word: str, rate: float, runs: tuple[int, ...], seed: int) -> _Search:
+    rho = list(LANDSCAPES.values())[seed % len(LANDSCAPES)](rate)
+    own = {} if drawn_share(word, {}) else {'floor': 0.3}
+    sampler = make_sampler(word, _SPACE, seed, runs[-1], **own)
+    failed = np.zeros(runs[-1], dtype=bool)
+    drawn = np.zeros(runs[-1], dtype=bool)
+    for number in range(runs[-1]):
+        index, point = sampler.next()
+        value = rho(point)
+        sampler.tell(index, value)
+        failed[number], drawn[number] = value <= 0, sampler.drawn(index)
+
+    def rated(number: int, *, anytime: bool, good: bool = False) -> ProgramRate:
+        hits = ~failed[:number] if good else failed[:number]
+        return ProgramRate(
+            runs=number, hits=int(hits.sum()), drawn=int(drawn[:number].sum()),
+            drawn_hits=int((hits & drawn[:number]).sum()), anytime=anytime, sampler=word,
+        )
+
+    def passes(number: int, *, anytime: bool) -> bool:
+        good = rated(number, anytime=anytime, good=True)
+        return bounds(good, _CONFIDENCE).low >= 1 - rate
+
+    ends = [rated(number, anytime=False).rate for number in runs]
+    looks = range(LOOK, runs[-1] + 1, LOOK)
+    return _Search(
+        drawn=tuple(int(drawn[:number].sum()) for number in runs),
+        low=tuple(one.low if one else 0.0 for one in ends),
+        high=tuple(one.high if one else 1.0 for one in ends),
+        passes=tuple(passes(number, anytime=False) for number in runs),
+        watched_covers=all(
+            one.low <= rate <= one.high
+            for one in (rated(look, anytime=True).rate for look in looks) if one
+        ),
+        watched_passes=any(passes(look, anytime=look != runs[0]) for look in looks),
+    )
+
+
+def _held(word: str, rate: float, done: Sequence[_Search]) -> Held:
+    return Held(
+        sampler=word, rate=rate, repeats=len(done),
+        drawn=_means(one.drawn for one in done),
+        covers=_means(
+            [low <= rate <= high for low, high in zip(one.low, one.high, strict=True)]
+            for one in done
+        ),
+        width=tuple(
+            statistics.median(widths) for widths in zip(
+                *([high - low for low, high in zip(one.low, one.high, strict=True)]
+                  for one in done), strict=True,
+            )
+        ),
+        passes=_means(one.passes for one in done),
+        watched_covers=statistics.fmean(one.watched_covers for one in done),
+        watched_passes=statistics.fmean(one.watched_passes for one in done),
+    )
+
+
+def _means(rows: Iterable[Sequence[float]]) -> tuple[float, ...]:
+    return tuple(statistics.fmean(column) for column in zip(*rows, strict=True))

@@ -1,0 +1,91 @@
+"""``taxinet bench intervals``: whether intervals hold what they promise."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.bench.intervals import measure_intervals
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.errors import UsageError
+
+INTERVALS = 'intervals'
+"""What is typed in place of subjects; samplers may follow."""
+
+_WIDTH = 100
+
+
+def asks_for_intervals(words: Sequence[str], given: Collection[str]) -> bool:
+    """Whether the words after ``taxinet bench`` ask for this.
+
+    Args:
+        words: the subjects.
+        given: names of the parameters that the command line sets.
+
+    Raises:
+        UsageError: the word is not the first, or options do not belong to it.
+    """
+    if INTERVALS not in words:
+        return False
+    if words[0] != INTERVALS:
+        raise UsageError(f'bench: {INTERVALS} goes first, and samplers after it')
+    wrong = set(given) - {'repeats', 'as_json', 'subjects'}
+    if wrong:
+        raise UsageError(f'bench: --{min(wrong)}: not with {INTERVALS}')
+    return True
+
+
+def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> int:
+    """Measure and print.
+
+    Args:
+        samplers: words; none for the usual ones.
+        repeats: searches for each sampler and failure rate.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: an unknown sampler, or no repetition.
+    """
+    with stage_bars(Console(stderr=as_json)) as show:
+        found = measure_intervals(samplers, repeats, partial(show, 'searching'))
+    print(json.dumps(found, indent=2)) if as_json else _print(found)
+    return 0
+
+
+def _print(found: dict[str, Any]) -> None:
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH
+    runs = ', '.join(f'{number:,}' for number in found['runs'])
+    console.print(
+        f'{found["repeats"]} searches for each line, {", ".join(found["landscapes"])} in turn; '
+        f'after {runs} runs', soft_wrap=True,
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column('sampler', no_wrap=True)
+    for heading in ('fail', 'runs', 'drawn', 'covers', 'width', 'gate', 'watched', 'gate, watched'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    for one in found['intervals']:
+        for number, runs_made in enumerate(found['runs']):
+            last = number + 1 == len(found['runs'])
+            table.add_row(
+                one['sampler'], f'{100 * one["rate"]:g} %', f'{runs_made:,}',
+                f'{one["drawn"][number]:.0f}',
+                *(f'{100 * one[name][number]:.1f} %' for name in ('covers', 'width', 'passes')),
+                *(f'{100 * one[name]:.1f} %' if last else ''
+                  for name in ('watched_covers', 'watched_passes')),
+            )
+    console.print(table)
+    console.print(
+        'covers: the 95 % interval holds the rate, and has that width in the median. gate: passes '
+        'when asked for the very rate, so at most 5 %. watched: the same by somebody who looks '
+        f'every {found["look"]} runs and stops when it suits', style='dim', soft_wrap=True,
+    )
