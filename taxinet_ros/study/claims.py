@@ -329,7 +329,7 @@ def _learning(results: Results) -> Iterator[Question]:
 
     def within(low: float, high: float) -> np.ndarray:
         return np.array([
-            choice.probability_within(low, high, one.learned.probabilities[choice.dimension.name])
+            choice.probability_within(low, high, one.probabilities[choice.dimension.name])
             for one in found
         ])
 
