@@ -64,9 +64,9 @@ def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> No
         UsageError: bad settings or hours.
     """
     values = read_settings(settings)
-    for key, option in {'time_of_day': '--hours', 'shadows': 'nothing'}.items():
+    for key, mend in {'time_of_day': 'use --hours', 'shadows': 'leave it out'}.items():
         if key in values:
-            raise UsageError(f'--set {key}: varies over the table; use {option} instead')
+            raise UsageError(f'--set {key}: varies over the table; {mend}')
     columns = _numbers('--hours', hours)
     if not columns:
         raise UsageError(f'--hours {hours!r}: expected numbers with commas, as 13,15.5')

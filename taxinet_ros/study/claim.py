@@ -17,7 +17,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom, brunnermunzel, hypergeom, norm
+from scipy.stats import binom, brunnermunzel, hypergeom, mannwhitneyu, norm
 from scipy.stats import t as student
 
 from taxinet_ros.analysis.paired_rates import PairedRates
@@ -26,6 +26,7 @@ SIGNIFICANT = 0.05
 """Probability that any verdict of a study is wrong."""
 
 
+_LEAST_VALUES = 3
 _LEAST_ERROR = 1e-9
 """Standard error of a mean below which values are the same but for rounding."""
 
@@ -167,8 +168,8 @@ def pairs_more_often(rates: PairedRates) -> Sides:
 
 
 def mean_above(values: Sequence[float], level: float) -> Sides:
-    """Whether a mean is above ``level``: Student's t; nothing is known from one value."""
-    if len(values) < 2:
+    """Whether a mean is above ``level``: Student's t; two values say too little of their spread."""
+    if len(values) < _LEAST_VALUES:
         return NOTHING_KNOWN
     error = max(float(np.std(values, ddof=1)) / math.sqrt(len(values)), _LEAST_ERROR)
     distance = (float(np.mean(values)) - level) / error
@@ -180,8 +181,9 @@ def mean_above(values: Sequence[float], level: float) -> Sides:
 def lower(first: np.ndarray, second: np.ndarray) -> Sides:
     """Whether a figure is mostly lower in one group than in another.
 
-    True where a value of the one group is below one of the other more often than above it (Brunner
-    and Munzel, Biometrical Journal 42, 2000, pp. 17-25).
+    True where a value of the one group is below one of the other more often than above it. The
+    greater p of two tests counts: of Brunner and Munzel (Biometrical Journal 42, 2000, pp. 17-25),
+    right where the groups spread differently, and of Mann and Whitney, right where they are small.
     """
     if min(len(first), len(second)) < 2:
         return NOTHING_KNOWN
@@ -192,8 +194,11 @@ def lower(first: np.ndarray, second: np.ndarray) -> Sides:
         return Sides(1.0, apart)
     if np.ptp(first) == np.ptp(second) == 0.0:
         return NOTHING_KNOWN
-    p_value = float(brunnermunzel(first, second, alternative='less').pvalue)
-    return Sides(p_value, 1.0 - p_value)
+    below = float(brunnermunzel(first, second, alternative='less').pvalue)
+    return Sides(*(
+        max(one, float(mannwhitneyu(first, second, alternative=side).pvalue))
+        for one, side in ((below, 'less'), (1.0 - below, 'greater'))
+    ))
 
 
 def even(groups: Sequence[np.ndarray], margin: float) -> Sides:

@@ -88,14 +88,15 @@ def _clouds(results: Results) -> Iterator[Question]:
     if original is None:
         return
     frame = original.runs.frame
-    dry = (frame['rain_percent'] == 0).to_numpy()
+    known = frame['rho'].to_numpy(dtype=float)
+    dry = (frame['rain_percent'] == 0).to_numpy() & ~np.isnan(known)
     for name, hours, words, first, second in (
         ('clouds_morning', EIGHT_H, 'at 8 am', 'stratus', 'clear'),
         ('clouds_reversal', TWO_H, 'at 2 pm', 'clear', 'stratus'),
     ):
         there = dry & original.within('time_of_day_h', *hours)
         rho = {
-            sky: frame['rho'].to_numpy(dtype=float)[there & (frame['clouds'] == sky).to_numpy()]
+            sky: known[there & (frame['clouds'] == sky).to_numpy()]
             for sky in (first, second)
         }
         yield Question(
@@ -328,7 +329,7 @@ def _learning(results: Results) -> Iterator[Question]:
 
     def within(low: float, high: float) -> np.ndarray:
         return np.array([
-            choice.probability_within(low, high, one.learned.probabilities[choice.dimension.name])
+            choice.probability_within(low, high, one.probabilities[choice.dimension.name])
             for one in found
         ])
 

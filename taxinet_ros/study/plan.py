@@ -116,15 +116,11 @@ def _retraining(config: StudyConfig) -> Iterator[Stage]:
 
 
 def _learning(config: StudyConfig) -> Iterator[Stage]:
-    program = learned_program(config)
     for sampler in config.samplers:
         for seed in config.learning_seeds:
-            name = search_of(sampler, seed)
-            outputs = [f'{name}/learned.json']
             yield campaign_stage(
-                name, config.learning_program, sampler=sampler, seed=seed,
+                search_of(sampler, seed), config.learning_program, sampler=sampler, seed=seed,
                 runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
-                outputs=[*outputs, program] if Path(program).parent.name == name else outputs,
             )
 
 
@@ -144,12 +140,14 @@ def _training(
     config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
 ) -> Stage:
     """The training of a network; further training of the generic one where images are added."""
-    inputs = [weights_of(GENERIC)] * bool(added) + [added] * (added == learned_program(config))
+    learned = added if added == learned_program(config) else ''
+    inputs = [weights_of(GENERIC)] * bool(added) + [learned] * bool(learned)
     others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
     return training_stage(
         weights_of(network), program, *more, images=config.images, validation=config.validation,
         added=config.added if added else 0, epochs=epochs or config.epochs,
         seed=config.training_seed, workers=config.workers, inputs=inputs, programs=others,
+        needs=learned,
     )
 
 
@@ -157,4 +155,5 @@ def _evaluation(config: StudyConfig, network: str, perception: str = '') -> Stag
     return campaign_stage(
         campaign_of(network), config.program, sampler='random', seed=config.seed, runs=config.runs,
         workers=config.workers, weights=weights_of(network), perception=perception,
+        needs=weights_of(network) if network == ITERATIVE[2] else '',
     )

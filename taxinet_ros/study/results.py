@@ -116,25 +116,13 @@ class Pair:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearningSearch:
-    """A search for the generic network's failures.
-
-    Attributes:
-        learned: the distribution that its sampler came to.
-        table: its runs.
-    """
-
-    learned: LearnedResult
-    table: pd.DataFrame
-
-
-@dataclass(frozen=True, kw_only=True)
 class Results:
     """Everything that is there; what is not done yet is missing.
 
     Attributes:
         networks: by name, in the study's order.
-        searches: for the generic network's failures, by sampler, one for each seed.
+        searches: what those for the generic network's failures learned, by sampler, one for each
+            seed.
         localized: values of ``localize.json``, or None.
         analysis: values of ``analysis.json``, or None.
         experiments: values of ``experiment.json`` by the experiment's name.
@@ -142,7 +130,7 @@ class Results:
     """
 
     networks: Mapping[str, Network]
-    searches: Mapping[str, tuple[LearningSearch, ...]]
+    searches: Mapping[str, tuple[LearnedResult, ...]]
     localized: Mapping[str, Any] | None
     analysis: Mapping[str, Any] | None
     experiments: Mapping[str, Mapping[str, Any]]
@@ -162,7 +150,7 @@ class Results:
     def distances(self) -> Choice | None:
         """The choice of where to start along the runway, of what was learned."""
         for found in self.searches.values():
-            for choice in found[0].learned.choices:
+            for choice in found[0].choices:
                 if 'distance' in choice.feeds and choice.pieces:
                     return choice
         return None
@@ -255,11 +243,10 @@ def _on_truth(original: Network | None, path: Path | None) -> dict[str, Any] | N
     }
 
 
-def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearningSearch, ...]]:
+def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, ...]]:
     found = {
         sampler: tuple(
-            LearningSearch(learned=LearnedResult.read(folder), table=read_table(folder))
-            for seed in config.learning_seeds
+            LearnedResult.read(folder) for seed in config.learning_seeds
             if ((folder := out / search_of(sampler, seed)) / LEARNED_NAME).is_file()
         )
         for sampler in config.samplers

@@ -63,6 +63,8 @@ class Stage:
         accepts: exit codes that mean that it is done. A run that violates its formula makes 1, and
             4 means that the bench broke some run, which is counted and shown.
         needs_failures: a campaign without whose failed runs there is nothing to do, or ''.
+        needs: one of the inputs, without which there is nothing to do, or '': its stage leaves none
+            where it has found nothing.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Stage:
     resume: Resume = Resume.ANEW
     accepts: tuple[int, ...] = (0,)
     needs_failures: str = ''
+    needs: str = ''
 
     def command(self, *, resume: bool = False) -> tuple[str, ...]:
         """The words after ``taxinet``."""
@@ -89,7 +92,7 @@ class Stage:
 
     def ready(self, out: Path) -> bool:
         """Whether what it needs of other stages is there."""
-        return all((out / name).is_file() for name in self.inputs)
+        return all((out / name).is_file() for name in self.inputs if name != self.needs)
 
     def identity(self, out: Path) -> str:
         """Digest of all that its result depends on, but for the number of runs.
@@ -109,11 +112,11 @@ class Stage:
             'words': self.words, 'version': __version__,
             'inputs': {
                 name: file_digest(out / name) for name in (*self.inputs, *self.wants)
-                if name in self.inputs or (out / name).is_file()
+                if (name in self.inputs and name != self.needs) or (out / name).is_file()
             },
             'programs': {
                 word: program_digest(out / word if word in self.inputs else find_program(word))
-                for word in self.programs
+                for word in self.programs if word != self.needs or (out / word).is_file()
             },
         }
         if self.experiment:

@@ -20,7 +20,7 @@ def workers_option(workers: int) -> tuple[str, ...]:
 
 def campaign_stage(
     name: str, program: str, *, sampler: str, seed: int, runs: int, workers: int, weights: str = '',
-    perception: str = '', outputs: Sequence[str] = (),
+    perception: str = '', outputs: Sequence[str] = (), needs: str = '',
 ) -> Stage:
     """Runs of a network, chosen by a sampler, without pictures.
 
@@ -34,13 +34,14 @@ def campaign_stage(
         weights: file of an earlier stage, or ``perception``.
         perception: word or file of a network from outside.
         outputs: files beside the table.
+        needs: the weights, where they may not be there because there was nothing to learn.
     """
     return Stage(
         name=name, runs=runs, hints=workers_option(workers),
         words=('falsify', program, '--sampler', sampler, '--seed', str(seed),
                '--perception', perception or weights, '--images', 'none', '--out', name),
         inputs=() if perception else (weights,), programs=(program,), perception=perception,
-        outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs,
+        outputs=(f'{name}/{PARQUET_NAME}', *outputs), kind=Kind.RUNS, amount=runs, needs=needs,
         # A run that violates its formula makes 1, one that the bench broke 4.
         resume=Resume.OPTION, accepts=(0, 1, 4),
     )
@@ -59,6 +60,7 @@ def analysis_stage(name: str, campaign: str, amount: float) -> Stage:
 def training_stage(
     weights: str, program: str, *more: str, images: int, validation: int, added: int, epochs: int,
     seed: int, workers: int, inputs: Sequence[str] = (), programs: Sequence[str] = (),
+    needs: str = '',
 ) -> Stage:
     """The training of a network.
 
@@ -74,9 +76,10 @@ def training_stage(
         workers: processes that work at once.
         inputs: files of earlier stages.
         programs: those of ``more``.
+        needs: the one of them that may not be there because nothing was learned, or ''.
     """
     return Stage(
-        name=Path(weights).parts[0], inputs=tuple(inputs),
+        name=Path(weights).parts[0], inputs=tuple(inputs), needs=needs,
         programs=tuple(dict.fromkeys([program, *programs])),
         words=('train', program, '--images', str(images), '--validation', str(validation),
                '--epochs', str(epochs), '--batch', str(min(_BATCH, images)), '--seed', str(seed),

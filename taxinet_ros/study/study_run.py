@@ -126,6 +126,8 @@ class StudyRun:
         return False
 
     def _nothing_to_do(self, stage: Stage) -> str:
+        if stage.needs and not (self._out / stage.needs).is_file():
+            return f'there is no {stage.needs}, for nothing was found: nothing to do'
         if not stage.needs_failures:
             return ''
         outcomes = read_table(self._out / stage.needs_failures)['outcome']

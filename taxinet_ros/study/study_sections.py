@@ -204,7 +204,7 @@ def _learned(found: StudyFindings) -> Section:
         return Section(name='learned', heading='')
     kinds = [
         f'{len(searches)} {"search" if len(searches) == 1 else "searches"} by {sampler} '
-        f'({min(len(one.table) for one in searches):,} runs each)'
+        f'({min(one.facts["runs_made"] for one in searches):,} runs each)'
         for sampler, searches in found.results.searches.items()
     ]
     return Section(

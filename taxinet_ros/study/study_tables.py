@@ -8,13 +8,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.campaign.rates import CONFIDENCE, Rate, share_bounds
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.campaign.learned_result import LearnedTogether
+from taxinet_ros.campaign.rates import Rate
 from taxinet_ros.study.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
 from taxinet_ros.study.plan import (
     BEST,
@@ -23,6 +24,7 @@ from taxinet_ros.study.plan import (
     ITERATIVE,
     ORIGINAL,
     SPECIALISED,
+    search_of,
 )
 from taxinet_ros.study.results import Network, Results, share_of
 
@@ -87,6 +89,10 @@ def learned_frame(results: Results) -> pd.DataFrame:
     if choice is None:
         return pd.DataFrame()
     generic = results.networks.get(GENERIC)
+    found = results.searches.get(WEIGHTED, ())
+    together = None
+    if found and all(one.evidence for one in found):
+        together = LearnedTogether(found, [Path(search_of(WEIGHTED, 0))] * len(found))
     lines = []
     for (low, high), paper in zip(
         itertools.pairwise(LEARNED_EDGES_M), PAPER_LEARNED, strict=True
@@ -96,37 +102,19 @@ def learned_frame(results: Results) -> pd.DataFrame:
             'paper': paper,
         }
         for sampler, searches in results.searches.items():
-            found = [
-                choice.probability_within(
-                    low, high, search.learned.probabilities[choice.dimension.name])
-                for search in searches
+            shares = [
+                choice.probability_within(low, high, one.probabilities[choice.dimension.name])
+                for one in searches
             ]
-            line |= {sampler: sum(found) / len(found), f'{sampler}_least': min(found),
-                     f'{sampler}_greatest': max(found)}
+            line |= {sampler: sum(shares) / len(shares), f'{sampler}_least': min(shares),
+                     f'{sampler}_greatest': max(shares)}
         if generic is not None:
             there = generic.within('distance_m', low, high)[generic.runs.failed]
             line |= {'failures': int(there.sum()), **_named('of_failures', share_of(there))}
-        if WEIGHTED in results.searches:
-            tables = [search.table for search in results.searches[WEIGHTED]]
-            line |= _named('weighted', _weighted_share(pd.concat(tables), low, high))
+        if together is not None:
+            line |= _named('weighted', together.within(choice.dimension.name, low, high))
         lines.append(line)
     return pd.DataFrame(lines)
-
-
-def _weighted_share(table: pd.DataFrame, low: float, high: float) -> Rate:
-    """Share of the failures under the program that start in [low, high), from a biased search.
-
-    Its interval is Clopper and Pearson's for as many failures as the weights are worth (Korn and
-    Graubard, Survey Methodology 24, 1998).
-    """
-    failed = table[table['outcome'] == Outcome.FAIL]
-    weights = failed['weight'].to_numpy(dtype=float)
-    if not len(failed) or np.isnan(weights).any():
-        return Rate(math.nan, math.nan, math.nan)
-    there = failed['distance_m'].between(low, high, inclusive='left').to_numpy()
-    share = float(weights[there].sum() / weights.sum())
-    worth = float(weights.sum() ** 2 / (weights**2).sum())
-    return Rate(share, *share_bounds(share * worth, (1 - share) * worth, (1 - CONFIDENCE) / 2))
 
 
 def _network_line(network: Network) -> dict[str, Any]:

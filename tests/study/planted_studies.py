@@ -13,7 +13,7 @@ from taxinet_ros.campaign.learned_result import LearnedResult
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.search_space import Choice, Piece
 from taxinet_ros.study.plan import NETWORKS
-from taxinet_ros.study.results import LearningSearch, Network, Results
+from taxinet_ros.study.results import Network, Results
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 CHOICE = Choice(
@@ -94,14 +94,10 @@ def shadow_pairs(
     })}
 
 
-def searches(*distances: tuple[float, ...]) -> dict[str, tuple[LearningSearch, ...]]:
+def searches(*distances: tuple[float, ...]) -> dict[str, tuple[LearnedResult, ...]]:
     """Searches by the paper's rule that came to these distributions over ten bins of 200 m."""
     return {'ce-verifai': tuple(
-        LearningSearch(
-            learned=LearnedResult(
-                facts={}, choices=(CHOICE,), probabilities={'ego.position.y': one}),
-            table=pd.DataFrame(),
-        )
+        LearnedResult(facts={}, choices=(CHOICE,), probabilities={'ego.position.y': one})
         for one in distances
     )}
 

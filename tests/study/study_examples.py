@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from planted_runs import planted_table
 
-from taxinet_ros.campaign.learned_result import LearnedResult
+from taxinet_ros.campaign.learned_result import Evidence, LearnedResult
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.space import Dimension
@@ -52,7 +52,8 @@ def made_up_study(out: Path) -> StudyConfig:
         made_up_table(name, failing).to_parquet(folder / 'runs.parquet', index=False)
     for number, seed in enumerate(config.learning_seeds):
         for sampler in config.samplers:
-            _learned(out / search_of(sampler, seed), 0.01 * number * (sampler == PAPER_RULE))
+            less = 0.01 * number * (sampler == PAPER_RULE)
+            _learned(out / search_of(sampler, seed), less, seed)
     _localized(out / LOCALIZE)
     _experiment(out / 'experiment-shadows')
     with StageLog(out) as log:
@@ -73,7 +74,7 @@ def made_up_table(name: str, failing: Callable[[pd.DataFrame], object]) -> pd.Da
     )
 
 
-def _learned(folder: Path, less: float) -> None:
+def _learned(folder: Path, less: float, seed: int) -> None:
     """What a search came to, with so much less at 1,400-1,600 m and more at 1,200-1,400 m."""
     folder.mkdir()
     probabilities = list(PROBABILITIES)
@@ -83,12 +84,13 @@ def _learned(folder: Path, less: float) -> None:
         dimension=Dimension(name='ego.position.y', low=0, high=2000, buckets=10),
         feeds=frozenset({'distance'}), pieces=(Piece(start=0, end=1, low=0, high=2000),),
     )
+    amounts = tuple(10.0 if number == 7 else 2.0 for number in range(10))
     result = LearnedResult(
-        facts={}, choices=(choice,), probabilities={'ego.position.y': tuple(probabilities)})
+        facts={'seed': seed, 'runs_made': 60}, choices=(choice,),
+        probabilities={'ego.position.y': tuple(probabilities)},
+        evidence={'ego.position.y': Evidence(amounts=amounts, squares=28.0)},
+    )
     (folder / 'learned.json').write_text(result.to_json())
-    table = made_up_table('generic', FAILING['generic'])[:60]
-    table.assign(weight=np.where(table['distance_m'] < 1000, 2.0, 0.5)).to_parquet(
-        folder / 'runs.parquet', index=False)
 
 
 def _localized(folder: Path) -> None:

@@ -108,6 +108,9 @@ def test_given_what_was_learned_then_its_stretches_stand_beside_the_paper_s(stud
     spread = [frame[f'ce-verifai{end}'][3] for end in ('_least', '', '_greatest')]
     assert spread == pytest.approx([planted[3] - 0.04, planted[3] - 0.02, planted[3]])
     assert frame['program'].to_numpy() == pytest.approx([0.1, 0.5, 0.1, 0.1, 0.2])
+    assert frame['weighted'].to_numpy() == pytest.approx(
+        [share / 28 for share in (2, 10, 2, 10, 4)])
+    assert (frame['weighted_low'] < frame['weighted']).all()
     assert frame['paper'].fillna(-1).tolist() == [0.05, -1, 0.16, 0.79, -1]
     runs = judged(study, 'generic')
     failed = runs[runs['outcome'] == 'FAIL']

@@ -160,6 +160,20 @@ def test_given_an_original_without_failures_then_nobody_is_asked_whose_fault_the
     assert asked(out) == []
 
 
+def test_t14_study_given_a_search_that_learned_nothing_then_nothing_is_trained_on_it(
+    finished, tmp_path
+):
+    out = copied(finished, tmp_path, 'learn-ce-2', 'train-iterative-learned',
+                 'evaluate-iterative-learned')
+    (out / 'flawless.txt').write_text('learn-ce-2')
+    code, lines = run_study(out)
+    assert code == 0
+    assert 'there is no learn-ce-2/learned.scenic, for nothing was found: nothing to do' in lines
+    assert not [line for line in asked(out) if 'iterative-learned' in line]
+    assert run_study(out)[0] == 0
+    assert asked(out) == []
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_given_a_study_when_interrupted_then_its_stage_ends_in_order_and_is_resumed(
     finished, tmp_path, number

@@ -157,8 +157,9 @@ def test_s9_given_idle_dimensions_when_learned_and_weighted_then_they_have_no_pa
     name: str,
 ) -> None:
     learned, weights, terms = [], [], []
+    slow = {'alpha': 0.995} if name == 'ce-verifai' else {}  # lest weights be too uneven to tell
     for seed in range(4):
-        sampler = make_sampler(name, CONDITIONAL, seed, 400)
+        sampler = make_sampler(name, CONDITIONAL, seed, 400, **slow)
         for _ in range(400):
             index, point = sampler.next()
             sampler.tell(index, wet_failures(point))
