@@ -16,6 +16,9 @@ from taxinet_ros.bag.scan import OnDamage, scan
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.errors import UsageError
 
+_TROUBLES_TOLD = 3
+"""Places that one line names; a damaged disk may have made hundreds."""
+
 Wanted = Callable[[str], bool]
 """Whether the topic of this name is to be read."""
 
@@ -143,7 +146,7 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
         metadata=contents.metadata,
         attachments=tuple(contents.attachments),
         complete=not trouble,
-        trouble='; '.join(trouble),
+        trouble='; '.join(trouble[:_TROUBLES_TOLD]) + _more(len(trouble) - _TROUBLES_TOLD),
     )
 
 
@@ -228,6 +231,10 @@ class _Contents:
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):
             self.attachments.append(record.name)
+
+
+def _more(count: int) -> str:
+    return f'; and {count} more' if count > 0 else ''
 
 
 def _folder_trouble(path: Path, messages: int) -> list[str]:
