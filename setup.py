@@ -162,6 +162,6 @@ setup(
     python_requires='>=3.11,<3.14',
     install_requires=REQUIREMENTS,
     extras_require=EXTRAS,
-    entry_points={'console_scripts': ['taxinet = taxinet_ros.cli.main:main']},
+    scripts=['scripts/taxinet'],
     zip_safe=False,
 )

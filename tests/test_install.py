@@ -43,7 +43,7 @@ ROS_NAME = re.compile(r'<(?:depend|exec_depend)>(\w+)</')
 def run(*command: str | Path, **more: Any) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, its output as text."""
     return subprocess.run(
-        [str(part) for part in command], capture_output=True, text=True, timeout=100, **more
+        [str(part) for part in command], capture_output=True, text=True, **more
     )
 
 

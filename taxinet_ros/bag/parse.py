@@ -40,10 +40,16 @@ from mcap.records import (
 from taxinet_ros.bag.errors import BagCorrupt
 
 MAX_RECORD_BYTES = 256 * 2**20
+_FREE_MESSAGES = 1_000_000
 HEAD = struct.Struct('<BQ')
 """What every record begins with: opcode, length of the rest."""
 
 _MESSAGE = struct.Struct('<HIQQ')
+_MESSAGE_INDEX = struct.Struct('<HI')
+_INDEX_ENTRY_BYTES = 16
+_CHUNK_NAME_AT, _CHUNK_LEAST_BYTES = 28, 40
+"""Of a chunk's body: where the name of its compression is, and its length without name and data."""
+
 _MALFORMED = (
     McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError,
     zstandard.ZstdError,
@@ -77,6 +83,8 @@ def parse_record(opcode: int, body: Body) -> McapRecord | None:
         return parse_message(body)
     if opcode == Opcode.ATTACHMENT:
         _check_attachment(body)
+    if opcode == Opcode.CHUNK:
+        _check_chunk(body)
     # A file may hold any number here; its type is the enumeration's only where it is known.
     return _read(_KINDS.get(opcode), body)  # type: ignore[call-overload]  # any int may be asked
 
@@ -108,6 +116,25 @@ def parse_message(body: Body) -> Message:
         channel_id=channel, sequence=sequence, log_time=log_time, publish_time=publish_time,
         data=bytes(body[_MESSAGE.size:]),
     )
+
+
+def check_message_index(body: Body) -> None:
+    """Hold the lengths within a message index against that of the record."""
+    entries = len(body) - _MESSAGE_INDEX.size
+    if entries < 0 or entries % _INDEX_ENTRY_BYTES:
+        raise BagCorrupt(f'message index of {len(body)} bytes')
+    if _MESSAGE_INDEX.unpack_from(body)[1] != entries:
+        raise BagCorrupt('message index contradicts its own length')
+
+
+def check_message_count(count: int, file_bytes: int) -> None:
+    """Refuse a file of more messages than a recorder would put into so many bytes.
+
+    The smallest message with its index takes more than a byte however well it is compressed; a
+    file that is made to keep a reader busy may claim thousands for each.
+    """
+    if count > _FREE_MESSAGES + file_bytes:
+        raise BagCorrupt(f'more than {count - 1} messages in a file of {file_bytes} bytes')
 
 
 def open_chunk(chunk: Chunk) -> bytes:
@@ -142,6 +169,8 @@ def split_records(raw: BodyT) -> Iterator[tuple[int, BodyT]]:
         if position + HEAD.size > len(raw):
             raise BagCorrupt('records do not fill their section')
         opcode, length = HEAD.unpack_from(raw, position)
+        if opcode == 0:  # Not one by the specification; zeros would be one each nine bytes.
+            raise BagCorrupt('record of kind 0')
         position += HEAD.size
         if length > len(raw) - position:
             raise BagCorrupt(f'record of {length} bytes exceeds its section')
@@ -171,6 +200,15 @@ def _unzstd(data: bytes, size: int) -> bytes:
     if declared not in (size, zstandard.CONTENTSIZE_UNKNOWN):
         raise BagCorrupt(f'chunk declares {size} bytes but its zstd frame {declared}')
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+
+
+def _check_chunk(body: Body) -> None:
+    """Hold the lengths within a chunk against the record's: the library takes what is there."""
+    if len(body) >= _CHUNK_LEAST_BYTES:
+        (name,) = struct.unpack_from('<I', body, _CHUNK_NAME_AT)
+        held = len(body) - _CHUNK_LEAST_BYTES - name
+        if held < 0 or struct.unpack_from('<Q', body, _CHUNK_NAME_AT + 4 + name)[0] != held:
+            raise BagCorrupt(f'chunk record of {len(body)} bytes contradicts its own lengths')
 
 
 def _check_attachment(body: Body) -> None:

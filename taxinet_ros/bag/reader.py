@@ -19,6 +19,9 @@ from taxinet_ros.core.errors import UsageError
 _ZSTD = b'\x28\xb5\x2f\xfd'
 """How a message begins that rosbag2 has compressed; one of CDR begins with a zero."""
 
+_TROUBLES_TOLD = 3
+"""Places that one line names; a damaged disk may have made hundreds."""
+
 Wanted = Callable[[str], bool]
 """Whether the topic of this name is to be read."""
 
@@ -150,7 +153,7 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
         metadata=contents.metadata,
         attachments=tuple(contents.attachments),
         complete=not trouble,
-        trouble='; '.join(trouble),
+        trouble='; '.join(trouble[:_TROUBLES_TOLD]) + _more(len(trouble) - _TROUBLES_TOLD),
         back_ns=contents.back_ns,
     )
 
@@ -240,6 +243,10 @@ class _Contents:
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):
             self.attachments.append(record.name)
+
+
+def _more(count: int) -> str:
+    return f'; and {count} more' if count > 0 else ''
 
 
 def _folder_trouble(path: Path, messages: int) -> list[str]:

@@ -45,8 +45,8 @@ class Recovery:
 def recover(source: Path, folder: Path) -> Recovery:
     """Copy every sound message, attachment and word of ``source`` into the new run ``folder``.
 
-    A damaged chunk costs that chunk. Where a record's length is damaged the next record cannot be
-    found, and the rest of the file is lost. ``source`` is only read.
+    A damaged chunk costs that chunk, and nothing behind it: see :mod:`taxinet_ros.bag.scan`.
+    ``source`` is only read.
 
     Raises:
         BagEmpty: nothing could be saved; no folder is made.

@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError
-from taxinet_ros.bag.parse import HEAD, open_chunk, parse_record
+from taxinet_ros.bag.parse import HEAD, check_message_count, open_chunk, parse_record
 from taxinet_ros.bag.reader import StoredMessage, Wanted
 from taxinet_ros.bag.storage import MAGIC
 from taxinet_ros.bag.summary import check_summary
@@ -84,10 +84,13 @@ class _File:
                 channel, _, stamp_ns, _ = _MESSAGE.unpack_from(raw, start)
                 topic = self._topics[channel]
                 self._count += 1
+                check_message_count(self._count, len(self._data))
                 if wanted(topic.name):
                     yield StoredMessage(topic, stamp_ns, raw[start + _MESSAGE.size:end])
-            else:
+            elif opcode:
                 self._note(parse_record(opcode, raw[start:end]))
+            else:
+                raise BagCorrupt('record of kind 0')
             start = end
         if start != len(raw):
             raise BagCorrupt('records do not fill their chunk')

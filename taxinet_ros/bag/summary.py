@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import mmap
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Statistics
+from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated
-from taxinet_ros.bag.parse import HEAD, MAX_RECORD_BYTES, parse_record, split_records
+from taxinet_ros.bag.parse import (
+    HEAD,
+    MAX_RECORD_BYTES,
+    parse_index,
+    parse_record,
+    split_records,
+)
 from taxinet_ros.bag.storage import MAGIC
 
 _FOOTER_BYTES = HEAD.size + 20
@@ -71,6 +79,48 @@ def check_summary(tail: bytes, start: int) -> tuple[Statistics | None, dict[int,
         elif isinstance(record, Channel):
             names[record.id] = record.topic
     return statistics, names
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What the summary of a file says that helps to read around damage.
+
+    Attributes:
+        start: offset at which the summary begins, where the data ends.
+        declarations: schemas and channels, each schema before its channels.
+        chunks: where the chunks are, in the order of the file.
+    """
+
+    start: int
+    declarations: tuple[Schema | Channel, ...]
+    chunks: tuple[ChunkIndex, ...]
+
+
+def sound_summary(data: mmap.mmap) -> Summary | None:
+    """The summary of a file, where one is that proves sound by its own checksum."""
+    try:
+        start = _footer(data[max(0, len(data) - _TAIL_BYTES):]).summary_start
+        if not 0 < start <= len(data) - _TAIL_BYTES or len(data) - start > MAX_RECORD_BYTES:
+            return None
+        tail = data[start:]
+        if not _footer(tail[-_TAIL_BYTES:]).summary_crc:
+            return None
+        check_summary(tail, start)
+        records = [
+            parse_record(opcode, body) or parse_index(opcode, body)
+            for opcode, body in split_records(tail[:-_TAIL_BYTES])
+        ]
+    except BagError:
+        return None
+    chunks = [record for record in records if isinstance(record, ChunkIndex)]
+    return Summary(
+        start=start,
+        declarations=(
+            *(record for record in records if isinstance(record, Schema)),
+            *(record for record in records if isinstance(record, Channel)),
+        ),
+        chunks=tuple(sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)),
+    )
 
 
 def _footer(tail: bytes) -> Footer:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated, BagWriteError
 
-WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 1, 3, 4
-"""Exit codes: those of ``mcap recover``, and one for a disk that takes no more."""
+WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 2, 3, 4
+"""Exit codes. 1 is kept for verdicts and for recordings that differ."""
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:

@@ -17,7 +17,7 @@ def run_recover(bag: Path, out: Path) -> int:
     """Save what is sound and print what was saved and what is lost.
 
     Returns:
-        Exit code: 0 everything was saved, 3 something is lost, 1 nothing could be saved, 4 the new
+        Exit code: 0 everything was saved, 3 something is lost, 2 nothing could be saved, 4 the new
         bag does not fit on the disk.
 
     Raises:

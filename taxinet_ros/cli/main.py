@@ -1,14 +1,19 @@
 """``taxinet``: run scenarios, search for failures, train the network, start nodes.
 
 Exit codes: 0 every run satisfied its specifications, 1 some run violated one, 2 bad input,
-3 a recording is incomplete, 4 the bench broke, 130 interrupted, 143 by SIGTERM.
+3 a recording is incomplete, 4 the bench broke, 130 interrupted, 143 by SIGTERM, 141 nobody reads
+the output any more.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import signal
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -33,12 +38,18 @@ from taxinet_ros.cli.given import asks_for, given_options
 from taxinet_ros.cli.monitor_command import monitor, spec
 from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
-from taxinet_ros.cli.terminal import outlived_terminal
+from taxinet_ros.cli.terminal import OutputUnreadError, flush_output, standard_streams
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.errors import InfraError, UsageError, plain_line
 
 USAGE, INFRA = 2, 4
-_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+UNREAD = 128 + signal.SIGPIPE
+_NOBODY_READS = 'output: nobody reads it any more'
+_PATH_ERRORS = (
+    errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
+    errno.EPERM,
+)
+"""Errors of the operating system that speak of a path that does not do."""
 
 app = typer.Typer(
     add_completion=False,
@@ -154,11 +165,57 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    code = INTERRUPTED
     with (
-        outlived_terminal(), heard_again(), handled(end_now, (signal.SIGTERM, signal.SIGHUP))
+        contextlib.suppress(KeyboardInterrupt),
+        heard_again(),
+        handled(end_now, (signal.SIGTERM, signal.SIGHUP)),
+        standard_streams() as closed,
     ):
-        code = _exit_code(lambda: app(standalone_mode=False))
+        code = _delivered(_exit_code(lambda: _command(closed)))
     sys.exit(told_apart(code))
+
+
+def _command(output_closed: bool) -> object:
+    if output_closed:
+        raise UsageError('standard output is closed; send it somewhere, if to /dev/null')
+    for word in sys.argv[1:]:
+        _check_word(word)
+    _have_ros_log_somewhere()
+    return app(standalone_mode=False)
+
+
+def _delivered(code: int) -> int:
+    """An exit code, where what was printed has come to where it was to go."""
+    try:
+        flush_output()
+    except OutputUnreadError:
+        return code if code == UNREAD else _complain(_NOBODY_READS, UNREAD)
+    except OSError as error:
+        return code if code == INFRA else _complain(f'output: {disk_words(error)}', INFRA)
+    return code
+
+
+def _check_word(word: str) -> None:
+    """Refuse what cannot be printed, nor written into tables and bags."""
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        shown = os.fsencode(word).decode('utf-8', 'backslashreplace')
+        raise UsageError(f'{shown}: is not UTF-8; give a name that is') from None
+
+
+def _have_ros_log_somewhere() -> None:
+    """Name a folder for what rclpy logs, where there is no home that it could write to."""
+    if any(os.environ.get(name) for name in ('ROS_LOG_DIR', 'ROS_HOME')):
+        return
+    home = os.environ.get('HOME')
+    if not (home and os.access(home, os.W_OK | os.X_OK)):
+        os.environ['ROS_LOG_DIR'] = os.path.join(
+            tempfile.gettempdir(), f'taxinet_ros_log_{os.getuid()}'
+        )
 
 
 def _exit_code(command: Callable[[], object]) -> int:
@@ -173,15 +230,30 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(str(error), INFRA)
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
-    except BrokenPipeError:
-        return INFRA
     except BagError as error:
         return _complain(str(error), INFRA)
+    except OutputUnreadError:
+        return _complain(_NOBODY_READS, UNREAD)
     except OSError as error:
-        if error.errno not in _DISK_ERRORS:
-            raise
-        return _complain(f'{error.filename or "disk"}: {disk_words(error)}', INFRA)
+        code = USAGE if error.errno in _PATH_ERRORS else INFRA
+        return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
+    except MemoryError:
+        return _complain('out of memory', INFRA)
+    except Exception as error:
+        return _complain(_unforeseen(error), INFRA)
     return code if isinstance(code, int) else 0
+
+
+def _unforeseen(error: Exception) -> str:
+    """One line on a mistake of ours; all of it where somebody asks for it."""
+    if os.environ.get('TAXINET_TRACEBACK'):
+        traceback.print_exception(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f'{Path(frame.filename).name}:{frame.lineno}'
+    return (
+        f'{type(error).__name__} in {place}: {plain_line(str(error))}; this is a defect of taxinet '
+        '(TAXINET_TRACEBACK=1 shows where it comes from)'
+    )
 
 
 def _complain(line: str, code: int) -> int:

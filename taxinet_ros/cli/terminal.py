@@ -1,48 +1,103 @@
-"""A terminal that goes away takes only what it shows with it, not the program."""
+"""The standard streams: what is wrong with them is told in one line, and is never a verdict.
+
+A terminal that goes away, or a stderr that takes no more, takes only what it shows with it, not
+the program.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import io
+import os
 import sys
 from collections.abc import Iterator
 from typing import Any, TextIO
 
 
-class _Leavable(io.FileIO):
-    """A terminal; once that is closed, what is written goes nowhere."""
+class OutputUnreadError(Exception):
+    """Nobody reads stdout any more. No OSError, which libraries take for their own to handle."""
+
+
+class _Output(io.FileIO):
+    """Stdout; once its terminal is closed, what is written goes nowhere."""
 
     def write(self, data: Any, /) -> int:
         """Write to it, if it is there."""
         try:
             return super().write(data)
+        except BrokenPipeError:
+            raise OutputUnreadError from None
         except OSError as error:
             if error.errno != errno.EIO:
                 raise
             return memoryview(data).nbytes
 
 
+class _Complaints(io.FileIO):
+    """Stderr; where it takes no more, what is written goes nowhere."""
+
+    def write(self, data: Any, /) -> int:
+        """Write to it, if it is there."""
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
 @contextlib.contextmanager
-def outlived_terminal() -> Iterator[None]:
-    """Within the ``with``, printing to a terminal that is closed is no error.
+def standard_streams() -> Iterator[bool]:
+    """Within the ``with``, printing to a closed terminal, and to any lost stderr, is no error.
 
-    The signal that says so (SIGHUP) may come later than the first failure to print.
+    The signal that says that a terminal is closed (SIGHUP) may come later than the first failure
+    to print. Streams that were closed from the start read and write nothing.
+
+    Yields:
+        Whether stdout was closed from the start, so that nobody would get an answer.
     """
-    before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = map(_leavable, before)
+    closed = sys.stdout is None
+    _fill_descriptors()
+    before = sys.stdin, sys.stdout, sys.stderr
+    sys.stdin = sys.stdin or os.fdopen(0, closefd=False)
+    sys.stdout = _through(_Output, sys.stdout or os.fdopen(1, 'w', closefd=False))
+    sys.stderr = _through(_Complaints, sys.stderr or os.fdopen(2, 'w', closefd=False))
     try:
-        yield
+        yield closed
     finally:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        sys.stdout, sys.stderr = before
+        with contextlib.suppress(OSError):
+            sys.stderr.flush()
+        sys.stdin, sys.stdout, sys.stderr = before
 
 
-def _leavable(stream: TextIO) -> TextIO:
-    if not stream.isatty():
+def flush_output() -> None:
+    """Have everything printed so far reach whoever reads it.
+
+    Raises:
+        OSError, OutputUnreadError: it does not; it is given up, and no later flush complains.
+    """
+    try:
+        sys.stdout.flush()
+    except (OSError, OutputUnreadError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
+        raise
+
+
+def _fill_descriptors() -> None:
+    """Have 0, 1 and 2 be open, so that no file or pipe of ours becomes a standard stream."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+
+
+def _through(kind: type[io.FileIO], stream: TextIO) -> TextIO:
+    """A stream to the same place by way of ``kind``; one that is no file's is left alone."""
+    try:
+        raw = kind(stream.fileno(), 'w', closefd=False)
+    except (OSError, ValueError):
         return stream
-    raw = _Leavable(stream.fileno(), 'w', closefd=False)
     return io.TextIOWrapper(
-        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors, line_buffering=True
+        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
+        line_buffering=bool(stream.line_buffering),
     )

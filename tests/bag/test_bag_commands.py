@@ -166,9 +166,9 @@ def test_given_films_when_exported_then_every_step_is_a_frame_with_its_picture(
 
 BAD = {
     'nothing there': (['info', 'nowhere'], 2, 'nowhere: no such bag'),
-    'no bag': (['doctor', 'garbage.mcap'], 1, 'not an MCAP file'),
-    'an sqlite bag': (['info', 'sqlite'], 1, 'ros2 bag convert'),
-    'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 1, 'holds no .mcap'),
+    'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
+    'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
+    'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'holds no .mcap'),
     'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'exists already'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'lies within the bag'),
     'export of a damaged bag': (

@@ -1,0 +1,166 @@
+"""Reading around damage: all that is undamaged is found, and nothing that was not recorded."""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from bag_faults import chunk, chunks_of, declarations, file_with, messages_by_chunk, salvaged
+from bag_samples import samples, write_bag
+from mcap.records import Message
+
+from taxinet_ros.bag.errors import BagForeign
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.recover import recover
+from taxinet_ros.bag.storage import encode
+
+BLOCK = 4096
+FLIPS, BLOCKS = 1000, 300
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A finished file of some tens of blocks and chunks."""
+    folder = tmp_path_factory.mktemp('recorded') / 'run'
+    return write_bag(folder, samples(40, shape=(24, 24))).read_bytes()
+
+
+def unfinished(data: bytes) -> bytes:
+    """The file as a killed recorder leaves it: without end of data, summary and footer."""
+    return data[:chunks_of(data)[-1][1]]
+
+
+@pytest.mark.parametrize('ending', [bytes, unfinished])
+def test_f3_given_single_flipped_bits_then_all_undamaged_messages_are_saved(
+    recorded: bytes, damaged: Callable[[bytes], Path], ending: Callable[[bytes], bytes]
+) -> None:
+    whole, rng = ending(recorded), np.random.default_rng(1)
+    shares = []
+    for _ in range(FLIPS // 2):
+        data = bytearray(whole)
+        place = int(rng.integers(len(data)))
+        data[place] ^= 1 << int(rng.integers(8))
+        shares.append(saved(damaged, recorded, bytes(data), place, place + 1))
+    kept, there = np.sum(shares, axis=0)
+    assert there > 100 * FLIPS
+    assert kept / there >= 0.999
+
+
+@pytest.mark.parametrize('ending', [bytes, unfinished])
+def test_f3_given_zeroed_blocks_then_all_undamaged_messages_are_saved(
+    recorded: bytes, damaged: Callable[[bytes], Path], ending: Callable[[bytes], bytes]
+) -> None:
+    whole, rng = ending(recorded), np.random.default_rng(2)
+    shares = []
+    for _ in range(BLOCKS // 2):
+        data = bytearray(whole)
+        start = BLOCK * int(rng.integers(len(data) // BLOCK))
+        data[start:start + BLOCK] = bytes(BLOCK)
+        shares.append(saved(damaged, recorded, bytes(data), start, start + BLOCK))
+    kept, there = np.sum(shares, axis=0)
+    assert there > 100 * BLOCKS
+    assert kept / there >= 0.999
+
+
+def test_f3_given_many_flipped_bits_then_the_chunks_between_are_saved(
+    recorded: bytes, damaged: Callable[[bytes], Path]
+) -> None:
+    rng = np.random.default_rng(3)
+    kept = there = 0
+    for _ in range(100):
+        data = bytearray(recorded)
+        places = rng.integers(len(data), size=12)
+        for place in places:
+            data[place] ^= 1 << int(rng.integers(8))
+        found, damage = salvaged(damaged(bytes(data)))
+        assert damage
+        assert not Counter(found) - all_messages(recorded)
+        intact = Counter(
+            message for start, end, messages in messages_by_chunk(recorded)
+            if not any(start <= place < end for place in places) for message in messages
+        )
+        kept += (intact & Counter(found)).total()
+        there += intact.total()
+    assert kept / there >= 0.99
+
+
+@pytest.mark.parametrize('field', [0, 1, 8, 25, 37, 41, 45])
+def test_f3_given_a_chunk_whose_head_is_damaged_then_what_it_holds_is_saved(
+    recorded: bytes, damaged: Callable[[bytes], Path], field: int
+) -> None:
+    start, _ = chunks_of(recorded)[16]
+    for whole in (recorded, unfinished(recorded)):
+        data = bytearray(whole)
+        data[start + field] ^= 0x04
+        found, (first, *_) = salvaged(damaged(bytes(data)))
+        assert Counter(found) == all_messages(recorded)
+        assert first.offset == start
+
+
+def test_f3_given_a_profile_one_bit_off_then_the_bag_is_damaged_and_not_foreign(
+    recorded: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    path = damaged(recorded.replace(b'ros2', b'vos2', 1))
+    assert "profile 'vos2' is one bit from 'ros2'" in read_info(path).trouble
+    assert recover(path, tmp_path / 'saved').saved == len(samples(40))
+
+
+def test_f3_given_zeroed_blocks_when_recovered_then_each_line_is_short(
+    recorded: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    data = bytearray(recorded)
+    for start in range(2 * BLOCK, len(data) - 4 * BLOCK, 4 * BLOCK):
+        data[start:start + BLOCK] = bytes(BLOCK)
+    path = damaged(bytes(data))
+    outcome = recover(path, tmp_path / 'saved')
+    assert outcome.saved > 100
+    assert 3 < len(outcome.damage) < 20
+    assert max(map(len, outcome.damage)) < len(str(path)) + 100
+    assert len(read_info(path).trouble) < 5 * (len(str(path)) + 100)
+
+
+def test_given_no_mcap_file_when_looked_through_then_it_is_foreign(
+    damaged: Callable[[bytes], Path]
+) -> None:
+    rng = np.random.default_rng(4)
+    for data in (b'no bag at all, ' * 5000, rng.bytes(200_000), bytes(100_000)):
+        with pytest.raises(BagForeign, match='not an MCAP file'):
+            salvaged(damaged(data))
+
+
+def test_f8_given_a_chunk_of_zeros_or_of_countless_messages_then_it_is_refused_at_once(
+    damaged: Callable[[bytes], Path]
+) -> None:
+    for raw, why in (
+        (bytes(1 << 24), 'record of kind 0'),
+        (declarations() + encode(Message(1, 0, b'', 0, 0)) * 1_100_000, 'messages in a file of'),
+    ):
+        record = chunk(zstandard.compress(raw), len(raw), 'zstd', crc=zlib.crc32(raw))
+        found, damage = salvaged(damaged(file_with(record)))
+        assert found == []
+        assert why in str(damage[0])
+
+
+def saved(
+    damaged: Callable[[bytes], Path], recorded: bytes, data: bytes, start: int, stop: int
+) -> tuple[int, int]:
+    """Undamaged messages that are found, and that there are; what is found was recorded."""
+    found, damage = salvaged(damaged(data))
+    assert damage
+    assert all(len(str(each)) < 300 and '\n' not in str(each) for each in damage)
+    assert not Counter(found) - all_messages(recorded)
+    intact = Counter(
+        message for first, end, messages in messages_by_chunk(recorded)
+        if stop <= first or start >= end for message in messages
+    )
+    return (intact & Counter(found)).total(), intact.total()
+
+
+def all_messages(recorded: bytes) -> Counter[tuple[int, int, bytes]]:
+    """Every message of the file, as often as it is there."""
+    return Counter(m for *_, messages in messages_by_chunk(recorded) for m in messages)
