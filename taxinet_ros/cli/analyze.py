@@ -16,11 +16,12 @@ from taxinet_ros.analysis.analysis_folder import (
     write_analysis,
 )
 from taxinet_ros.analysis.campaign_report import campaign_report
-from taxinet_ros.analysis.campaign_runs import read_runs, told_apart
+from taxinet_ros.analysis.campaign_runs import Weighting, read_runs, told_apart
 from taxinet_ros.analysis.cause_program import confirming
 from taxinet_ros.analysis.findings import Findings, analyse
 from taxinet_ros.analysis.summary_words import cause_sentences, summary
 from taxinet_ros.campaign.table import PARQUET_NAME
+from taxinet_ros.cli.gate import INCONCLUSIVE
 from taxinet_ros.core.errors import UsageError
 
 _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
@@ -29,7 +30,7 @@ _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
 def run_analyze(
     campaign: Path, baselines: Sequence[Path], out: Path | None, *, spec: str | None, alpha: float,
     viewers: int, as_json: bool,
-) -> None:
+) -> int:
     """Analyse a campaign, write the analysis down and print its summary.
 
     Args:
@@ -40,6 +41,9 @@ def run_analyze(
         alpha: level of the causes.
         viewers: most failed runs that the page shows step by step.
         as_json: print ``analysis.json`` in place of the summary.
+
+    Returns:
+        Exit code: 0, or 3 where the campaign tells no rate: its shares are of the runs made.
 
     Raises:
         UsageError: bad input.
@@ -57,9 +61,10 @@ def run_analyze(
         values = write_analysis(findings, report, folder, on_progress=show)
     if as_json:
         print(json_text(values), end='')
-        return
-    _print(console, findings, folder)
-    console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
+    else:
+        _print(console, findings, folder)
+        console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
+    return INCONCLUSIVE if runs.weighting is Weighting.UNKNOWN else 0
 
 
 def _print(console: Console, findings: Findings, folder: Path) -> None:

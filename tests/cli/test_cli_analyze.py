@@ -75,6 +75,16 @@ def test_given_a_campaign_when_analysed_then_tables_pictures_and_page_are_writte
     assert (baseline['label'], baseline['failed']['failures']) == ('taxinet', 0)
 
 
+def test_t2_given_runs_that_a_sampler_chose_when_analysed_then_there_is_no_rate_and_no_zero(
+    tmp_path, capsys
+):
+    chosen = table(40, 'original', early_fails=True).assign(sampler='halton', drawn=False)
+    chosen.to_parquet(tmp_path / 'c.parquet')
+    words = ['analyze', str(tmp_path / 'c.parquet'), '--viewers', '0']
+    assert main._exit_code(lambda: main.app(words, standalone_mode=False)) == 3
+    assert 'There is no rate from this search' in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(('words', 'complaint'), [
     (['nowhere'], 'nowhere/runs.parquet: no such table; is nowhere a campaign?'),
     (['c', '--spec', 'other'], '--spec other: not judged in c; known: phi'),
