@@ -126,7 +126,7 @@ def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes
     )
     with free, fixed:
         assert len(free.space()) == len(fixed.space())
-        point = [0.37] * len(free.space())
+        point = free.space().point([0.37] * len(free.space()))
         for index in range(5):
             scene, other = (source.scene(index, point) for source in (free, fixed))
             assert scene != other
