@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bench.intervals import LANDSCAPES, measure_intervals
-from taxinet_ros.cli.intervals import asks_for_intervals, run_intervals
+from taxinet_ros.cli.given import asks_for
+from taxinet_ros.cli.intervals import run_intervals
 from taxinet_ros.core.errors import UsageError
 
 
@@ -22,12 +23,12 @@ def test_given_a_landscape_then_it_fails_as_often_as_it_says(shape, rate):
 
 
 def test_given_words_then_only_what_belongs_to_it_is_taken():
-    assert asks_for_intervals(['intervals', 'ce'], ['subjects', 'repeats', 'as_json'])
-    assert not asks_for_intervals(['camera'], ['compare'])
+    assert asks_for('intervals', ['intervals', 'ce'], ['subjects', 'repeats', 'as_json'])
+    assert not asks_for('intervals', ['camera'], ['compare'])
     with pytest.raises(UsageError, match='intervals goes first'):
-        asks_for_intervals(['ce', 'intervals'], ['subjects'])
+        asks_for('intervals', ['ce', 'intervals'], ['subjects'])
     with pytest.raises(UsageError, match='--compare: not with intervals'):
-        asks_for_intervals(['intervals'], ['subjects', 'compare'])
+        asks_for('intervals', ['intervals'], ['subjects', 'compare'])
     for words, repeats, said in ((['cma'], 5, "sampler 'cma' is unknown"), ([], 0, '--repeats')):
         with pytest.raises(UsageError, match=said):
             measure_intervals(words, repeats, lambda done, total: None)

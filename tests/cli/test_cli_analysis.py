@@ -137,7 +137,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
 
 def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder, here):
     for words, code in (
-        (('--min-satisfaction', '0.8'), 1),
+        (('--min-satisfaction', '0.9'), 1),
         (('--max-off-runway', '0.5'), 3),
         (('--max-off-runway', '0.5', '--inconclusive', 'fail'), 1),
         (('--max-off-runway', '0.5', '--inconclusive', 'pass', '--junit', 'gate.xml'), 0),

@@ -65,7 +65,8 @@ def test_given_five_outcomes_when_printed_then_each_is_named_and_only_judged_run
     assert sum(' rho ' in line for line in printed) == JUDGED
     first, second, *_ = summary(rows, options).splitlines()
     assert first == WORDS
-    assert second.startswith('satisfied 67% (95 % interval 49%-81%)')  # 24 of 36
+    # 24 of 36, in a campaign that was interrupted.
+    assert second.startswith('satisfied 67% (95 % interval that holds wherever a campaign stops')
 
 
 def test_given_five_outcomes_when_a_sampler_is_told_then_only_judged_runs_have_a_rho(campaign):
@@ -101,7 +102,7 @@ def test_given_five_outcomes_at_the_gate_then_junit_and_words_tell_them_apart(
     campaign, taxinet, tmp_path
 ):
     folder, _, rows = campaign
-    asked = ('gate', folder, '--min-satisfaction', '0.5')
+    asked = ('gate', folder, '--min-satisfaction', '0.4')
     code, out = taxinet(*asked, '--junit', tmp_path / 'j.xml')
     assert code == 1, 'the bench broke, however many are satisfied'
     assert '24 PASS, 12 FAIL, 2 REJECTED, 3 INFRA_ERROR, 1 INTERRUPTED' in out

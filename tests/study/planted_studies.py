@@ -67,8 +67,8 @@ def planted_study(
         )
         runs = CampaignRuns(
             label=name, path=Path(name), program='s_falsif', perception=name, sampler='random',
-            spec='phi_eventually', facts={}, frame=frame, others={}, kinds={}, undecided=0,
-            weighting=Weighting.DRAWN,
+            spec='phi_eventually', facts={}, stacks=(), frame=frame, others={}, kinds={},
+            undecided=0, weighting=Weighting.DRAWN,
         )
         networks[name] = Network(
             name=name, runs=runs, table=frame, card={}, settled_m=np.zeros(0),

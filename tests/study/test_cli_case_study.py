@@ -143,5 +143,5 @@ def _results(out: Path) -> list[str]:
 
 def test_s11_given_list_for_a_folder_without_a_study_then_all_stages_are_named(tmp_path):
     done = taxinet('case-study', '--list', '--out', 'new', cwd=tmp_path)
-    assert (done.returncode, len(done.stdout.splitlines())) == (0, 21), done.stderr
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 30), done.stderr
     assert list(tmp_path.iterdir()) == []
