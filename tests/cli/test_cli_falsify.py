@@ -211,7 +211,7 @@ def test_given_quiet_and_an_early_stop_then_there_is_only_the_summary(tmp_path):
     lines = done.stdout.splitlines()
     assert lines[0].startswith('warning: fast: no run can satisfy it: speed >= 50 m/s (97.19 kt)')
     assert lines[1] == f'{LAG} FAIL', 'those that were chosen before the first result was told'
-    assert lines[-2] == 'ended before its 10 runs: failures=1 reached; --resume continues it'
+    assert 'ended before its 10 runs: failures=1 reached; --resume continues it' in lines
 
 
 def test_t7_given_no_sampler_then_it_is_the_one_that_finds_most(capsys):

@@ -7,6 +7,7 @@ stdout: exit code, and what it printed to stderr.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import json
 import os
@@ -18,11 +19,10 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
-import taxinet_ros.cli
-from taxinet_ros.cli.main import main
+from typer.main import get_command
 
-for module in pkgutil.iter_modules(taxinet_ros.cli.__path__):
-    importlib.import_module(f'taxinet_ros.cli.{module.name}')
+import taxinet_ros.cli
+from taxinet_ros.cli import main as program
 
 
 def closed(descriptor: int) -> Callable[[], None]:
@@ -108,7 +108,7 @@ def _be(words: list[str], surroundings: str, complaints: int) -> None:
         os.dup2(complaints, 2)
         sys.argv = ['taxinet', *map(os.fsdecode, map(bytes.fromhex, words))]
         SURROUNDINGS[surroundings]()
-        main()
+        program.main()
     except SystemExit as error:
         code = error.code
     except BaseException as error:
@@ -120,6 +120,11 @@ def _be(words: list[str], surroundings: str, complaints: int) -> None:
 
 
 if __name__ == '__main__':
+    # What takes time at the start of a command, once for all of them.
+    for module in pkgutil.iter_modules(taxinet_ros.cli.__path__):
+        importlib.import_module(f'taxinet_ros.cli.{module.name}')
+    program.app = get_command(program.app)
+    gc.freeze()
     answers = os.fdopen(os.dup(1), 'w')
     for line in sys.stdin:
         answers.write(json.dumps(trial(*json.loads(line))) + '\n')
