@@ -106,7 +106,7 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
 def warnings(spec: Spec, setting: Setting) -> list[str]:
     """What a requirement that can be judged may still say other than was meant; one line each."""
     found = list(_cut_windows(spec, setting.horizon_ns))
-    if not any(_windows(spec.formula)):
+    if all(0 <= w.latest_ns < max(setting.period_ns, 1) for w in _windows(spec.formula)):
         found.append('judges the first sample alone; for the whole run write always(...)')
     box, atoms = setting.box(spec.formula), ast.atoms(spec.formula)
     margins = {atom: margin_range(atom, box) for atom in atoms}
