@@ -156,6 +156,41 @@ def test_people2_attack_given_a_window_of_the_first_sample_alone_when_looked_at_
     assert warned(f'a={text}') == [wanted]
 
 
+@pytest.mark.parametrize(
+    ('text', 'part', 'verb'),
+    [
+        ('always(abs(cte) <= 1.5 or abs(cte) > 1.5)', '(abs(cte) <= 1.5) or (abs(cte) > 1.5)',
+         'violate'),
+        ('always(abs(cte) <= 1.5 and abs(cte) > 2)', '(abs(cte) <= 1.5) and (abs(cte) > 2)',
+         'satisfy'),
+        ('always(abs(cte) > 1.5 and 1.5 >= abs(cte))', '(abs(cte) > 1.5) and (1.5 >= abs(cte))',
+         'satisfy'),
+        ('eventually(cte > 1) implies eventually(cte > 1)',
+         '(eventually(cte > 1)) implies (eventually(cte > 1))', 'violate'),
+        ('always(cte > -1 or -2 > -3 * he and abs(cte) >= 1)', '', ''),
+        ('always(cte > -1 or abs(cte) >= 1)', '(cte > -1) or (abs(cte) >= 1)', 'violate'),
+        ('always(cte > -1 or abs(cte) > 1.1)', '', ''),
+        ('always(cte > 2 implies cte > 1)', '(cte > 2) implies (cte > 1)', 'violate'),
+        ('always(cte > 1 implies cte > 2)', '', ''),
+        ('always(cte > he or cte < he)', '(cte > he) or (cte < he)', 'violate'),
+        ('always(he < 1 and (cte <= 1 or cte > 0))', '(cte <= 1) or (cte > 0)', 'violate'),
+        ('eventually(cte > 1) or not eventually[0:5](cte > 1)', '', ''),
+        ('always(cte > 1) and (cte < -1)', '', ''),
+        ('always(cte <= 1 or cte > 1.0000000000000002)', '(cte <= 1) or (cte > 1.0000000000000002)',
+         'violate'),
+        ('always(cte <= 1e308 or cte > -1e308)', None, ''),
+    ],
+)
+def test_people2_attack_given_logic_that_settles_itself_when_looked_at_then_it_warns(
+    text: str, part: str | None, verb: str
+) -> None:
+    if part is not None:
+        wanted = f'a: {part}: nothing measured can {verb} it, by its logic alone'
+        assert warned(f'a={text}') == ([wanted] if part else [])
+        return
+    assert len(warned(f'a={text}')) == 1, 'its ranges have told it already'
+
+
 def test_people2_attack_given_a_negative_angle_when_told_then_its_degrees_are_negative() -> None:
     assert understood('a=always(he >= -10 deg)').startswith(
         'a: always over the run: he >= -0.174533 rad (-10 deg); '

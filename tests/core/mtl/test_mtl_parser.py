@@ -8,10 +8,11 @@ from decimal import Decimal
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mtl_strategies import fuzz
+from mtl_strategies import Trace, formulas, fuzz, traces
 
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import ast, parse_formula
+from taxinet_ros.core.mtl import Spec, ast, parse_formula, robustness
+from taxinet_ros.core.mtl.lint import Setting, warnings
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.mtl.units import UNITS
 
@@ -307,6 +308,24 @@ def test_people2_attack_given_a_length_in_a_window_then_the_hint_is_a_time(
     assert message.startswith(f'formula: column {column}: expected {expected}') or (
         message.startswith(f'formula: column {column}: ') and message.endswith(expected)
     )
+
+
+FEW = st.sampled_from([parse(text, ('cte', 'he')) for text in (
+    'cte <= 1', 'cte > 1', '1 >= abs(cte)', 'abs(cte) > 1', 'cte < -1', 'cte < he', 'cte >= he',
+)])  # fmt: skip
+
+
+@given(formulas(atoms=FEW), traces())
+@fuzz(200)
+def test_people2_attack_given_logic_that_settles_itself_then_no_trace_says_otherwise(
+    formula: ast.Formula, trace: Trace,
+) -> None:
+    setting = Setting(units={}, ranges={}, horizon_ns=10**10)
+    for line in warnings(Spec(name='a', formula=formula, text=str(formula)), setting):
+        part, _, settled = line.removeprefix('a: ').partition(': nothing measured can ')
+        if settled:
+            rho = robustness(parse(part, ('cte', 'he')), trace.stamps, trace.columns)
+            assert rho >= 0 if settled.startswith('violate') else rho <= 0
 
 
 def test_people2_given_an_own_signal_named_like_a_unit_when_parsed_then_it_is_the_signal() -> None:
