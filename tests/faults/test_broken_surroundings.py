@@ -34,7 +34,7 @@ DOES_NOTHING = {
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
     'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
     'monitor': ['nowhere'], 'node': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
-    'train': ['nothing'], 'up': ['--perception', 'nothing'],
+    'spec': ['nothing'], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
 }
 BREAK_ALL = ('few files', 'ASCII')
 WRONG = re.compile('Traceback|a defect of taxinet|\x1b')

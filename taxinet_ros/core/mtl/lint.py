@@ -35,7 +35,6 @@ _LARGE_RAD = 1.6
 _MOST_CASES = 256
 """Of a part of a formula with more cases to try than that nothing is said."""
 
-
 _Read = ast.Expr | ast.Formula | tuple[ast.Expr, ast.Expr]
 
 
