@@ -183,6 +183,8 @@ def _command(output_closed: bool) -> object:
         raise UsageError('standard output is closed; send it somewhere, if to /dev/null')
     for word in sys.argv[1:]:
         _check_word(word)
+    with contextlib.suppress(OSError):  # a folder that is gone matters to few commands
+        _check_word(os.getcwd())
     _have_ros_log_somewhere()
     return app(standalone_mode=False)
 

@@ -135,11 +135,67 @@ def test_people2_given_a_requirement_that_says_little_when_looked_at_then_one_li
     'always(abs(he) <= 90 deg)', 'always(abs(he) <= 1.5)', 'eventually(x >= 1.4 km)',
     'always(abs(cte - cte_estimate) <= 2 m)', 'always(cte < 0 implies eventually[0:5](cte > -1))',
     'eventually[0:15](always(abs(cte) <= 1.0 and abs(he) <= 0.1))',
+    'always(sqrt(cte*cte) <= 1.5 m)', 'always(sqrt(cte*cte + he*he) <= 1.5)',
+    'eventually[0:0.1](cte < 1)', 'cte < 1 and always(he < 1)', 'always(once(cte < 1))',
 ])
 def test_people2_given_a_sound_requirement_when_looked_at_then_nothing_is_warned_of(
     text: str,
 ) -> None:
     assert warned(text) == []
+
+
+@pytest.mark.parametrize('text', [
+    'once(cte <= 1)', 'historically(cte <= 1)', 'eventually[0:0](cte <= 1)', 'once[0:1](cte <= 1)',
+    'always[0:1e-9](cte <= 1)', 'always[0:99ms](cte <= 1)', 'not once(cte <= 1 and he <= 1)',
+    '(cte <= 1) since (he <= 1)', 'cte <= 1 and historically(he <= 1)',
+])
+def test_people2_attack_given_a_window_of_the_first_sample_alone_when_looked_at_then_it_warns(
+    text: str,
+) -> None:
+    wanted = 'a: judges the first sample alone; for the whole run write always(...)'
+    assert warned(f'a={text}') == [wanted]
+
+
+@pytest.mark.parametrize(
+    ('text', 'part', 'verb'),
+    [
+        ('always(abs(cte) <= 1.5 or abs(cte) > 1.5)', '(abs(cte) <= 1.5) or (abs(cte) > 1.5)',
+         'violate'),
+        ('always(abs(cte) <= 1.5 and abs(cte) > 2)', '(abs(cte) <= 1.5) and (abs(cte) > 2)',
+         'satisfy'),
+        ('always(abs(cte) > 1.5 and 1.5 >= abs(cte))', '(abs(cte) > 1.5) and (1.5 >= abs(cte))',
+         'satisfy'),
+        ('eventually(cte > 1) implies eventually(cte > 1)',
+         '(eventually(cte > 1)) implies (eventually(cte > 1))', 'violate'),
+        ('always(cte > -1 or -2 > -3 * he and abs(cte) >= 1)', '', ''),
+        ('always(cte > -1 or abs(cte) >= 1)', '(cte > -1) or (abs(cte) >= 1)', 'violate'),
+        ('always(cte > -1 or abs(cte) > 1.1)', '', ''),
+        ('always(cte > 2 implies cte > 1)', '(cte > 2) implies (cte > 1)', 'violate'),
+        ('always(cte > 1 implies cte > 2)', '', ''),
+        ('always(cte > he or cte < he)', '(cte > he) or (cte < he)', 'violate'),
+        ('always(he < 1 and (cte <= 1 or cte > 0))', '(cte <= 1) or (cte > 0)', 'violate'),
+        ('eventually(cte > 1) or not eventually[0:5](cte > 1)', '', ''),
+        ('always(cte > 1) and (cte < -1)', '', ''),
+        ('always(cte <= 1 or cte > 1.0000000000000002)', '(cte <= 1) or (cte > 1.0000000000000002)',
+         'violate'),
+        ('always(cte <= 1e308 or cte > -1e308)', None, ''),
+    ],
+)
+def test_people2_attack_given_logic_that_settles_itself_when_looked_at_then_it_warns(
+    text: str, part: str | None, verb: str
+) -> None:
+    if part is not None:
+        wanted = f'a: {part}: nothing measured can {verb} it, by its logic alone'
+        assert warned(f'a={text}') == ([wanted] if part else [])
+        return
+    assert len(warned(f'a={text}')) == 1, 'its ranges have told it already'
+
+
+def test_people2_attack_given_a_negative_angle_when_told_then_its_degrees_are_negative() -> None:
+    assert understood('a=always(he >= -10 deg)').startswith(
+        'a: always over the run: he >= -0.174533 rad (-10 deg); '
+    )
+    assert 'he + (-0.174533 rad (-10 deg)) <= 1 rad' in understood('a=he + (-10 deg) <= 1')
 
 
 def test_people2_given_a_window_beyond_a_short_run_when_looked_at_then_it_warns() -> None:

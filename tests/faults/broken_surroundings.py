@@ -59,6 +59,11 @@ def folder_gone() -> None:
     shutil.rmtree(folder)
 
 
+def folder_not_utf8() -> None:
+    os.makedirs(b'folder-\xff', exist_ok=True)
+    os.chdir(b'folder-\xff')
+
+
 def no_temporary() -> None:
     os.environ['TMPDIR'] = '/nowhere'
     tempfile.tempdir = '/nowhere'
@@ -84,6 +89,7 @@ SURROUNDINGS: dict[str, Callable[[], None]] = {
     'HOME nowhere': with_variable('HOME', '/nowhere'),
     'no place for temporary files': no_temporary,
     'folder gone': folder_gone,
+    'folder not UTF-8': folder_not_utf8,
     'ASCII': in_ascii,
     'no PATH': without('PATH'),
     'few files': few_files,

@@ -97,6 +97,23 @@ def test_f6_given_a_command_that_has_something_to_say_then_the_code_tells_whethe
         assert ask(words, surroundings) == (code, complaint), words
 
 
+def test_people2_attack_given_a_working_folder_that_is_not_utf8_then_nothing_is_written(
+    tmp_path: Path
+):
+    folder = tmp_path / os.fsdecode(b'a\xff')
+    folder.mkdir()
+    done = subprocess.run(
+        [SCRIPT, 'run', 'nominal', '--set', 'duration=1', '--perception', 'truth', '--images',
+         'none'],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        f'taxinet: error: {tmp_path}/a\\xff: is not UTF-8; give a name that is\n'
+    )
+    assert list(folder.iterdir()) == []
+
+
 @pytest.mark.parametrize(('word', 'complaint'), [
     ('x' * 300, 'taxinet: error: '),
     ('y/' * 2500, 'taxinet: error: '),

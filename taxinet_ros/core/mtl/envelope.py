@@ -113,6 +113,9 @@ def enclose(expr: ast.Expr, box: Mapping[str, Range]) -> Range:
         case ast.Negative(child):
             low, high = enclose(child, box)
             return -high, -low
+        case ast.Arithmetic('*', left, right) if left == right:
+            size = _function('abs', [enclose(left, box)])
+            return _arithmetic('*', size, size)
         case ast.Arithmetic(op, left, right):
             return _arithmetic(op, enclose(left, box), enclose(right, box))
         case ast.Function(name, args):

@@ -8,6 +8,7 @@ can happen, for its ranges are never too narrow.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -30,6 +31,11 @@ from taxinet_ros.core.mtl.words import (
 
 _LARGE_RAD = 1.6
 """An angle beyond it that is a whole number was hardly meant in radians: it is over 90 degrees."""
+
+_MOST_CASES = 256
+"""Of a part of a formula with more cases to try than that nothing is said."""
+
+_Read = ast.Expr | ast.Formula | tuple[ast.Expr, ast.Expr]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,13 +112,18 @@ def check_windows(spec: Spec, horizon_ns: int, period_ns: int = 0) -> None:
 def warnings(spec: Spec, setting: Setting) -> list[str]:
     """What a requirement that can be judged may still say other than was meant; one line each."""
     found = list(_cut_windows(spec, setting.horizon_ns))
-    if not any(_windows(spec.formula)):
+    if all(0 <= w.latest_ns < max(setting.period_ns, 1) for w in _windows(spec.formula)):
         found.append('judges the first sample alone; for the whole run write always(...)')
     box, atoms = setting.box(spec.formula), ast.atoms(spec.formula)
     margins = {atom: margin_range(atom, box) for atom in atoms}
     found += [text for atom in atoms for text in _doubts(atom, setting, box)]
     vacuous = [
         text for atom in atoms if (text := _certain(atom, margins[atom], setting, box))
+    ]
+    certain = {atom for atom in atoms if margins[atom][0] > 0 or margins[atom][1] < 0}
+    found += [
+        f'{part}: nothing measured can {"violate" if truth else "satisfy"} it, by its logic alone'
+        for part, truth in _settled(spec.formula) if certain.isdisjoint(ast.atoms(part))
     ]
     if setting.period_ns:
         low, high = robustness_range(spec.formula, setting.stamps_ns, margins)
@@ -220,13 +231,104 @@ def _certain(
     return f'{atom_words(atom, setting.units)} always {truth} ({why}){meant}'
 
 
-def _threshold(atom: ast.Compare) -> float | None:
-    """The number that a comparison compares with, if it is one alone."""
-    for side in (atom.right, atom.left):
-        match side:
-            case ast.Number(value) | ast.Negative(ast.Number(value)):
-                return value
+def _settled(formula: ast.Formula) -> Iterator[tuple[ast.Formula, bool]]:
+    """The outermost parts that are true, or false, whatever their comparisons and windows say."""
+    match formula:
+        case ast.Logic(_, left, right):
+            truths = _truths(formula)
+            if len(truths) == 1:
+                yield formula, truths.pop()
+                return
+            parts: tuple[ast.Formula, ...] = (left, right)
+        case ast.Not(child) | ast.Temporal(_, _, child):
+            parts = (child,)
+        case ast.TemporalPair(_, _, left, right):
+            parts = (left, right)
+        case ast.Compare():
+            parts = ()
+    for part in parts:
+        yield from _settled(part)
+
+
+def _truths(formula: ast.Formula) -> set[bool]:
+    """The truth values that a part of a formula can have, or more.
+
+    What is read (expressions, temporal parts) is taken to be independent. Its line is cut at every
+    number that it is compared with, and one value of each open piece is tried: at the cuts rho is
+    that of both sides, for it is continuous.
+    """
+    cuts: dict[_Read, set[float]] = {}
+    for leaf in _leaves(formula):
+        read, number, folded, _ = _reading(leaf)
+        cuts.setdefault(read, set()).update((number, -number) if folded else (number,))
+    pieces = [_inside(numbers) for numbers in cuts.values()]
+    if math.prod(map(len, pieces)) > _MOST_CASES:
+        return {True, False}
+    cases = itertools.product(*pieces)
+    return {_true(formula, dict(zip(cuts, case, strict=True))) for case in cases}
+
+
+def _inside(cuts: set[float]) -> list[float]:
+    """A value of each open piece that the cuts leave of a line."""
+    ends = sorted(cuts)
+    first = (math.nextafter(low, INF) for low in ends)
+    between = [at for at, high in zip(first, ends[1:], strict=False) if at < high]
+    return [-INF, *between, INF]
+
+
+def _true(formula: ast.Formula, case: Mapping[_Read, float]) -> bool:
+    match formula:
+        case ast.Not(child):
+            return not _true(child, case)
+        case ast.Logic(op, left, right):
+            one, two = _true(left, case), _true(right, case)
+            return one and two if op == 'and' else two or one is (op == 'or')
+    read, number, folded, above = _reading(formula)
+    value = abs(case[read]) if folded else case[read]
+    return (value > number) is above
+
+
+def _reading(leaf: ast.Formula) -> tuple[_Read, float, bool, bool]:
+    """What a leaf reads, the number beside it, whether |.| is compared, and is to be above."""
+    if not isinstance(leaf, ast.Compare):
+        return leaf, 0.0, False, True
+    one, two, above = leaf.left, leaf.right, leaf.op in ('>', '>=')
+    if _number(two) is None:
+        one, two, above = two, one, not above
+    number = _number(two)
+    if number is None:
+        return (leaf.left, leaf.right), 0.0, False, not above
+    match one:
+        case ast.Function('abs', (inner,)):
+            return inner, number, True, above
+    return one, number, False, above
+
+
+def _leaves(formula: ast.Formula) -> Iterator[ast.Formula]:
+    """Comparisons and temporal parts that and, or, not and implies join."""
+    match formula:
+        case ast.Not(child):
+            yield from _leaves(child)
+        case ast.Logic(_, left, right):
+            yield from _leaves(left)
+            yield from _leaves(right)
+        case _:
+            yield formula
+
+
+def _number(expr: ast.Expr) -> float | None:
+    match expr:
+        case ast.Number(value):
+            return value
+        case ast.Negative(ast.Number(value)):
+            return -value
     return None
+
+
+def _threshold(atom: ast.Compare) -> float | None:
+    """The size of the number that a comparison compares with, if it is one alone."""
+    numbers = (_number(side) for side in (atom.right, atom.left))
+    return next((abs(number) for number in numbers if number is not None), None)
 
 
 def _parts(expr: ast.Expr) -> Iterator[ast.Expr]:

@@ -11,7 +11,9 @@ is ``[a:b]`` or ``[a,b]`` in seconds or with a unit (s, ms, us, ns), and its end
 from __future__ import annotations
 
 import decimal
+import functools
 import math
+import re
 from collections.abc import Collection, Mapping
 from typing import NamedTuple, NoReturn, cast
 
@@ -28,6 +30,7 @@ from taxinet_ros.core.mtl.lexer import (
 )
 from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.mtl.units import (
+    MEANT,
     PURE,
     UNITS,
     Quantity,
@@ -69,6 +72,7 @@ class _Part(NamedTuple):
         quantity: of a number, what is known of its dimension.
         unit: the first number in it that has a unit, and that unit; or None.
         constant: it is a number and reads no signal.
+        clash: where it adds up unlike dimensions, and how: an error once a unit stands beside it.
     """
 
     node: _Node
@@ -76,6 +80,7 @@ class _Part(NamedTuple):
     quantity: Quantity = PURE
     unit: tuple[Token, str] | None = None
     constant: bool = False
+    clash: tuple[Token, str] | None = None
 
 
 def parse(
@@ -213,24 +218,21 @@ class _Parser:
     def _calculated(self, op: Token, left: _Part, right: _Part) -> _Part:
         """A comparison, or a sum, difference, product or quotient."""
         low, high = self._expr(left), self._expr(right)
-        constant = left.constant and right.constant
         if _POWER[op.text] == _COMPARE:
-            self._check_units(left, right)
+            both = self._beside(left, right)
             compared = ast.Compare(cast(ast.CompareOp, op.text), low, high)
-            if constant and not math.isfinite(compile_margin(compared, ())(())):
+            if both.constant and not math.isfinite(compile_margin(compared, ())(())):
                 self._fail(left.start, f'{compared} has no finite margin')
             return _Part(compared, left.start)
         if op.text in '+-':
-            self._check_units(left, right)
-            quantity = added(left.quantity, right.quantity)
+            both = self._beside(left, right)
         else:
-            quantity = multiplied(left.quantity, right.quantity, 1 if op.text == '*' else -1)
+            power = 1 if op.text == '*' else -1
+            both = self._together(left, right, multiplied(left.quantity, right.quantity, power))
         node = ast.Arithmetic(cast(ast.ArithmeticOp, op.text), low, high)
         if op.text == '/' and right.constant and not _value(high):
             self._fail(op, f'{node} divides by zero')
-        return self._finite(
-            _Part(node, left.start, quantity, left.unit or right.unit, constant), op
-        )
+        return self._finite(both._replace(node=node, start=left.start), op)
 
     def _finite(self, part: _Part, token: Token) -> _Part:
         """Refuse a constant that is none: it would void every run, not fail it."""
@@ -238,19 +240,34 @@ class _Parser:
             self._fail(token, f'{part.node} has no finite value')
         return part
 
-    def _check_units(self, left: _Part, right: _Part) -> None:
-        """Refuse a written unit beside what is of another dimension.
+    def _beside(self, left: _Part, right: _Part) -> _Part:
+        """Two parts that are added or compared, as that of them whose dimension is known.
 
-        What is compared without any is in SI, and up to whoever wrote it.
+        A written unit beside another dimension is refused. What is compared without any is in SI,
+        and up to whoever wrote it.
         """
-        wrong, other = (right, left) if right.unit else (left, right)
-        if wrong.unit is None or left.quantity.agrees(right.quantity):
-            return
-        (number, unit), dimension = wrong.unit, other.quantity.dimension
-        assert dimension is not None, 'what is not known agrees with everything'
-        self._fail(
-            number,
-            f'expected {kind_words(dimension)} to go with {other.node}, got {number.raw} {unit}',
+        known = right if left.quantity.pure else left
+        if not left.quantity.agrees(right.quantity):
+            wrong, other = (left, right) if left.unit and not right.unit else (right, left)
+            one, two = other.quantity.dimension, wrong.quantity.dimension
+            assert one is not None, 'what is not known agrees with everything'
+            assert two is not None, 'what is not known agrees with everything'
+            wanted = f'expected {kind_words(one)} to go with {other.node}'
+            if wrong.unit:
+                number, unit = wrong.unit
+                self._fail(number, f'{wanted}, got {number.raw} {unit}')
+            message = f'{wanted}, got {wrong.node}, {kind_words(two)}'
+            known = known._replace(clash=left.clash or right.clash or (wrong.start, message))
+        return self._together(known, left if known is right else right,
+                              added(left.quantity, right.quantity))
+
+    def _together(self, one: _Part, two: _Part, quantity: Quantity) -> _Part:
+        """What is known of two parts in one, as the first; a clash beside a unit is refused."""
+        clash, unit = one.clash or two.clash, one.unit or two.unit
+        if clash and unit:
+            self._fail(*clash)
+        return one._replace(
+            quantity=quantity, unit=unit, clash=clash, constant=one.constant and two.constant
         )
 
     def _prefix(self) -> _Part:
@@ -290,6 +307,8 @@ class _Parser:
         value = in_si(token.text, unit) if unit else float(token.text)
         if not math.isfinite(value):
             self._expected('a finite number', token)
+        if not value and re.match('[0.]*[1-9]', token.text):
+            self._expected('a number of at least 5e-324, or 0', token)
         node = ast.Number(value)
         if not unit:
             return _Part(node, token, constant=True)
@@ -333,15 +352,10 @@ class _Parser:
         if len(args) < least or len(args) > (most or len(args)):
             needs = f'{least} argument' if most else f'at least {least} arguments'
             self._fail(token, f'expected {needs} of {name}, got {len(args)}')
-        whole = args[0]
-        for arg in args[1:]:
-            self._check_units(whole, arg)
-            known = arg if whole.quantity.pure else whole
-            whole = known._replace(quantity=added(whole.quantity, arg.quantity))
-        part = _Part(
-            ast.Function(name, tuple(self._expr(arg) for arg in args)), token,
-            rooted(whole.quantity) if name == 'sqrt' else whole.quantity,
-            next((arg.unit for arg in args if arg.unit), None), all(arg.constant for arg in args),
+        whole = functools.reduce(self._beside, args)
+        part = whole._replace(
+            node=ast.Function(name, tuple(self._expr(arg) for arg in args)), start=token,
+            quantity=rooted(whole.quantity) if name == 'sqrt' else whole.quantity,
         )
         return self._finite(part, token)
 
@@ -356,7 +370,7 @@ class _Parser:
         start = self._at
         self._next()
         low_token = self._peek
-        low_ns = self._bound()
+        low_ns = self._bound("':' or ','")
         if self._peek.text not in (':', ','):
             self._expected("':' or ','")
         self._next()
@@ -364,22 +378,25 @@ class _Parser:
         if self._peek.text == 'inf':
             self._next()
         else:
-            high_ns = self._bound()
-        if self._peek.kind in ('name', 'word'):
-            self._expected(f"']' or a unit ({', '.join(_UNIT_NS)})")
+            high_ns = self._bound("']'")
         self._take(']')
         if high_ns is not None and low_ns > high_ns:
             seen = ''.join(t.raw for t in self._tokens[start : self._at])
             self._fail(low_token, f'expected a window [a:b] with a <= b, got {seen}')
         return ast.Interval(low_ns, high_ns)
 
-    def _bound(self) -> int:
+    def _bound(self, then: str) -> int:
         token = self._next()
         if token.text == '-':
             self._fail(token, "expected 0 seconds or more; 'once' and 'historically' look back")
         if token.kind != 'number':
             self._expected('a number of seconds', token)
         unit = self._next().text if self._peek.text in _UNIT_NS else 's'
+        if (wrong := self._peek).kind in ('name', 'word'):
+            meant = 's or min' if wrong.raw in ('m', 'M') else MEANT.get(wrong.raw)
+            told = f'; did you mean {meant}?' if meant in (*_UNIT_NS, 's or min') else ''
+            units = ', '.join(_UNIT_NS)
+            self._fail(wrong, f'expected {then} or a unit ({units}), got {wrong}{told}')
         try:
             # Exact, so that 0.1 is 100 ms to the nanosecond and nothing is rounded silently.
             time_ns = _EXACT.multiply(_EXACT.create_decimal(token.text), _UNIT_NS[unit])

@@ -129,11 +129,12 @@ PURE = Quantity(pure=True)
 
 def added(one: Quantity, two: Quantity) -> Quantity:
     """The quantity of a sum, a difference, or the lesser or greater of two."""
-    if one.pure:
-        return two
-    if two.pure or one.dimension == two.dimension:
-        return one
-    return Quantity()
+    if one.dimension is None or two.dimension is None:
+        known = one.dimension is not None or (two.pure and not one.pure)
+        return one if known else two
+    if not one.agrees(two):
+        return Quantity()
+    return two if one.product else one
 
 
 def multiplied(one: Quantity, two: Quantity, power: int) -> Quantity:

@@ -123,6 +123,8 @@ def _expr(expr: ast.Expr, dimension: Dimension | None) -> str:
             return value_words(value, dimension)
         case ast.Signal(name):
             return name
+        case ast.Negative(ast.Number(value)):
+            return value_words(-value, dimension)
         case ast.Negative(child):
             return f'-{_closed(child, dimension)}'
         case ast.Arithmetic(op, left, right):

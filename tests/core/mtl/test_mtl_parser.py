@@ -8,10 +8,11 @@ from decimal import Decimal
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mtl_strategies import fuzz
+from mtl_strategies import Trace, formulas, fuzz, traces
 
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import ast, parse_formula
+from taxinet_ros.core.mtl import Spec, ast, parse_formula, robustness
+from taxinet_ros.core.mtl.lint import Setting, warnings
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.mtl.units import UNITS
 
@@ -235,6 +236,96 @@ def test_people2_given_any_number_and_unit_when_parsed_then_it_is_the_exact_valu
     assert isinstance(parsed, ast.Compare)
     assert isinstance(parsed.right, ast.Number)
     assert math.isclose(parsed.right.value, wanted, rel_tol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('text', 'column', 'expected'),
+    [
+        ('cte + speed <= 3 m', 7, 'a length (m, km, cm, mm, ft, nmi) to go with cte, got speed, a '
+                                  'speed (m/s, km/h, kt)'),
+        ('always(he + cte <= 3 m)', 13, 'an angle (rad, mrad, deg, °) to go with he, got cte'),
+        ('3 m >= cte - speed', 14, 'to go with cte, got speed'),
+        ('cte + 1 + speed <= 3 m', 11, 'to go with cte + 1, got speed'),
+        ('cte + he + 1 m <= 3', 7, 'to go with cte, got he'),
+        ('(cte + he) * 2 <= 3 m', 8, 'to go with cte, got he'),
+        ('(cte + he) * 2 s <= 3', 8, 'to go with cte, got he'),
+        ('max(cte, he) <= 3 m', 10, 'to go with cte, got he'),
+        ('max(cte, 1 m, he) <= 3', 10, 'an angle (rad, mrad, deg, °) to go with he, got 1 m'),
+        ('min(1, cte, abs(he)) <= 3 m', 13, 'to go with cte, got abs(he)'),
+        ('speed * he + speed <= 3 deg', 23, 'a speed (m/s, km/h, kt) to go with'),
+    ],
+)
+def test_people2_attack_given_a_unit_beside_a_sum_of_unlike_parts_then_one_line_points_at_it(
+    text: str, column: int, expected: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_formula(text)
+    assert str(caught.value).startswith(f'formula: column {column}: expected ')
+    assert expected in str(caught.value)
+
+
+@pytest.mark.parametrize('text', [
+    'cte + speed <= 3', 'max(cte, he) <= 3', 'cte <= he', 'cte + speed * 2 s <= 3 m',
+    'speed * he + speed <= 3 m/s', 'cte + 1 + cte_estimate <= 3 m', 'min(1, cte, 2) <= 3 m',
+    'cte + speed <= 3 and cte <= 3 m', 'cte * cte + x * x <= 9', '1 - he <= 5 deg',
+])
+def test_people2_attack_given_like_parts_or_no_unit_then_the_formula_is_read(text: str) -> None:
+    parse_formula(text)
+
+
+def test_people2_attack_given_a_signal_without_unit_in_a_sum_then_the_rest_still_counts() -> None:
+    signals = {'cte': 'm', 'foo': ''}
+    parse('cte + foo <= 3 m', signals)
+    for text in ('cte + foo <= 3 deg', 'foo + cte <= 3 deg'):
+        with pytest.raises(UsageError, match='expected a length'):
+            parse(text, signals)
+
+
+@pytest.mark.parametrize('number', ['1e-400', '0.01e-400', '1e-400 m', '1e-322 mm', '.2e-999 deg'])
+def test_people2_attack_given_a_number_that_vanishes_when_parsed_then_it_is_refused(
+    number: str,
+) -> None:
+    with pytest.raises(UsageError, match='column 8: expected a number of at least 5e-324, or 0'):
+        parse_formula(f'cte <= {number}')
+    parse_formula('cte <= 0e-400 and cte <= 5e-324 and cte <= 0.00 m and cte > 0e5')
+
+
+@pytest.mark.parametrize(
+    ('window', 'column', 'expected'),
+    [
+        ('[0:0.5 m]', 14, "']' or a unit (s, ms, us, ns, min), got 'm'; did you mean s or min?"),
+        ('[0 m:5]', 10, "':' or ',' or a unit (s, ms, us, ns, min), got 'm'; did you mean s or"),
+        ('[0:5 sec]', 12, "got 'sec'; did you mean s?"),
+        ('[0:5 deg]', 12, "got 'deg'"),
+    ],
+)
+def test_people2_attack_given_a_length_in_a_window_then_the_hint_is_a_time(
+    window: str, column: int, expected: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_formula(f'always{window}(cte <= 1)')
+    message = str(caught.value)
+    assert message.startswith(f'formula: column {column}: expected {expected}') or (
+        message.startswith(f'formula: column {column}: ') and message.endswith(expected)
+    )
+
+
+FEW = st.sampled_from([parse(text, ('cte', 'he')) for text in (
+    'cte <= 1', 'cte > 1', '1 >= abs(cte)', 'abs(cte) > 1', 'cte < -1', 'cte < he', 'cte >= he',
+)])  # fmt: skip
+
+
+@given(formulas(atoms=FEW), traces())
+@fuzz(200)
+def test_people2_attack_given_logic_that_settles_itself_then_no_trace_says_otherwise(
+    formula: ast.Formula, trace: Trace,
+) -> None:
+    setting = Setting(units={}, ranges={}, horizon_ns=10**10)
+    for line in warnings(Spec(name='a', formula=formula, text=str(formula)), setting):
+        part, _, settled = line.removeprefix('a: ').partition(': nothing measured can ')
+        if settled:
+            rho = robustness(parse(part, ('cte', 'he')), trace.stamps, trace.columns)
+            assert rho >= 0 if settled.startswith('violate') else rho <= 0
 
 
 def test_people2_given_an_own_signal_named_like_a_unit_when_parsed_then_it_is_the_signal() -> None:
