@@ -13,7 +13,7 @@ from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.message_values import assumptions_of, sample_of, stamp_of
-from taxinet_ros.bag.reader import StoredMessage
+from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
@@ -185,10 +185,11 @@ def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSample
                  run.unclear)
         for run, reader in present
     ]
+    notes = [unchecked_files(path)]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
-        note = f'tells how these ended, and has not one step of them: {", ".join(absent)}'
-        found[0] = dataclasses.replace(found[0], note=note)
+        notes.append(f'tells how these ended, and has not one step of them: {", ".join(absent)}')
+    found[0] = dataclasses.replace(found[0], note='; '.join(filter(None, notes)))
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from bag_edits import GOLDEN
+from bag_faults import chunks_of
 from recordings import heard, record
 from rosbags.rosbag2.enums import CompressionMode
 
@@ -296,3 +297,35 @@ def test_ros1_attack_given_steps_that_come_twice_or_go_back_then_no_verdict_pass
         assert 'INCOMPLETE' in out
         assert word in out
         assert call(capsys, 'bag', 'doctor', bag)[0] == 3, name
+
+
+def test_ros1_attack_given_another_recorder_without_checksums_then_every_command_says_so(
+    tmp_path, capsys
+):
+    bag = record(tmp_path / 'bare', heard([GOOD]))
+    file = next(bag.glob('*.mcap'))
+    data = bytearray(file.read_bytes())
+    for start, _ in chunks_of(bytes(data)):
+        data[start + 33:start + 37] = bytes(4)
+    file.write_bytes(data)
+    for words in (('monitor',), ('bag', 'info'), ('bag', 'doctor')):
+        code, out, _ = call(capsys, *words, bag)
+        assert (code, 'chunks carry no checksum' in out) == (0, True), words
+
+
+def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, capsys):
+    messages = heard([GOOD])
+    odd = [*messages[:50], messages[50]._replace(stamp_ns=2 * 10**18), *messages[51:]]
+    code, out, _ = call(capsys, 'bag', 'info', record(tmp_path / 'odd', odd))
+    assert code == 0
+    assert 'more than a day: some stamps must be wrong' in out
+    assert 'stamps go back by' in out
+
+
+def test_ros1_attack_given_a_run_without_truth_then_doctor_calls_nothing_of_it_judged(
+    tmp_path, capsys
+):
+    keep = ('/scenario', '/run_status', '/monitor/verdict')
+    bag = record(tmp_path / 'blind', heard([GOOD], keep=lambda m: m.topic.name in keep))
+    _, out, _ = call(capsys, 'bag', 'doctor', bag)
+    assert '0 steps, bit for bit' not in out
