@@ -8,6 +8,7 @@ from pathlib import Path
 from taxinet_ros.bag.check_run import PERIOD_NS, read_record, read_records, whole_steps
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.facts import read_all_facts, read_facts
+from taxinet_ros.bag.reader import unchecked_files
 from taxinet_ros.bag.recover import Recovery, recover
 from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
@@ -34,6 +35,8 @@ def _run(bag: Path, out: Path) -> int:
     recovery = recover(bag, out)
     for line in recovery.damage:
         print(f'damage: {line}')
+    if bare := unchecked_files(bag):
+        print(bare)
     try:
         steps = list(_steps(out))
     except BagError:  # What is saved need not be sound as a run.

@@ -308,8 +308,11 @@ def test_ros1_attack_given_another_recorder_without_checksums_then_every_command
     for start, _ in chunks_of(bytes(data)):
         data[start + 33:start + 37] = bytes(4)
     file.write_bytes(data)
-    for words in (('monitor',), ('bag', 'info'), ('bag', 'doctor')):
-        code, out, _ = call(capsys, *words, bag)
+    for words in (
+        ('monitor', bag), ('bag', 'info', bag), ('bag', 'doctor', bag),
+        ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
+    ):
+        code, out, _ = call(capsys, *words)
         assert (code, 'chunks carry no checksum' in out) == (0, True), words
 
 
@@ -329,3 +332,15 @@ def test_ros1_attack_given_a_run_without_truth_then_doctor_calls_nothing_of_it_j
     bag = record(tmp_path / 'blind', heard([GOOD], keep=lambda m: m.topic.name in keep))
     _, out, _ = call(capsys, 'bag', 'doctor', bag)
     assert '0 steps, bit for bit' not in out
+
+
+def test_ros1_attack_given_a_recording_cut_short_when_split_then_the_damage_is_said(
+    both, tmp_path, capsys
+):
+    file = tmp_path / 'cut.mcap'
+    data = next(both.glob('*.mcap')).read_bytes()
+    for size, expected, where in ((len(data) - 3000, 3, 1), (len(data) // 2, 2, 2)):
+        file.write_bytes(data[:size])
+        told = call(capsys, 'bag', 'split', file, '--out', tmp_path / f'runs{size}')
+        assert told[0] == expected
+        assert 'at byte' in told[where]
