@@ -112,8 +112,8 @@ def _draw_atom(
     curve = _curve(value, samples)
     fits = np.array([_margin(atom, sample) >= 0 for sample in samples])
     span = [curve, *(bound for bound in (low, high) if bound is not None)]
-    least = float(min(np.nanmin(each) for each in span))
-    most = float(max(np.nanmax(each) for each in span))
+    known = [float(value) for each in span for value in np.ravel(each) if np.isfinite(value)]
+    least, most = min(known, default=0.0), max(known, default=0.0)
     pad = 0.12 * (most - least) or 1.0
     floor, ceiling = least - pad, most + pad
     axes.fill_between(

@@ -158,6 +158,9 @@ def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
     if record.scenario is None:
         return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
     last = last_seq(record)
+    if last < 0 and TRUTH not in record.values:
+        found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='not one control step')]
+        return Check(name='steps', looked_at='no truth', findings=tuple(found))
     found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
     return Check(
         name='steps', looked_at=f'{last + 1} control steps, every topic in each',
@@ -228,6 +231,8 @@ def check_verdict(record: RunRecord) -> Check:
     from taxinet_ros.bag.rejudge import verdict_findings
 
     steps, found = verdict_findings(record)
+    if not steps and not found:
+        return Check(name='verdict', looked_at='not one step to judge', skipped=True)
     return Check(
         name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
         'bit for bit', findings=tuple(found),

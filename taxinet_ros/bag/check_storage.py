@@ -24,7 +24,8 @@ def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
     """Whether every checksum holds and the file has its end."""
     count = sum(info.counts.values())
     return Check(
-        name='bytes', looked_at=f'{count} messages under the checksums of chunks, data and summary',
+        name='bytes', looked_at=f'{count} messages; {info.unchecked}' if info.unchecked else
+        f'{count} messages under the checksums of chunks, data and summary',
         findings=tuple(
             Finding(where=_place(error), what=_without_place(error), mend=RECOVER)
             for error in damage

@@ -13,7 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.run_samples import Recorded, RunSamples, read_run_samples, same_bits
+from taxinet_ros.bag.run_samples import (
+    Recorded,
+    RunSamples,
+    read_run_samples,
+    same_bits,
+    topics_of,
+)
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.loop import MAX_GAP_NS
@@ -59,7 +65,8 @@ class SpecVerdict:
         decided_s: first moment from which zero is out of the interval [s], or None.
         recorded: ends of the interval that the bag itself has for this formula, or None.
         same: whether that is the interval found here, to the last bit; None where it has none, or
-            where other assumptions make an interval that is still open another one.
+            where other assumptions make an interval that is still open another one, or a topic
+            that it reads is missing.
         breach_s: when a sample broke what is vouched for [s], or None; from then on the interval
             is that without assumptions.
         why: why the verdict is UNCLEAR, in a line, or ''.
@@ -146,6 +153,8 @@ def _judged(
     if not samples.duration_ns and samples.trouble:
         return JudgedBag(path=path, run=samples.run, trouble=samples.trouble)
     chosen = specs or [parse_spec(text) for text in samples.specs]
+    needed = topics_of(signals_of(chosen))
+    flaws = '; '.join(line for topic, line in samples.flaws.items() if topic in needed)
     unusable = samples.unusable_estimates
     return JudgedBag(
         path=path, run=samples.run,
@@ -155,7 +164,7 @@ def _judged(
         stopped_early=samples.stopped_early,
         blind=unusable if unusable > MOST_UNUSABLE_SHARE * len(samples.stamps_ns) else 0,
         frames=len(samples.stamps_ns),
-        trouble=samples.trouble,
+        trouble=samples.trouble or flaws,
         note=samples.note,
     )
 
@@ -179,6 +188,7 @@ def judged_spec(
         UsageError: the run was to last no time at all.
     """
     vouched = samples.assumptions if assumptions is None else assumptions
+    samples = samples.seen_by(spec)
     readings = _follow(samples, spec, vouched)
     alike = vouched == samples.assumptions or readings[-1].final
     return _spec_verdict(samples, spec, readings, alike=alike), readings
@@ -225,7 +235,7 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
         return BagVerdict.INCOMPLETE
     if not last.valid:
         return BagVerdict.INVALID
-    if not (last.final or samples.stopped_early) or not _decided(last):
+    if samples.flaws or not (last.final or samples.stopped_early) or not _decided(last):
         return BagVerdict.INCOMPLETE
     if last.lower > 0:
         return BagVerdict.SATISFIED
@@ -244,8 +254,8 @@ def _decided(reading: Reading) -> bool:
     return reading.lower > 0 or reading.upper <= 0
 
 
-def _same(samples: RunSamples, readings: Sequence[Reading], recorded: Recorded) -> bool:
+def _same(samples: RunSamples, readings: Sequence[Reading], recorded: Recorded) -> bool | None:
     if recorded.stamp_ns not in samples.stamps_ns:
-        return False
+        return None if samples.flaws else False
     here = readings[samples.stamps_ns.index(recorded.stamp_ns)]
     return same_bits((recorded.lower, recorded.upper), (here.lower, here.upper))

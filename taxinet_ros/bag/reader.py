@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, compressed, storage_files
-from taxinet_ros.bag.scan import OnDamage, scan
+from taxinet_ros.bag.scan import OnDamage, scan, unchecked
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.core.errors import UsageError
 
@@ -57,6 +57,7 @@ class BagInfo:
         complete: the recording was finished and nothing is damaged.
         trouble: one line on what is wrong, or empty.
         back_ns: by how much the stamps go back at most from one message to the next [ns].
+        unchecked: one line on messages that no checksum covers, or empty.
     """
 
     path: Path
@@ -69,6 +70,7 @@ class BagInfo:
     complete: bool
     trouble: str
     back_ns: int = 0
+    unchecked: str = ''
 
     @property
     def duration_s(self) -> float:
@@ -155,7 +157,13 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
         complete=not trouble,
         trouble='; '.join(trouble[:_TROUBLES_TOLD]) + _more(len(trouble) - _TROUBLES_TOLD),
         back_ns=contents.back_ns,
+        unchecked=unchecked_files(path),
     )
+
+
+def unchecked_files(path: Path) -> str:
+    """One line on messages of a bag that no checksum covers, or ''; see ``scan.unchecked``."""
+    return '; '.join(filter(None, map(unchecked, storage_files(path))))
 
 
 def read_attachment(path: Path, name: str) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.message_values import assumptions_of, sample_of, stamp_of
-from taxinet_ros.bag.reader import StoredMessage
+from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
@@ -24,11 +24,11 @@ from taxinet_ros.bag.run_topics import (
     VERDICT,
     is_topic,
 )
-from taxinet_ros.bag.runs import RunPart, read_recording, run_messages
+from taxinet_ros.bag.runs import read_recording, run_messages
 from taxinet_ros.bag.sound_messages import sound_messages
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, parse_spec, signal_names
+from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Spec, parse_spec, signal_names
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 
@@ -64,6 +64,8 @@ class RunSamples:
         unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
         trouble: one line on what of the bag is damaged or missing, or ''.
         note: one line on what else the recording tells of, or ''.
+        there: for each stamp, the topics that are there.
+        flaws: one line on what is wrong with a topic, by topic; those that read it get no verdict.
     """
 
     run: str
@@ -76,7 +78,28 @@ class RunSamples:
     stopped_early: bool
     unusable_estimates: int
     trouble: str
+    there: tuple[frozenset[str], ...]
     note: str = ''
+    flaws: Mapping[str, str] = field(default_factory=dict)
+
+    def seen_by(self, spec: Spec) -> RunSamples:
+        """The same of the control steps that hold every topic that a requirement reads."""
+        needed = topics_of(signal_names(spec.formula))
+        rows = [row for row, topics in enumerate(self.there) if topics >= needed]
+        flaws = {topic: line for topic, line in self.flaws.items() if topic in needed}
+        if len(rows) == len(self.there) and len(flaws) == len(self.flaws):
+            return self
+        return dataclasses.replace(
+            self, flaws=flaws,
+            stamps_ns=tuple(self.stamps_ns[row] for row in rows),
+            samples=tuple(self.samples[row] for row in rows),
+            there=tuple(self.there[row] for row in rows),
+        )
+
+
+def topics_of(names: Iterable[str]) -> frozenset[str]:
+    """The topics that some signals come from, and that of the steps themselves."""
+    return frozenset((TRUTH, *(_SOURCES[name] for name in names)))
 
 
 def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
@@ -87,7 +110,8 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 def read_run_samples(path: Path, names: Collection[str] | None = None) -> list[RunSamples]:
     """Read the samples of every run in a bag; damage is told in the result, not raised.
 
-    Only control steps of which every topic is there count, as with the monitor during the run.
+    Of these, only control steps of which every topic is there that a requirement reads count for
+    it, as with the monitor during the run: see :meth:`RunSamples.seen_by`.
     Messages belong together by their run and the stamp in their header, whoever logged them when.
     A run of which there is not one step is among the others only where there is no other.
 
@@ -157,33 +181,31 @@ def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSample
     pairs = list(zip(recording.runs, readers, strict=True))
     present = [pair for pair in pairs if not pair[0].absent] or pairs
     found = [
-        _samples(path, reader, '' if alone else run.name, _trouble(run, reader, trouble))
+        _samples(path, reader, '' if alone else run.name, trouble[0] if trouble else '',
+                 run.unclear)
         for run, reader in present
     ]
+    notes = [unchecked_files(path)]
     absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
     if absent and len(present) < len(pairs):
-        note = f'tells how these ended, and has not one step of them: {", ".join(absent)}'
-        found[0] = dataclasses.replace(found[0], note=note)
+        notes.append(f'tells how these ended, and has not one step of them: {", ".join(absent)}')
+    found[0] = dataclasses.replace(found[0], note='; '.join(filter(None, notes)))
     return found
 
 
-def _samples(path: Path, reader: _Reader, run: str, trouble: str) -> RunSamples:
+def _samples(
+    path: Path, reader: _Reader, run: str, trouble: str, unclear: str = ''
+) -> RunSamples:
     if reader.scenario is None:
         return RunSamples(
             run=run, duration_ns=0, specs=(), assumptions=NO_ASSUMPTIONS, stamps_ns=(), samples=(),
-            recorded={}, stopped_early=False, unusable_estimates=0,
+            recorded={}, stopped_early=False, unusable_estimates=0, there=(),
             trouble=f'no message on {SCENARIO}, so nothing tells what was run',
         )
     try:
-        return reader.run(run, trouble)
+        return reader.run(run, trouble, unclear)
     except _UNREADABLE as error:
         raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
-
-
-def _trouble(run: RunPart, reader: _Reader, damage: Sequence[str]) -> str:
-    if damage:
-        return damage[0]
-    return run.unclear if ODOMETRY in reader.steps else ''
 
 
 def _finished(path: Path) -> bool:
@@ -201,6 +223,7 @@ class _Reader:
     steps: dict[str, dict[int, Any]] = field(default_factory=dict)
     verdict: Any = None
     last: list[StoredMessage] = field(default_factory=list)
+    flaws: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._relative: dict[str, str] = {}
@@ -234,7 +257,15 @@ class _Reader:
         elif relative == VERDICT:
             self.verdict = message
         else:
-            self.steps[relative].setdefault(stamp_of(message), message)
+            self._keep(relative, stamp_of(message), message)
+
+    def _keep(self, relative: str, stamp_ns: int, message: Any) -> None:
+        steps = self.steps[relative]
+        latest_ns = next(reversed(steps), -1)
+        if stamp_ns <= latest_ns:
+            how = 'comes twice' if stamp_ns in steps else f'comes behind {latest_ns / NS_PER_S:g} s'
+            self.flaws.setdefault(relative, f'{relative}: {stamp_ns / NS_PER_S:g} s {how}')
+        steps.setdefault(stamp_ns, message)
 
     def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
         """Raise :class:`_NotPlainError` where it is of another run, or logged at another time."""
@@ -247,16 +278,20 @@ class _Reader:
         if not plain or stored.topic.name != f'/{relative}':
             raise _NotPlainError
 
-    def run(self, run: str, trouble: str) -> RunSamples:
-        """All of it."""
-        whole = set.intersection(*(set(messages) for messages in self.steps.values()))
-        stamps = tuple(sorted(whole))
+    def run(self, run: str, trouble: str, unclear: str) -> RunSamples:
+        """All of it; ``unclear`` says why nobody knows whose odometry it is, or nothing."""
+        stamps = tuple(sorted(self.steps[TRUTH]))
+        there = tuple(
+            frozenset(topic for topic, messages in self.steps.items() if stamp in messages)
+            for stamp in stamps
+        )
         duration_ns = round(float(self.scenario.duration) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         samples = [self._sample(stamp) for stamp in stamps]
         if ESTIMATE in self.steps:
-            for stamp, sample in zip(stamps, samples, strict=True):
-                sample.update(watch.signals(stamp, sample))
+            for stamp, sample, topics in zip(stamps, samples, there, strict=True):
+                if ESTIMATE in topics:
+                    sample.update(watch.signals(stamp, sample))
         begins_ns = min(self.steps[TRUTH], default=0)
         if begins_ns > 0 and not trouble:
             trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
@@ -270,12 +305,28 @@ class _Reader:
             recorded=self._recorded(),
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
             unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
-            trouble=trouble,
+            trouble=trouble, there=there,
+            flaws=self._partial() | self.flaws | ({ODOMETRY: unclear} if unclear else {}),
         )
 
+    def _partial(self) -> dict[str, str]:
+        """A line on each topic that is missing, begins late, or ends a step or more too early."""
+        last_ns = max(self.steps[TRUTH], default=-1)
+        found = {}
+        for topic, messages in self.steps.items():
+            if not messages and last_ns >= 0:
+                found[topic] = f'{topic}: no message of it, so what reads it is not judged'
+            elif min(messages, default=0) > min(self.steps[TRUTH], default=0):
+                found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
+            elif max(messages, default=last_ns) < last_ns - CONTROL_PERIOD_NS:
+                found[topic] = (
+                    f'{topic}: ends at {max(messages) / NS_PER_S:g} s, '
+                    f'the run at {last_ns / NS_PER_S:g} s'
+                )
+        return found
+
     def _plan(self, names: Collection[str]) -> None:
-        self.steps = {topic: self.steps.get(topic, {})
-                      for topic in (TRUTH, *(_SOURCES[name] for name in names))}
+        self.steps = {topic: self.steps.get(topic, {}) for topic in sorted(topics_of(names))}
         self._wanted = {SCENARIO, VERDICT, ROBUSTNESS, *self.steps}
 
     def _sample(self, stamp_ns: int) -> dict[str, float]:

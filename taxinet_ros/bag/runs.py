@@ -127,6 +127,11 @@ class Recording:
     damage: tuple[BagError, ...]
     broken: tuple[BagError, ...]
 
+    def without_run(self) -> BagEmpty:
+        """What to raise where there is no run; damage may have taken it."""
+        why = f': {self.damage[0]}' if self.damage else ''
+        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
+
     def choose(self, name: str | None) -> RunPart:
         """The run of that name, or the only one that was recorded.
 
@@ -142,7 +147,7 @@ class Recording:
                 raise UsageError(f'--run {name}: no such run in {self.path}; it holds {known}')
             return chosen[0]
         if not present:
-            raise BagEmpty(f'{self.path}: holds no run of ours', path=self.path)
+            raise self.without_run()
         if len(present) > 1:
             raise UsageError(
                 f'{self.path}: holds {len(present)} runs: '

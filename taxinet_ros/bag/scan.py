@@ -8,6 +8,7 @@ the first bytes of what they hold.
 
 from __future__ import annotations
 
+import hashlib
 import mmap
 import re
 import struct
@@ -101,6 +102,37 @@ def scan(path: Path, on_damage: OnDamage | None = None) -> Iterator[McapRecord]:
         raise BagError(f'{path}: cannot read: {error.strerror}', path=path) from error
 
 
+def unchecked(path: Path) -> str:
+    """One line on messages of a bag in which damage cannot be seen, for want of a checksum; or ''.
+
+    Args:
+        path: an ``.mcap`` file; looked through up to the first record that does not fit.
+    """
+    bare = chunks = loose = 0
+    try:
+        with path.open('rb') as stream:
+            size, offset = path.stat().st_size, len(MAGIC)
+            while offset + _CHUNK_HEAD.size <= size:
+                stream.seek(offset)
+                head = stream.read(_CHUNK_HEAD.size)
+                opcode, length = HEAD.unpack_from(head)
+                if opcode == Opcode.DATA_END:
+                    if length == _DATA_END_BYTES and any(head[HEAD.size:HEAD.size + length]):
+                        return ''
+                    break
+                if opcode == Opcode.CHUNK:
+                    chunks += 1
+                    bare += not _CHUNK_HEAD.unpack(head)[-1]
+                loose += opcode == Opcode.MESSAGE
+                offset += HEAD.size + length
+    except OSError as error:
+        raise BagError(f'{path}: cannot read: {error.strerror}', path=path) from error
+    if not bare and not loose:
+        return ''
+    what = f'{bare} of {chunks} chunks carry' if bare else f'{loose} messages outside chunks have'
+    return f'{path.name}: {what} no checksum, so that damage in them cannot be seen'
+
+
 class _Scanner:
     """State of one pass over a file."""
 
@@ -115,6 +147,8 @@ class _Scanner:
         self._channels: dict[int, Channel] = {}
         self._messages = 0
         self.chunks = 0
+        self._places: dict[bytes, int] = {}
+        self._repeats: set[int] = set()
         self._undeclared = 0
         self._damaged = False
 
@@ -130,7 +164,7 @@ class _Scanner:
                     if opcode == Opcode.DATA_END and len(body) == _DATA_END_BYTES:
                         self._finish(body, offset, crc)
                         return
-                    records = self.accept(opcode, body)
+                    records = self.accept(opcode, body, offset)
                 except BagError as error:
                     self.damage(error, offset)
                     damaged_at = offset
@@ -179,8 +213,8 @@ class _Scanner:
         self._crc = zlib.crc32(data, self._crc)
         return data
 
-    def accept(self, opcode: int, body: bytes) -> Iterable[McapRecord]:
-        """The records within one top-level record, checked against all before."""
+    def accept(self, opcode: int, body: bytes, offset: int) -> Iterable[McapRecord]:
+        """The records within the top-level record at ``offset``, checked against all before."""
         if opcode in _NOT_IN_DATA:
             raise BagCorrupt(f'record of kind {opcode} within the data')
         if opcode == Opcode.MESSAGE_INDEX:
@@ -190,7 +224,7 @@ class _Scanner:
             raise BagCorrupt(f'record of kind {opcode}, with what a chunk holds')
         record = parse_record(opcode, body)
         if isinstance(record, Chunk):
-            return self.within(open_chunk(record))
+            return self.within(open_chunk(record), offset)
         if isinstance(record, Message) and self.chunks:
             raise BagCorrupt('message outside the chunks')
         if record is None:
@@ -198,18 +232,26 @@ class _Scanner:
         self.check(record)
         return (record,)
 
-    def within(self, raw: bytes) -> Iterable[McapRecord]:
-        """The records of an opened chunk."""
+    def within(self, raw: bytes, offset: int) -> Iterable[McapRecord]:
+        """The records of an opened chunk; none where it repeats one before."""
         # Of a chunk that is wrong anywhere nothing is believed. All messages of a large one at
         # once may be many times its size, so it is gone through twice.
         small = len(raw) <= _SMALL_BYTES
         inner = tuple(chunk_records(raw)) if small else chunk_records(raw)
-        count = self._messages
+        before = count = self._messages
         for one in inner:
             self.check(one)
             count += isinstance(one, Message)
             check_message_count(count, self._size)
         self.chunks += 1
+        # No recorder writes the same messages, stamps and numbers twice; a broken disk may.
+        first = self._places.setdefault(hashlib.sha256(raw).digest(), offset)
+        if first != offset and count > before:
+            if offset not in self._repeats:
+                self._repeats.add(offset)
+                text = f'the chunk at byte {first} once more, {count - before} messages; left out'
+                self.damage(BagCorrupt(text), offset)
+            return ()
         return inner if small else chunk_records(raw)
 
     def counted(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
@@ -325,7 +367,7 @@ class _Salvage:
         if opcode == Opcode.CHUNK and self._vain_bytes <= 0:
             return None
         try:
-            return self._scanner.accept(opcode, self._data[begin:end]), end
+            return self._scanner.accept(opcode, self._data[begin:end], offset), end
         except BagForeign:
             raise
         except BagError:
@@ -338,16 +380,16 @@ class _Salvage:
         """The records of chunks whose frame is damaged there, but not what they hold."""
         if self._summary:
             known = [c for c in self._summary.chunks if start <= c.chunk_start_offset < end]
-            found = (self._indexed(index) for index in known)
+            found = ((index.chunk_start_offset, self._indexed(index)) for index in known)
         else:
             frames = _PACKED.finditer(self._data, start, end)
-            found = (self._unindexed(frame, end) for frame in frames)
-        for chunk in found:
+            found = ((frame.start(), self._unindexed(frame, end)) for frame in frames)
+        for place, chunk in found:
             # Without a checksum nothing tells whether it is what was recorded.
             if chunk is None or not chunk.uncompressed_crc or self._vain_bytes <= 0:
                 continue
             try:
-                records = self._scanner.within(open_chunk(chunk))
+                records = self._scanner.within(open_chunk(chunk), place)
             except BagForeign:
                 raise
             except BagError:

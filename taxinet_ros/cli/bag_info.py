@@ -18,8 +18,11 @@ from taxinet_ros.bag.runs import Recording, read_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
 from taxinet_ros.core.provenance import words as stack_words
+from taxinet_ros.core.types import NS_PER_S
 
 _LABEL_WIDTH = 11
+_LONGEST_S = 86_400
+"""No recording of runs is as long [s]."""
 
 
 def show_info(bag: Path, *, as_json: bool) -> int:
@@ -84,11 +87,17 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
     yield 'bag', 'whole' if info.complete else f'NOT WHOLE: {info.trouble}'
     if not info.complete:
         yield '', f'taxinet bag recover {info.path} --out NEW'
+    if info.unchecked:
+        yield '', info.unchecked
     for number, file in enumerate(storage_files(info.path)):
         yield ('' if number else 'files'), f'{file.name}  {file.stat().st_size / 1e6:.1f} MB'
     start, end = info.start_ns / 1e9, info.end_ns / 1e9
     clock = 'simulated' if recording.plain or not recording.runs else "by the recorder's clock"
     yield 'time', f'{info.duration_s:.1f} s {clock}, from {start:.1f} to {end:.1f} s'
+    if info.duration_s > _LONGEST_S:
+        yield '', 'more than a day: some stamps must be wrong'
+    if info.back_ns >= NS_PER_S:
+        yield '', f'stamps go back by {info.back_ns / NS_PER_S:g} s from a message to the next'
     if recording.runs and not recording.plain:
         yield '', f'a bag of each run: taxinet bag split {info.path} --out DIR'
     yield 'messages', str(sum(info.counts.values()))
@@ -154,6 +163,7 @@ def _plain(
     only = runs[0] if len(runs) == 1 else None
     return {
         'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,
+        'unchecked': info.unchecked, 'stamps_go_back_ns': info.back_ns,
         'run': None if only is None else finite(asdict(only)),
         'runs': [finite(asdict(facts)) for facts in runs if facts is not None],
         'own_recorder': recording.plain,

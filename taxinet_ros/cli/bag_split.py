@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taxinet_ros.bag.errors import BagEmpty, BagForeign
+from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.runs import read_recording, write_runs
 from taxinet_ros.campaign.options import check_new
@@ -29,7 +29,7 @@ def _split(bag: Path, out: Path) -> int:
     recording = read_recording(bag)
     present = [run for run in recording.runs if not run.absent]
     if not present:
-        raise BagEmpty(f'{bag}: holds no run of ours', path=bag)
+        raise recording.without_run()
     folders = {run.name: run_folder(out, run.name.replace('/', '_').replace('#', '.'))
                for run in present}
     if len(set(folders.values())) < len(folders):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
 
 from rich.console import Console
@@ -169,7 +170,8 @@ def _exit_code(bags: Iterable[JudgedBag]) -> int:
     judged = list(bags)
     violated = [bag for bag in judged if any(one.verdict.failed for one in bag.verdicts)]
     # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
-    if any(bag.run for bag in violated):
+    # Nor does a topic that is missing unsay what others tell: damage leaves no verdict at all.
+    if any(bag.run or bag.trouble for bag in violated):
         return VIOLATED
     if not all(bag.sound for bag in judged):
         return LOSSY
@@ -203,7 +205,13 @@ def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     judged = []
     for spec in specs:
         verdict, readings = judged_spec(samples, spec, vouched)
-        judged.append(JudgedSpec(verdict=verdict, readings=readings))
+        # Where a topic that it reads is missing, no more is known than before.
+        at = dict(zip(samples.seen_by(spec).stamps_ns, readings, strict=False))
+        known = accumulate(
+            (at.get(stamp) for stamp in samples.stamps_ns), lambda old, new: new or old,
+            initial=readings[0],
+        )
+        judged.append(JudgedSpec(verdict=verdict, readings=[*known][1:]))
     path = plot if plot.suffix else plot / f'{_file_name(bag)}{_PICTURE}'
     try:
         robustness_picture(

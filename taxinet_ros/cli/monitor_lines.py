@@ -85,7 +85,7 @@ def _recorded(one: SpecVerdict) -> str:
         return 'as recorded'
     lower, upper = one.recorded
     ends = f'{lower:+.17g}' if lower == upper else f'[{lower:+.17g}, {upper:+.17g}]'
-    return f'DIFFERS from the recorded {ends}'
+    return f'{"DIFFERS from the " if one.same is False else ""}recorded {ends}'
 
 
 def _bag(bag: JudgedBag) -> dict[str, Any]:

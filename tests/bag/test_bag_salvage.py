@@ -14,6 +14,7 @@ from bag_faults import chunk, chunks_of, declarations, file_with, messages_by_ch
 from bag_samples import samples, write_bag
 from mcap.records import Message
 
+from taxinet_ros.bag.checkup import check_bag
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recover import recover
@@ -164,3 +165,38 @@ def saved(
 def all_messages(recorded: bytes) -> Counter[tuple[int, int, bytes]]:
     """Every message of the file, as often as it is there."""
     return Counter(m for *_, messages in messages_by_chunk(recorded) for m in messages)
+
+
+@pytest.mark.parametrize('place', [5, 20])
+def test_f3_attack_given_a_chunk_that_is_there_twice_then_it_is_saved_once_and_named(
+    recorded: bytes, damaged: Callable[[bytes], Path], tmp_path: Path, place: int
+) -> None:
+    start, end = chunks_of(recorded)[place]
+    behind = chunks_of(recorded)[30][1]
+    for data in (recorded, unfinished(recorded)):
+        path = damaged(data[:behind] + recorded[start:end] + data[behind:])
+        outcome = recover(path, tmp_path / f'saved{len(data)}')
+        assert outcome.saved == len(samples(40))
+        (line,) = [line for line in outcome.damage if 'once more' in line]
+        assert f'at byte {behind}: the chunk at byte {start} once more' in line
+    # Amid other damage, too.
+    broken = bytearray(recorded[:behind] + recorded[start:end] + recorded[behind:])
+    broken[chunks_of(recorded)[10][1] - 6] ^= 0x10
+    found, damage = salvaged(damaged(bytes(broken)))
+    assert max(Counter(found).values()) == 1
+    assert sum('once more' in str(error) for error in damage) == 1
+
+
+def test_f3_attack_given_chunks_without_checksum_then_it_is_said(
+    recorded: bytes, damaged: Callable[[bytes], Path]
+) -> None:
+    assert read_info(damaged(recorded)).unchecked == ''
+    data = bytearray(unfinished(recorded))
+    for start, _ in chunks_of(recorded)[:3]:
+        data[start + 33:start + 37] = bytes(4)
+    path = damaged(bytes(data))
+    line = f'3 of {len(chunks_of(recorded))} chunks carry no checksum, so that damage in them'
+    assert line in read_info(path).unchecked
+    (check,) = [one for one in check_bag(path).checks if one.name == 'bytes']
+    assert line in check.looked_at
+    assert 'under the checksums' not in check.looked_at

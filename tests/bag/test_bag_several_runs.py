@@ -8,18 +8,20 @@ from typing import Any
 
 import pytest
 from bag_edits import GOLDEN
+from bag_faults import chunks_of
 from recordings import heard, record
 from rosbags.rosbag2.enums import CompressionMode
 
 from taxinet_ros.bag.compare import compare_bags
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.facts import read_facts
-from taxinet_ros.bag.judged_bag import JudgedBag, judge_runs
+from taxinet_ros.bag.judged_bag import BagVerdict, JudgedBag, judge_runs
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.bag.trace import read_trace
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.mtl import parse_spec
 
 GOOD, BAD = GOLDEN / 'taxinet-midday', GOLDEN / 'original-early-light'
 RUNS = (GOOD.name, BAD.name)
@@ -72,8 +74,6 @@ def test_ros1_given_another_recorder_when_judged_then_it_is_as_from_our_own_bags
 
 
 def test_ros1_given_a_formula_on_messages_that_name_no_run_then_none_is_mixed(both):
-    from taxinet_ros.core.mtl import parse_spec
-
     spec = parse_spec('far=always(x >= 1 and speed <= 30)')
     expected = [essence(judge_runs(own, [spec])[0]) for own in (GOOD, BAD)]
     assert expected[0] != expected[1]
@@ -101,8 +101,6 @@ def test_ros1_given_interleaved_runs_then_what_names_no_run_is_not_guessed(tmp_p
     bag = record(tmp_path / 'sorted', mixed)
     judged = judge_runs(bag)
     assert [essence(run) for run in judged] == [essence(judge_runs(b)[0]) for b in (GOOD, BAD)]
-    from taxinet_ros.core.mtl import parse_spec
-
     for run in judge_runs(bag, [parse_spec('always(x >= 1)')]):
         assert not run.sound
         assert 'odometry and frames name no run' in run.trouble
@@ -228,3 +226,121 @@ def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_ea
     with pytest.raises(UsageError, match='begins anew 12 s earlier, so it holds several runs'):
         playback.open_bag(str(bag))
     assert playback.open_bag(str(record(tmp_path / 'wall', heard([GOOD, BAD])))).complete
+
+
+def test_ros1_attack_given_two_runs_when_recovered_then_the_steps_of_each_are_told(
+    both, tmp_path, capsys
+):
+    code, out, err = call(capsys, 'bag', 'recover', both, '--out', tmp_path / 'whole')
+    assert (code, err) == (0, '')
+    for own in (GOOD, BAD):
+        assert f'{own.name}: 121 whole control steps of 121 planned, ended as' in out
+    cut = record(tmp_path / 'cut', heard([GOOD, BAD]), files=3)
+    last = cut / 'cut_2.mcap'
+    last.write_bytes(last.read_bytes()[:-20])
+    code, out, err = call(capsys, 'bag', 'recover', cut, '--out', tmp_path / 'saved')
+    assert (code, err) == (3, '')
+    assert 'damage: ' in out
+    assert 'lost no message, but what stands above' in out
+
+
+def without(topic: str, bag: Path) -> list[Any]:
+    """What a recorder hears of a run that has no ear for one topic."""
+    return heard([bag], keep=lambda message: message.topic.name != topic)
+
+
+@pytest.mark.parametrize('runs', [1, 2])
+def test_ros1_attack_given_a_topic_that_is_missing_then_other_formulas_are_judged_all_the_same(
+    runs, tmp_path, capsys
+):
+    lossy = without('/ground_truth/odom', BAD)
+    bag = record(tmp_path / 'deaf', [*(heard([GOOD]) if runs == 2 else []), *lossy])
+    own = judge_runs(BAD)[0].verdicts[0]
+    specs = ['--spec', own.spec.text, '--spec', 'slow=always(speed <= 30)']
+    for words in (specs[:2], specs, [*specs[2:], *specs[:2]]):
+        code, out, _ = call(capsys, 'monitor', bag, *words)
+        assert code == 1
+        assert 'DIFFERS' not in out
+        assert ('ground_truth/odom: no message of it' in out) is (len(words) > 2)
+    judged = judge_runs(bag, [own.spec, parse_spec('slow=always(speed <= 30)')])[-1]
+    assert judged.verdicts[0] == own
+    assert judged.verdicts[1].verdict is BagVerdict.INCOMPLETE
+    code, out, _ = call(capsys, 'monitor', bag, *specs[2:], '--plot', tmp_path / 'pictures')
+    assert code == 3
+    assert out.count('picture: ') == runs
+
+
+def test_ros1_attack_given_a_topic_that_ends_early_then_only_what_reads_it_is_incomplete(tmp_path):
+    bag = record(tmp_path / 'half', heard([BAD], keep=lambda message: (
+        message.topic.name != '/ground_truth/odom' or message.stamp_ns < 6 * 10**9
+    )))
+    own = judge_runs(BAD)[0].verdicts[0]
+    judged = judge_runs(bag, [own.spec, parse_spec('slow=always(speed <= 30)')])[0]
+    assert judged.verdicts[0] == own
+    assert judged.verdicts[1].verdict is BagVerdict.INCOMPLETE
+    assert 'ground_truth/odom: ends at 5.9 s, the run at 12 s' in judged.trouble
+
+
+def test_ros1_attack_given_steps_that_come_twice_or_go_back_then_no_verdict_passes(
+    tmp_path, capsys
+):
+    messages = heard([GOOD])
+    for name, logged, word in (
+        ('twice', [one for message in messages for one in (message, message)], 'comes twice'),
+        ('again', [*messages, *messages[400:500]], 'comes twice'),
+        ('back', [*messages[:10], *messages[400:500], *messages[10:400], *messages[500:]],
+         'comes behind'),
+    ):
+        bag = record(tmp_path / name, logged)
+        code, out, _ = call(capsys, 'monitor', bag)
+        assert code == 3, name
+        assert 'INCOMPLETE' in out
+        assert word in out
+        assert call(capsys, 'bag', 'doctor', bag)[0] == 3, name
+
+
+def test_ros1_attack_given_another_recorder_without_checksums_then_every_command_says_so(
+    tmp_path, capsys
+):
+    bag = record(tmp_path / 'bare', heard([GOOD]))
+    file = next(bag.glob('*.mcap'))
+    data = bytearray(file.read_bytes())
+    for start, _ in chunks_of(bytes(data)):
+        data[start + 33:start + 37] = bytes(4)
+    file.write_bytes(data)
+    for words in (
+        ('monitor', bag), ('bag', 'info', bag), ('bag', 'doctor', bag),
+        ('bag', 'recover', bag, '--out', tmp_path / 'saved'),
+    ):
+        code, out, _ = call(capsys, *words)
+        assert (code, 'chunks carry no checksum' in out) == (0, True), words
+
+
+def test_ros1_attack_given_absurd_stamps_then_info_names_them(tmp_path, capsys):
+    messages = heard([GOOD])
+    odd = [*messages[:50], messages[50]._replace(stamp_ns=2 * 10**18), *messages[51:]]
+    code, out, _ = call(capsys, 'bag', 'info', record(tmp_path / 'odd', odd))
+    assert code == 0
+    assert 'more than a day: some stamps must be wrong' in out
+    assert 'stamps go back by' in out
+
+
+def test_ros1_attack_given_a_run_without_truth_then_doctor_calls_nothing_of_it_judged(
+    tmp_path, capsys
+):
+    keep = ('/scenario', '/run_status', '/monitor/verdict')
+    bag = record(tmp_path / 'blind', heard([GOOD], keep=lambda m: m.topic.name in keep))
+    _, out, _ = call(capsys, 'bag', 'doctor', bag)
+    assert '0 steps, bit for bit' not in out
+
+
+def test_ros1_attack_given_a_recording_cut_short_when_split_then_the_damage_is_said(
+    both, tmp_path, capsys
+):
+    file = tmp_path / 'cut.mcap'
+    data = next(both.glob('*.mcap')).read_bytes()
+    for size, expected, where in ((len(data) - 3000, 3, 1), (len(data) // 2, 2, 2)):
+        file.write_bytes(data[:size])
+        told = call(capsys, 'bag', 'split', file, '--out', tmp_path / f'runs{size}')
+        assert told[0] == expected
+        assert 'at byte' in told[where]
