@@ -42,6 +42,7 @@ from taxinet_ros.campaign.scene_values import (
     of_scenario,
     plain_value,
 )
+from taxinet_ros.campaign.scenic_chance import check_clocks
 from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -480,6 +481,7 @@ def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
             node, (word, why) = node.compose[0], _COMPOSE
         if word:
             raise ProgramError(_sentence(word, why), (filename, _line(node)))
+    check_clocks(nodes, filename)
 
 
 def _of_classes(kind: type) -> dict[str, Place]:
