@@ -105,9 +105,9 @@ class _Watch:
     def profile(self, frame: FrameType, event: str, called: Any) -> None:
         if self.found is None and event == 'c_call':
             self._c_call(frame, called)
-        elif self.found is None and event == 'call' and frame.f_code is _SEED:
-            if frame.f_locals.get('a') is None:  # from the operating system
-                self._note(frame.f_back, 'random.seed', _reads)
+        elif (self.found is None and event == 'call' and frame.f_code is _SEED
+              and frame.f_locals.get('a') is None):  # from the operating system
+            self._note(frame.f_back, 'random.seed', _reads)
 
     def _c_call(self, frame: FrameType, called: Any) -> None:
         owner, name = getattr(called, '__self__', None), called.__name__

@@ -18,7 +18,7 @@ import difflib
 import functools
 import importlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -138,11 +138,12 @@ _OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
 
 @dataclass(kw_only=True, slots=True)
 class _Made:
-    """Where an object was made, and where each of its ``with`` was written."""
+    """Where an object was made, where each of its ``with`` was written, and what it then was."""
 
     thing: Any
     place: Place
     given: dict[str, Place]
+    began: dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -203,6 +204,8 @@ class Constructs:
             self._check_name(name)
         for name, value in params.items():
             self._check_value(name, value)
+        for made in self._made.values():
+            _check_kept(made)
         for thing in scenario.objects:
             if thing is not scenario.egoObject:
                 self._refuse_object(thing)
@@ -262,7 +265,7 @@ class Constructs:
                     )
             thing = new(kind, specifiers)
             self._made[id(thing)] = _Made(
-                thing=thing, place=_place(sys._getframe(1)), given=given
+                thing=thing, place=_place(sys._getframe(1)), given=given, began=dict(vars(thing)),
             )
             return thing
 
@@ -482,6 +485,40 @@ def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
         if word:
             raise ProgramError(_sentence(word, why), (filename, _line(node)))
     check_clocks(nodes, filename)
+    _check_assignments(nodes, filename)
+
+
+def _check_assignments(nodes: list[ast.AST], filename: str) -> None:
+    """Refuse what is said of an object when it is made already, by the name that holds it."""
+    holding = {'ego'}
+    for node in nodes:
+        if isinstance(node, ast.Assign) and _is_object(node.value, holding):
+            holding |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and not isinstance(node.ctx, ast.Load):
+            root: ast.AST = node
+            while isinstance(root, ast.Attribute):
+                root = root.value
+            if isinstance(root, ast.Name) and root.id in holding:
+                raise ProgramError(_late(ast.unparse(node)), (filename, node.lineno))
+
+
+def _is_object(value: ast.AST, holding: Collection[str]) -> bool:
+    return isinstance(value, syntax.New) or (isinstance(value, ast.Name) and value.id in holding)
+
+
+def _check_kept(made: _Made) -> None:
+    """Likewise by other ways, such as in a function; there the line is not known."""
+    for name, value in vars(made.thing).items():
+        if name.startswith('_') or name == 'mutationScale':  # which the statement mutate sets
+            continue
+        if name not in made.began or made.began[name] is not value:
+            raise ProgramError(_late(f'{name} of the {type(made.thing).__name__}'), made.place)
+
+
+def _late(what: str) -> str:
+    return (f'{what} is set when the object is made already, so it has no effect; say it where '
+            'the object is made: new Plane at (x, y), facing ANGLE')
 
 
 def _of_classes(kind: type) -> dict[str, Place]:

@@ -227,6 +227,36 @@ def spot(draw: str, before: str = '') -> str:
     return f'{MODEL}{before}\nego = new Plane at (0, {draw})\nparam rain = 0\n'
 
 
+LATE = {
+    'speed': (PLANE + 'ego.speed = 9\n', 3, 'ego.speed is set when'),
+    'pitch': (PLANE + 'ego.pitch = 0.3\n', 3, 'ego.pitch is set when'),
+    'behavior': (PLANE + 'ego.behavior = 3\n', 3, 'ego.behavior is set when'),
+    'typo': (PLANE + 'ego.distnace = 7\n', 3, 'ego.distnace is set when'),
+    'yaw': (PLANE + 'ego.yaw += 0.3\n', 3, 'ego.yaw is set when'),
+    'position': (PLANE + 'ego.position = (0, 500)\n', 3, 'ego.position is set when'),
+    'part of the position': (PLANE + 'ego.position.x = 3\n', 3, 'ego.position.x is set when'),
+    'heading': (PLANE + 'ego.heading_deg = 3\n', 3, 'ego.heading_deg is set when'),
+    'by another name': (
+        MODEL + 'jet = new Plane at (0, 400)\nego = jet\njet.speed, y = 3, 4\n', 4, 'jet.speed is'),
+    'in a scenario block': (
+        MODEL + 'scenario Main():\n    setup:\n        ego = new Plane at (0, 400)\n'
+        '        ego.yaw = 3\n', 5, 'ego.yaw is set when'),
+    'in a function': (PLANE + 'def turn(thing):\n    thing.yaw = 1\nturn(ego)\n', 2,
+                      'yaw of the Plane is set when'),
+    'by setattr': (PLANE + 'setattr(ego, "yoll", 3)\n', 2, 'yoll of the Plane is set when'),
+}
+
+
+@pytest.mark.parametrize('case', LATE)
+def test_s5_attack_what_is_assigned_to_a_made_object_is_refused(case: str, ask: Ask) -> None:
+    text, line, message = LATE[case]
+    error = ask(text)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['message'].endswith('new Plane at (x, y), facing ANGLE')
+    assert error['line'] == line
+
+
 NP = 'import numpy as np'
 CHANCE = {
     'uniform': (spot('random.uniform(0, 2000)', 'import random'), 3,
