@@ -199,6 +199,8 @@ def _message(error: BaseException, allowed_s: float) -> str:
         return 'the program needs more memory than it may have'
     if isinstance(error, ProgramError) or type(error).__module__.startswith('scenic.'):
         return text
+    if isinstance(error, NameError) and error.name == 'DotMap':
+        text += '; a dict does as well: {"alpha": 0.9}'
     return f'{type(error).__name__}: {text}'
 
 

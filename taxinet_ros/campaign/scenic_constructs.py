@@ -26,13 +26,14 @@ from types import FrameType
 from typing import Any
 
 import scenic
-from scenic.core.distributions import Samplable, needsSampling
+from scenic.core.distributions import MultiplexerDistribution, Samplable, needsSampling
 from scenic.core.object_types import Object
 from scenic.core.regions import AllRegion
 from scenic.core.vectors import Vector
 from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
+from taxinet_ros.campaign.overrides import check_value
 from taxinet_ros.campaign.programs import MODEL
 from taxinet_ros.campaign.scene_values import (
     EGO_VALUES,
@@ -43,6 +44,7 @@ from taxinet_ros.campaign.scene_values import (
     plain_value,
 )
 from taxinet_ros.campaign.scenic_chance import check_clocks
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -301,6 +303,11 @@ class Constructs:
             plain = plain_value(name, drawn, place)
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
+            if isinstance(plain, str) and name != 'date':  # a date may be computed, and be none
+                _check_word(name, plain, place)
+        for option in value.options if isinstance(value, MultiplexerDistribution) else ():
+            if isinstance(option, str):
+                _check_word(name, option, place)
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))
@@ -348,6 +355,14 @@ class Constructs:
                 f'with {name}: no property of {type(ego).__name__}, so it has no effect'
                 f'{_meant(name, known)}', place,
             )
+
+
+def _check_word(name: str, word: str, place: Place | None) -> None:
+    """Refuse a word that is wrong in every run, by a slip of the pen, and not by chance."""
+    try:
+        check_value(name, word)
+    except UsageError as error:
+        raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
 
 
 def _drawn(value: Any) -> list[Any]:

@@ -175,6 +175,20 @@ REFUSED = {
         'param externalSampler = ExternalSampler\n', 4, 'externalSampler: a sampler of the'),
     'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = 3\n', 3,
                            'externalSamplerRejectionFeedback has no effect here'),
+    'attack: switch': (PLANE + 'param shadows = Uniform("on", "maybe")\n', 3,
+                       "param shadows needs on or off, got 'maybe'"),
+    'attack: rare word': (PLANE + 'param clouds = Options({"clear": 999, "cloudy": 1})\n', 3,
+                          "param clouds is 'cloudy', not one of"),
+    'attack: aircraft': (PLANE + 'param aircraft = Uniform("default", "jumbo")\n', 3,
+                         'param aircraft'),
+    'attack: word of a pair': (
+        PLANE + 'w = Uniform(("clear", 0), ("brokn", 9))\nparam clouds = w[0]\n', 4,
+        "param clouds is 'brokn'"),
+    'attack: date': (PLANE + 'param date = Uniform("2026-06-01", "June")\n', 3, 'param date'),
+    'attack: DotMap': (PLANE + 'param verifaiSamplerParams = DotMap(alpha=0.9)\n', 3,
+                       "NameError: name 'DotMap' is not defined; a dict does as well"),
+    'attack: deviation': (MODEL + 'ego = new Plane at (Normal(0, -3), 400)\n', 2,
+                          'ValueError: the standard deviation of a Normal is -3; it has to be'),
     'several scenarios': (
         MODEL + 'scenario A():\n    setup:\n        ego = new Plane at (0, 4)\nscenario B():\n'
         '    setup:\n        ego = new Plane at (0, 5)\n', 0,
