@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 from taxinet_ros.campaign import scene_source
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.overrides import apply_overrides, check_overrides
+from taxinet_ros.campaign.requests import rejected_row
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.core.errors import UsageError
 
@@ -247,3 +250,14 @@ def test_s5_attack_the_length_is_known_where_the_first_scene_is_rejected(
                 assert scene_source.first_duration_s(source) == length_s
                 return
     pytest.fail('no first scene was rejected')
+
+
+def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
+    tmp_path: Path,
+) -> None:
+    options = CampaignOptions(
+        program='nominal', out=tmp_path, runs=2, seed=0, perception='none',
+    )
+    rows = [rejected_row(options, index, f'scene {index}: beside the runway') for index in (0, 1)]
+    with pytest.raises(UsageError, match='was rejected; the first: scene 0: beside the runway'):
+        exit_code(rows)
