@@ -141,7 +141,7 @@ def exit_code(rows: list[RunRow]) -> int:
         0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
 
     Raises:
-        UsageError: every scene was rejected by the program's own requirements.
+        UsageError: no scene could be run.
     """
     outcomes = {row.outcome for row in rows}
     if Outcome.INTERRUPTED in outcomes:
@@ -151,5 +151,6 @@ def exit_code(rows: list[RunRow]) -> int:
     if Outcome.FAIL in outcomes:
         return 1
     if Outcome.PASS not in outcomes:
-        raise UsageError('no run could be judged: every scene was rejected by its own requirements')
+        why = f'; the first: {rows[0].detail}' if rows else ''
+        raise UsageError(f'no run could be judged: every scene was rejected{why}')
     return 0

@@ -149,7 +149,8 @@ class LearnedTogether:
             if not result.evidence:
                 raise UsageError(
                     f'{folder}: {LEARNED_NAME} does not say which failures it rests on: written by '
-                    'an earlier version, or the weights of its runs are not known'
+                    'an earlier version, or its program has requirements of a share of the runs '
+                    '(require[p]), with which the weights of the runs are not known'
                 )
         self.results = tuple(results)
         self.choices = first.choices

@@ -113,10 +113,19 @@ def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     found = set()
     for key, value in values.items():
         try:
-            last_step(_build({'clouds': RAIN_CLOUDS[0], key: value}, ''))
+            check_value(key, value)
         except UsageError:
             found.add(key)
     return found
+
+
+def check_value(key: str, value: Any) -> None:
+    """See that a scenario could have this value, whatever the others were.
+
+    Raises:
+        UsageError: none could.
+    """
+    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

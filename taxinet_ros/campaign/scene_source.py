@@ -48,6 +48,9 @@ GRACE_S = 3.0
 _PROBED_SCENES = 64
 """Scenes looked at for rain under an overridden sky; S_falsif would hide it with (2/3)**64."""
 
+_FIRST_SCENES = 8
+"""Scenes looked at for how long a run is; each that is rejected may take seconds."""
+
 _NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
 
@@ -150,6 +153,11 @@ class SceneSource:
         places = {name: _at(*place) for name, place in sampler['places'].items()}
         self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
         self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    @property
+    def fixed_length(self) -> Mapping[str, str]:
+        """The duration among the overrides, if it is there."""
+        return {key: value for key, value in self._values.items() if key == 'duration'}
 
     @property
     def drawn_notes(self) -> tuple[str, ...]:
@@ -356,14 +364,18 @@ def accepted_scene(
 
 
 def first_duration_s(source: SceneSource) -> float:
-    """Length of a program's first scene [s], the usual one where no draw of it is accepted.
+    """Length of a program's first scene that is accepted [s], the usual one where none is.
 
     Raises:
         UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
     """
-    first = Scenario()
-    with contextlib.suppress(Rejected):
-        first = source.scene(0)
+    first = apply_overrides({}, source.fixed_length, source.program.name)
+    for index in range(_FIRST_SCENES):
+        with contextlib.suppress(Rejected):
+            first = source.scene(index)
+            break
+        if source.fixed_length:
+            break
     last_step(first)
     return first.duration_s
 

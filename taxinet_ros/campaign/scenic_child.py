@@ -66,13 +66,19 @@ class Programs:
         """``shipped``: the folder where a program that lies elsewhere finds the world model."""
         import scenic
 
-        from taxinet_ros.campaign import scenic_choices, scenic_constructs, search_words
+        from taxinet_ros.campaign import (
+            scenic_chance,
+            scenic_choices,
+            scenic_constructs,
+            search_words,
+        )
 
         search_words.install()
         self._words = search_words
         self._constructs = scenic_constructs.watching()
         sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
         self._compile = scenic.scenarioFromFile
+        self._watched = scenic_chance.watched
         self._find_choices = scenic_choices.Choices
         self._seed = seed
         self._scenario: Any = None
@@ -83,9 +89,7 @@ class Programs:
         """Compile ``program``, and refuse what it says in vain; no scene is drawn yet."""
         self._reseed(0)  # a program may draw while it is compiled
         self._choices = self._scenario = None
-        self._constructs.begin(Path(program))
-        self._words.begin()
-        scenario = self._compile(program)
+        scenario = self._watched(lambda: self._begin(program))
         self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
         self._constructs.check(scenario)
         if scenario.externalSampler is not None:
@@ -95,6 +99,11 @@ class Programs:
             )
         self._scenario = scenario
         return {}
+
+    def _begin(self, program: str) -> Any:
+        self._constructs.begin(Path(program))
+        self._words.begin()
+        return self._compile(program)
 
     def asked(self) -> dict[str, Any]:
         """What the program asks of samplers, and what it may mean otherwise than it says."""
@@ -190,6 +199,8 @@ def _message(error: BaseException, allowed_s: float) -> str:
         return 'the program needs more memory than it may have'
     if isinstance(error, ProgramError) or type(error).__module__.startswith('scenic.'):
         return text
+    if isinstance(error, NameError) and error.name == 'DotMap':
+        text += '; a dict does as well: {"alpha": 0.9}'
     return f'{type(error).__name__}: {text}'
 
 

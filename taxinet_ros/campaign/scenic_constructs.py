@@ -18,7 +18,7 @@ import difflib
 import functools
 import importlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -26,13 +26,14 @@ from types import FrameType
 from typing import Any
 
 import scenic
-from scenic.core.distributions import Samplable, needsSampling
+from scenic.core.distributions import MultiplexerDistribution, Samplable, needsSampling
 from scenic.core.object_types import Object
 from scenic.core.regions import AllRegion
 from scenic.core.vectors import Vector
 from scenic.syntax import ast as syntax
 from scenic.syntax import compiler, translator, veneer
 
+from taxinet_ros.campaign.overrides import check_value
 from taxinet_ros.campaign.programs import MODEL
 from taxinet_ros.campaign.scene_values import (
     EGO_VALUES,
@@ -42,6 +43,8 @@ from taxinet_ros.campaign.scene_values import (
     of_scenario,
     plain_value,
 )
+from taxinet_ros.campaign.scenic_chance import check_clocks
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -137,11 +140,12 @@ _OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
 
 @dataclass(kw_only=True, slots=True)
 class _Made:
-    """Where an object was made, and where each of its ``with`` was written."""
+    """Where an object was made, where each of its ``with`` was written, and what it then was."""
 
     thing: Any
     place: Place
     given: dict[str, Place]
+    began: dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -202,6 +206,8 @@ class Constructs:
             self._check_name(name)
         for name, value in params.items():
             self._check_value(name, value)
+        for made in self._made.values():
+            _check_kept(made)
         for thing in scenario.objects:
             if thing is not scenario.egoObject:
                 self._refuse_object(thing)
@@ -261,7 +267,7 @@ class Constructs:
                     )
             thing = new(kind, specifiers)
             self._made[id(thing)] = _Made(
-                thing=thing, place=_place(sys._getframe(1)), given=given
+                thing=thing, place=_place(sys._getframe(1)), given=given, began=dict(vars(thing)),
             )
             return thing
 
@@ -297,6 +303,11 @@ class Constructs:
             plain = plain_value(name, drawn, place)
             if name == 'clouds' and not isinstance(plain, str):
                 raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
+            if isinstance(plain, str) and name != 'date':  # a date may be computed, and be none
+                _check_word(name, plain, place)
+        for option in value.options if isinstance(value, MultiplexerDistribution) else ():
+            if isinstance(option, str):
+                _check_word(name, option, place)
 
     def _refuse_object(self, thing: Any) -> None:
         made = self._made.get(id(thing))
@@ -344,6 +355,14 @@ class Constructs:
                 f'with {name}: no property of {type(ego).__name__}, so it has no effect'
                 f'{_meant(name, known)}', place,
             )
+
+
+def _check_word(name: str, word: str, place: Place | None) -> None:
+    """Refuse a word that is wrong in every run, by a slip of the pen, and not by chance."""
+    try:
+        check_value(name, word)
+    except UsageError as error:
+        raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
 
 
 def _drawn(value: Any) -> list[Any]:
@@ -480,6 +499,41 @@ def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
             node, (word, why) = node.compose[0], _COMPOSE
         if word:
             raise ProgramError(_sentence(word, why), (filename, _line(node)))
+    check_clocks(nodes, filename)
+    _check_assignments(nodes, filename)
+
+
+def _check_assignments(nodes: list[ast.AST], filename: str) -> None:
+    """Refuse what is said of an object when it is made already, by the name that holds it."""
+    holding = {'ego'}
+    for node in nodes:
+        if isinstance(node, ast.Assign) and _is_object(node.value, holding):
+            holding |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and not isinstance(node.ctx, ast.Load):
+            root: ast.AST = node
+            while isinstance(root, ast.Attribute):
+                root = root.value
+            if isinstance(root, ast.Name) and root.id in holding:
+                raise ProgramError(_late(ast.unparse(node)), (filename, node.lineno))
+
+
+def _is_object(value: ast.AST, holding: Collection[str]) -> bool:
+    return isinstance(value, syntax.New) or (isinstance(value, ast.Name) and value.id in holding)
+
+
+def _check_kept(made: _Made) -> None:
+    """Likewise by other ways, such as in a function; there the line is not known."""
+    for name, value in vars(made.thing).items():
+        if name.startswith('_') or name == 'mutationScale':  # which the statement mutate sets
+            continue
+        if name not in made.began or made.began[name] is not value:
+            raise ProgramError(_late(f'{name} of the {type(made.thing).__name__}'), made.place)
+
+
+def _late(what: str) -> str:
+    return (f'{what} is set when the object is made already, so it has no effect; say it where '
+            'the object is made: new Plane at (x, y), facing ANGLE')
 
 
 def _of_classes(kind: type) -> dict[str, Place]:

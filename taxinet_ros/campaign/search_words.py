@@ -220,6 +220,7 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(initialise)
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
         initialise(self, *args, **kwargs)
+        _check_spread(self)
         frame: FrameType | None = sys._getframe(1)
         while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
             frame = frame.f_back
@@ -227,6 +228,15 @@ def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
             setattr(self, _PLACE, _place(frame))
 
     return init
+
+
+def _check_spread(choice: Any) -> None:
+    if isinstance(choice, distributions.Normal):
+        spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
+        if least is not None and least < 0:
+            said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
+            raise ValueError(f'the standard deviation of a {type(choice).__name__} is {said}; it '
+                             'has to be 0 or more')
 
 
 def _place(frame: FrameType) -> list[Any] | None:

@@ -50,6 +50,10 @@ class ToySource:
     def space(self) -> Space:
         return SPACE.dimensions
 
+    @property
+    def fixed_length(self) -> dict[str, str]:
+        return {}
+
     def scene(self, index: int, point: Point | None = None, attempt: int = 0) -> Scenario:
         x, y = point or (0.5, 0.5)
         assert x is not None

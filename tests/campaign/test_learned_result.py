@@ -131,7 +131,7 @@ def test_t14_given_no_failures_or_no_weights_then_no_share_is_claimed() -> None:
     })
     assert [(each.low, each.high) for each in together(none).bins(DISTANCE)] == [(0, 1)] * 4
     assert math.isnan(together(none).bins(DISTANCE)[0].share)
-    with pytest.raises(UsageError, match=r'seed-0: learned\.json does not say which failures'):
+    with pytest.raises(UsageError, match=r'does not say which failures .*require\[p\]'):
         together(dataclasses.replace(result(1), evidence={}))
 
 

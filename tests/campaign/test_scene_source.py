@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 
 from taxinet_ros.campaign import scene_source
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.overrides import apply_overrides, check_overrides
+from taxinet_ros.campaign.requests import rejected_row
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource, sample_scenarios
 from taxinet_ros.core.errors import UsageError
 
@@ -181,8 +184,7 @@ INDEPENDENT = (WORLD + 'param clouds = Uniform("clear", "broken")\nparam rain = 
     (OFF_CENTRE, 'cross_track_m is', 0.06),
     (INDEPENDENT, "rain needs clouds broken/overcast/stratus, got 'clear'", 0.5),
     (PLANE + 'param duration = Uniform(3, 3.01)\n', 'is not a multiple of the control period', 0.5),
-    (PLANE + 'param clouds = Uniform("clear", "purple")\n', "clouds is 'purple', not one of", 0.5),
-], ids=['beside the runway', 'rain from a clear sky', 'broken step', 'unknown word'])
+], ids=['beside the runway', 'rain from a clear sky', 'broken step'])
 @pytest.mark.parametrize('searched', [False, True], ids=['drawn', 'searched'])
 def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
     tmp_path: Path, text: str, reason: str, share: float, searched: bool,
@@ -213,6 +215,7 @@ def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
     (PLANE + 'param clouds = "purple"\nparam rain = Range(0, 90)\n', "clouds is 'purple'"),
     (PLANE + 'param duration = 1.01\n', 'not a multiple'),
     (PLANE + 'param wind = Range(0, 1)\n', 'wind'),
+    (PLANE + 'param clouds = Uniform("clear", "purple")\n', "clouds is 'purple', not one of"),
 ])
 def test_s6_given_what_is_wrong_in_every_scene_then_it_is_an_error_at_once(
     tmp_path: Path, text: str, message: str,
@@ -229,3 +232,32 @@ def test_s6_given_an_override_of_what_is_drawn_out_of_range_then_nothing_is_reje
     with SceneSource(path, seed=0, overrides={'rain': '20', 'cross_track': '3'}) as source:
         assert {(scene.rain, scene.cross_track_m)
                 for scene in (source.scene(index) for index in range(50))} == {(0.2, 3.0)}
+
+
+@pytest.mark.parametrize(('duration', 'overrides', 'length_s'), [
+    ('1', {}, 1.0), ('Range(3, 9)', {'duration': '2'}, 2.0),
+])
+def test_s5_attack_the_length_is_known_where_the_first_scene_is_rejected(
+    tmp_path: Path, duration: str, overrides: dict[str, str], length_s: float,
+) -> None:
+    text = (f'{WORLD}param duration = {duration}\n'
+            'ego = new Plane at (Options({0: 1, 300: 1}), 400)\n')
+    for seed in range(40):
+        with SceneSource(write(tmp_path, text), seed=seed, overrides=overrides) as source:
+            try:
+                source.scene(0)
+            except Rejected:
+                assert scene_source.first_duration_s(source) == length_s
+                return
+    pytest.fail('no first scene was rejected')
+
+
+def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
+    tmp_path: Path,
+) -> None:
+    options = CampaignOptions(
+        program='nominal', out=tmp_path, runs=2, seed=0, perception='none',
+    )
+    rows = [rejected_row(options, index, f'scene {index}: beside the runway') for index in (0, 1)]
+    with pytest.raises(UsageError, match='was rejected; the first: scene 0: beside the runway'):
+        exit_code(rows)

@@ -175,6 +175,20 @@ REFUSED = {
         'param externalSampler = ExternalSampler\n', 4, 'externalSampler: a sampler of the'),
     'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = 3\n', 3,
                            'externalSamplerRejectionFeedback has no effect here'),
+    'attack: switch': (PLANE + 'param shadows = Uniform("on", "maybe")\n', 3,
+                       "param shadows needs on or off, got 'maybe'"),
+    'attack: rare word': (PLANE + 'param clouds = Options({"clear": 999, "cloudy": 1})\n', 3,
+                          "param clouds is 'cloudy', not one of"),
+    'attack: aircraft': (PLANE + 'param aircraft = Uniform("default", "jumbo")\n', 3,
+                         'param aircraft'),
+    'attack: word of a pair': (
+        PLANE + 'w = Uniform(("clear", 0), ("brokn", 9))\nparam clouds = w[0]\n', 4,
+        "param clouds is 'brokn'"),
+    'attack: date': (PLANE + 'param date = Uniform("2026-06-01", "June")\n', 3, 'param date'),
+    'attack: DotMap': (PLANE + 'param verifaiSamplerParams = DotMap(alpha=0.9)\n', 3,
+                       "NameError: name 'DotMap' is not defined; a dict does as well"),
+    'attack: deviation': (MODEL + 'ego = new Plane at (Normal(0, -3), 400)\n', 2,
+                          'ValueError: the standard deviation of a Normal is -3; it has to be'),
     'several scenarios': (
         MODEL + 'scenario A():\n    setup:\n        ego = new Plane at (0, 4)\nscenario B():\n'
         '    setup:\n        ego = new Plane at (0, 5)\n', 0,
@@ -218,6 +232,105 @@ def test_s5_what_has_no_effect_is_refused_by_name_and_line(
     assert error['line'] == line
     assert Path(error['file']).parent == tmp_path
     assert '\n' not in error['message']
+
+
+OTHERS['planes'] = MODEL + 'class Late(Plane):\n    position: (0, 700)\n'
+
+
+def spot(draw: str, before: str = '') -> str:
+    return f'{MODEL}{before}\nego = new Plane at (0, {draw})\nparam rain = 0\n'
+
+
+LATE = {
+    'speed': (PLANE + 'ego.speed = 9\n', 3, 'ego.speed is set when'),
+    'pitch': (PLANE + 'ego.pitch = 0.3\n', 3, 'ego.pitch is set when'),
+    'behavior': (PLANE + 'ego.behavior = 3\n', 3, 'ego.behavior is set when'),
+    'typo': (PLANE + 'ego.distnace = 7\n', 3, 'ego.distnace is set when'),
+    'yaw': (PLANE + 'ego.yaw += 0.3\n', 3, 'ego.yaw is set when'),
+    'position': (PLANE + 'ego.position = (0, 500)\n', 3, 'ego.position is set when'),
+    'part of the position': (PLANE + 'ego.position.x = 3\n', 3, 'ego.position.x is set when'),
+    'heading': (PLANE + 'ego.heading_deg = 3\n', 3, 'ego.heading_deg is set when'),
+    'by another name': (
+        MODEL + 'jet = new Plane at (0, 400)\nego = jet\njet.speed, y = 3, 4\n', 4, 'jet.speed is'),
+    'in a scenario block': (
+        MODEL + 'scenario Main():\n    setup:\n        ego = new Plane at (0, 400)\n'
+        '        ego.yaw = 3\n', 5, 'ego.yaw is set when'),
+    'in a function': (PLANE + 'def turn(thing):\n    thing.yaw = 1\nturn(ego)\n', 2,
+                      'yaw of the Plane is set when'),
+    'by setattr': (PLANE + 'setattr(ego, "yoll", 3)\n', 2, 'yoll of the Plane is set when'),
+}
+
+
+@pytest.mark.parametrize('case', LATE)
+def test_s5_attack_what_is_assigned_to_a_made_object_is_refused(case: str, ask: Ask) -> None:
+    text, line, message = LATE[case]
+    error = ask(text)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['message'].endswith('new Plane at (x, y), facing ANGLE')
+    assert error['line'] == line
+
+
+NP = 'import numpy as np'
+CHANCE = {
+    'uniform': (spot('random.uniform(0, 2000)', 'import random'), 3,
+                'write Range(0, 2000) instead: random.uniform is drawn once for all runs'),
+    'by its name': (spot('gauss(500, 9)', 'from random import gauss'), 3,
+                    'write Normal(500, 9) instead: gauss is drawn once for all runs'),
+    'choice': (spot('random.choice([3, 4])', 'import random'), 3,
+               'write Uniform(*[3, 4]) instead: random.choice is drawn once'),
+    'shuffle': (spot('spots[0]', 'import random\nspots = [3, 4]\nrandom.shuffle(spots)'), 4,
+                'write Range(LOW, HIGH) instead: random.shuffle is drawn once'),
+    'in a function': (spot('draw()', 'import random\ndef draw():\n    return random.random()'), 4,
+                      'write Range(LOW, HIGH) instead: random.random is drawn once'),
+    'seed': (spot('400', 'import random\nrandom.seed(3)'), 3, 'random.seed has no effect here'),
+    'seed of chance': (spot('400', 'import random\nrandom.seed()'), 3, 'random.seed is another'),
+    'unseeded': (spot('random.Random().random()', 'import random'), 3, 'random.Random is another'),
+    'numpy': (spot('x', f'{NP}\nx = np.random.uniform(0, 9)'), 3,
+              'write Range(0, 9) instead: np.random.uniform is drawn once'),
+    'numpy at the end': (spot('400', NP) + 'param duration = 3 + np.random.rand()', 5,
+                         'write Range(LOW, HIGH) instead: np.random.rand is drawn once'),
+    'numpy in a function': (spot('f()', f'{NP}\ndef f():\n    return np.random.rand()'), 4,
+                            'write Range(LOW, HIGH) instead: np.random.rand is drawn'),
+    'numpy seed': (spot('400', f'{NP}\nnp.random.seed(3)'), 3, 'np.random.seed has no effect'),
+    'default_rng': (spot('np.random.default_rng().uniform(0, 9)', NP), 3,
+                    'np.random.default_rng is another one each time the program is compiled'),
+    'time': (spot('time.time() % 2000', 'import time'), 3, 'time.time is another one each time'),
+    'time by its name': (spot('time() % 2000', 'from time import time'), 3, 'time is another'),
+    'now': (spot('datetime.now().second', 'from datetime import datetime'), 3,
+            'datetime.now is another one each time'),
+    'urandom': (spot('os.urandom(1)[0]', 'import os'), 3, 'os.urandom is another one'),
+    'uuid': (spot('uuid.uuid4().int % 9', 'import uuid'), 3, 'uuid.uuid4 is another one'),
+    'secrets': (spot('secrets.randbelow(9)', 'import secrets'), 3, 'secrets.randbelow is another'),
+    'a clock for each scene': (
+        'from scenic.core.distributions import distributionFunction\nimport time\n'
+        '@distributionFunction\ndef half(x):\n    return time.time()\n' + MODEL
+        + 'ego = new Plane at (half(Range(1, 2)), 400)\n', 5, 'time.time is another one each'),
+    'library': (spot('400', 'import library4'), 2, 'write Range(LOW, HIGH) instead: random.random'),
+}
+OTHERS['library4'] = 'import random\nX = random.random()\n'
+
+
+@pytest.mark.parametrize('case', CHANCE)
+def test_s5_attack_chance_outside_scenic_is_refused_by_line(
+    case: str, ask: Ask, tmp_path: Path
+) -> None:
+    text, line, message = CHANCE[case]
+    error = ask(text, **OTHERS)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['line'] == line
+    assert Path(error['file']).parent == tmp_path
+
+
+@pytest.mark.parametrize('module', ['random', 'numpy.random'])
+def test_s5_attack_chance_in_a_python_module_is_refused(
+    module: str, ask: Ask, tmp_path: Path
+) -> None:
+    name = f'chance_of_{module[:5]}'
+    (tmp_path / f'{name}.py').write_text(f'import {module}\nX = {module}.uniform(0, 9)\n')
+    error = ask(spot(f'{name}.X', f'import {name}'))['error']
+    assert 'is drawn once for all runs' in error['message']
 
 
 WORKS = {
@@ -322,12 +435,21 @@ WORKS = {
         'param verifaiSamplerParams = DotMap(alpha=0.9)\n'
         'ego = new Plane at (VerifaiRange(-1, 1), VerifaiOptions([400, 400]))\n',
         {'distance': 400}),
+    'chance with a seed of its own': (
+        MODEL + 'import random\nimport numpy as np\nimport logging\nlogging.warning("now")\n'
+        'y = random.Random(3).uniform(0, 9) + np.random.default_rng(3).uniform(0, 9)\n'
+        'ego = new Plane at (0, y)\n', {}),
+    'chance for each scene': (
+        'import random\nfrom scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef noise(x):\n    return x + random.random()\n' + MODEL
+        + 'ego = new Plane at (noise(Range(1, 2)), 400)\n', {}),
+    'mesh': (MODEL + 'box = MeshVolumeRegion(BoxShape().mesh, position=(0, 400, 0), '
+             'dimensions=(9, 9, 9))\nego = new Plane at (0, 400)\nrequire ego.position in box\n',
+             {}),
     'text and tools': (PLANE + '"""What it is for."""\nverbosePrint("hello")\n'
                        'assert localPath("x")\n', {}),
 }
 """Program, and some values of each of its scenes."""
-
-OTHERS['planes'] = MODEL + 'class Late(Plane):\n    position: (0, 700)\n'
 
 
 @pytest.mark.parametrize('case', WORKS)
