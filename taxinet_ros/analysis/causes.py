@@ -22,7 +22,7 @@ from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.cause_limits import sayable, sharpened
 from taxinet_ros.analysis.cause_scan import Scan, p_of_search
 from taxinet_ros.analysis.failure_region import Interval, Kinds, Region
-from taxinet_ros.analysis.group_rates import Mask
+from taxinet_ros.analysis.group_rates import Mask, rate_words
 from taxinet_ros.analysis.run_features import ALL, BY_NAME
 from taxinet_ros.analysis.scan_statistic import interval_of
 
@@ -53,11 +53,7 @@ class FoundRate(NamedTuple):
 
     def words(self) -> str:
         """Rate and interval, such as ``49.9 % (43.3–56.5 %)``."""
-        if not self.runs:
-            return 'no run'
-        if math.isnan(self.low):
-            return f'{self.rate:.1%} of the runs made'.replace('%', ' %')
-        return f'{self.rate:.1%} ({100 * self.low:.1f}–{self.high:.1%})'.replace('%', ' %')
+        return rate_words(self.runs, self.rate, self.low, self.high)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -34,11 +34,16 @@ class GroupRate(NamedTuple):
 
     def words(self) -> str:
         """Rate and interval, such as ``49.9 % (48.3–51.5 %)``."""
-        if not self.runs:
-            return 'no run'
-        if math.isnan(self.low):
-            return f'{self.rate:.1%} of the runs made'.replace('%', ' %')
-        return f'{self.rate:.1%} ({100 * self.low:.1f}–{self.high:.1%})'.replace('%', ' %')
+        return rate_words(self.runs, self.rate, self.low, self.high)
+
+
+def rate_words(runs: int, rate: float, low: float, high: float) -> str:
+    """Rate and interval of so many runs; ``low`` is NaN where there is no interval."""
+    if not runs:
+        return 'no run'
+    if math.isnan(low):
+        return f'{rate:.1%} of the runs made'.replace('%', ' %')
+    return f'{rate:.1%} ({100 * low:.1f}–{high:.1%})'.replace('%', ' %')
 
 
 def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupRate:
