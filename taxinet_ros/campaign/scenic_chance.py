@@ -46,7 +46,7 @@ _CLOCKS = {
     )
 }
 _DATES = ('now', 'utcnow', 'today')
-_ENTROPY = {'os.urandom', 'os.getrandom', 'os.getpid'}
+_ENTROPY = {'os.urandom', 'os.getrandom'}
 _OUTSIDE = {getattr({'time': time, 'os': os}[module], name)
             for module, _, name in (word.partition('.') for word in _CLOCKS | _ENTROPY)
             if hasattr({'time': time, 'os': os}[module], name)}
@@ -198,7 +198,7 @@ def _numpy_state() -> Any:
 _CALL = re.compile(r'[\w.]*\b(?:random|uniform|randint|randrange|gauss|normal\w*|choices?|shuffle|'
                    r'sample|rand|randn|seed|default_rng|time|time_ns|monotonic|perf_counter|now|'
                    r'today|utcnow|urandom|uuid[14]|randbelow|randbits|token_\w+|Random|'
-                   r'RandomState|SystemRandom|getpid|localtime|strftime)(?=\()')
+                   r'RandomState|SystemRandom|localtime|strftime)(?=\()')
 
 
 def _written(place: Place) -> str:

@@ -171,12 +171,13 @@ def test_given_no_docstring_and_signs_beyond_ascii_when_learned_then_the_columns
     learn: Learn, draw: Callable[..., list[dict[str, Any]]],
 ) -> None:
     text = learn(
-        f'{WORLD}x = Uniform(("Ä", Uniform("Ö", "Ü")), ("é", 1))\nparam clouds = x[0]\n'
+        f'{WORLD}param clouds = "stratus"\n'
+        'x = Uniform(("Ä", Uniform(3, 7)), ("é", 1))\nparam rain = x[1]\n'
         'y = "Ä"; z = Range(-1, 1)  # ±1 m\nego = new Plane at (z, 4)\n',
-        {'x': [3, 1], 'x[0][1]': [1, 0], 'z': [1, *[0] * 9]}, r'From a\b "here".',
+        {'x': [3, 1], 'x[0].rain': [1, 0], 'z': [1, *[0] * 9]}, r'From a\b "here".',
     )
     assert text.endswith(
-        "x = Options({(\"Ä\", Options({'Ö': 1})): 0.75, (\"é\", 1): 0.25})\nparam clouds = x[0]\n"
+        'x = Options({("Ä", Options({3: 1})): 0.75, ("é", 1): 0.25})\nparam rain = x[1]\n'
         'y = "Ä"; z = Options({Range(-1, -0.8): 1})  # ±1 m\nego = new Plane at (z, 4)\n'
     )
     assert 0.8 <= draw(text, 1)[0]['cross_track'] <= 1

@@ -55,25 +55,34 @@ class Random(FromPrior):
 
 
 class QuasiRandom(FromPrior):
-    """Points that leave smaller gaps than independent ones, each by itself uniform."""
+    """Points that leave smaller gaps than independent ones, each by itself uniform.
 
-    def __init__(self, space: Space, engine: qmc.QMCEngine) -> None:
+    A refused point is replaced by a plain draw. The sequence's next point would depend on the one
+    before it, and with a requirement that holds in some runs only, so would where runs end up.
+    """
+
+    def __init__(self, space: Space, seed: int, engine: qmc.QMCEngine) -> None:
+        self._space = space
+        self._seed = seed
         self._points = _points(space, engine)
+        self._index, self._attempt = -1, 0
 
     def ask(self) -> Point:
         """The next point."""
+        self._index, self._attempt = self._index + 1, 0
         return next(self._points)
 
     def again(self) -> Point:
-        """The one after it."""
-        return next(self._points)
+        """A draw for the same run."""
+        self._attempt += 1
+        return prior_point(self._space, self._seed, self._index, self._attempt)
 
 
 def halton(space: Space, seed: int) -> QuasiRandom:
     """Halton's sequence, its digits permuted at random (Owen, arXiv:1706.02808)."""
     from scipy.stats import qmc  # half a second that only these two are worth
 
-    return QuasiRandom(space, qmc.Halton(len(space), scramble=True, rng=seed))
+    return QuasiRandom(space, seed, qmc.Halton(len(space), scramble=True, rng=seed))
 
 
 def sobol(space: Space, seed: int) -> QuasiRandom:
@@ -83,7 +92,7 @@ def sobol(space: Space, seed: int) -> QuasiRandom:
     """
     from scipy.stats import qmc
 
-    return QuasiRandom(space, qmc.Sobol(len(space), scramble=True, rng=seed))
+    return QuasiRandom(space, seed, qmc.Sobol(len(space), scramble=True, rng=seed))
 
 
 def _points(space: Space, engine: qmc.QMCEngine) -> Iterator[Point]:

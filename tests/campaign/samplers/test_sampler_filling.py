@@ -184,3 +184,19 @@ def test_t11_given_too_many_combinations_of_options_when_on_a_grid_then_one_line
     with pytest.raises(UsageError, match='more than 10000 combinations of options'):
         make_sampler('grid', [*parents, *children], 0, 100)
     assert ask('sobol', [*parents, *children], 4)
+
+
+@pytest.mark.parametrize('word', ['halton', 'sobol', 'random'])
+def test_s3_given_a_requirement_in_some_runs_only_then_the_others_stay_as_the_program_draws(word):
+    sampler = make_sampler(word, (Dimension(name='x'),), 3, 2048)
+    free = []
+    for run, required in enumerate(np.random.default_rng(5).random(2048) < 0.5):
+        _, (value,) = sampler.next()
+        while required and value < 0.7:
+            (value,) = sampler.again()
+        sampler.tell(run, 1.0)
+        if not required:
+            free.append(value)
+    # Four standard errors of the mean of independent draws.
+    assert np.mean(free) == pytest.approx(0.5, abs=4 / np.sqrt(12 * len(free)))
+    assert kstest(free, 'uniform').pvalue > 1e-4
