@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.layout import disk_error, sync_folder
-from taxinet_ros.campaign.journal import Journal, JournalOwner, whole_lines
+from taxinet_ros.campaign.journal import Journal, JournalOwner, damaged_line, read_journal
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,23 +103,22 @@ def read_ledger(path: Path) -> LedgerContent:
         UsageError: ``path:line: message`` if the file cannot be read or a whole line is damaged.
     """
     try:
-        lines = whole_lines(path.read_bytes()).splitlines()
+        events = read_journal(path)
     except OSError as error:
         raise UsageError(f'ledger {path}: {error.strerror}') from error
     campaign: dict[str, Any] = {}
     rows: dict[int, RunRow] = {}
     begun: Counter[int] = Counter()
     added: dict[str, str] = {}
-    for number, line in enumerate(lines, start=1):
+    for number, event in enumerate(events, start=1):
         try:
-            event = load_json(line)
             if event['event'] == 'requirement':
                 added[event['name']] = event['formula']
                 _judge(event, rows)
             else:
                 _take(event, campaign, rows, begun)
         except _DAMAGED as error:
-            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+            raise damaged_line(path, number, str(error)) from error
     return LedgerContent(
         campaign=campaign,
         rows=tuple(rows[index] for index in sorted(rows)),

@@ -20,13 +20,12 @@ from taxinet_ros.campaign.counterexamples import (
     scenario_of_row,
     spread,
 )
-from taxinet_ros.campaign.journal import Journal
+from taxinet_ros.campaign.journal import Journal, damaged_line
 from taxinet_ros.campaign.options import DEFAULT_ROOT
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.substituted_perception import (
     AS_RECORDED,
@@ -210,14 +209,13 @@ def _open(options: LocalizeOptions) -> Journal:
 def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str], Trial]:
     """The trials of before; a new journal is begun with what it is about."""
     path, facts = options.out / TRIALS_NAME, _facts(options)
-    if not journal.lines:
+    if not journal.events:
         _begin_sitting(options, journal, facts)
         return {}
     before: Provenance = {}
     trials: dict[tuple[str, str], Trial] = {}
-    for number, line in enumerate(journal.lines, start=1):
+    for number, event in enumerate(journal.events, start=1):
         try:
-            event = load_json(line)
             if event['event'] == 'trial':
                 trial = Trial.from_json(event['trial'])
                 trials[trial.run_id, trial.word] = trial
@@ -229,7 +227,7 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
             else:
                 before = known(event.get('provenance'))
         except (ValueError, KeyError, TypeError) as error:
-            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+            raise damaged_line(path, number, str(error)) from error
     if before != provenance():
         _begin_sitting(options, journal, facts)
     return trials

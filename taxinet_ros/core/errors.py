@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+
 MAX_CHARACTERS = 2000
 """Of a message; somebody has to read it."""
+
+_WARNED: set[str] = set()
 
 
 def plain_line(text: str) -> str:
@@ -17,6 +21,13 @@ def plain_line(text: str) -> str:
     if text.isprintable():
         return text
     return ''.join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
+def warn_once(text: str) -> None:
+    """Print a line on stderr on what is not as safe as it may seem, the first time it is found."""
+    if text not in _WARNED:
+        _WARNED.add(text)
+        print(f'taxinet: warning: {plain_line(text)}', file=sys.stderr)
 
 
 class UsageError(Exception):

@@ -10,8 +10,6 @@ from typing import Any
 
 from taxinet_ros.bag.layout import disk_error
 from taxinet_ros.campaign.journal import JournalOwner, open_journal
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 
 ROUNDS_NAME = 'rounds.jsonl'
 _WHEN = 'date'
@@ -28,11 +26,7 @@ class RoundLedger(JournalOwner):
         """
         self._path = out / ROUNDS_NAME
         self._journal = open_journal(self._path, 'taxinet improve')
-        try:
-            self._known = [_undated(load_json(line)) for line in self._journal.lines]
-        except (ValueError, AttributeError) as error:
-            self._journal.close()
-            raise UsageError(f'{self._path}: damaged line ({error})') from error
+        self._known = [_undated(event) for event in self._journal.events]
 
     def write(self, values: Mapping[str, Any]) -> None:
         """Put a round down, unless it says what it said before."""

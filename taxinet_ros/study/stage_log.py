@@ -11,9 +11,7 @@ from typing import Any
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.layout import disk_error, sync_folder
-from taxinet_ros.campaign.journal import JournalOwner, open_journal, whole_lines
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.campaign.journal import JournalOwner, damaged_line, open_journal, read_journal
 from taxinet_ros.core.provenance import Provenance, differences, known, provenance
 
 LOG_NAME = 'stages.jsonl'
@@ -115,10 +113,9 @@ def read_records(out: Path) -> dict[str, StageRecord]:
     if not path.exists():
         return {}
     records: dict[str, StageRecord] = {}
-    for number, line in enumerate(whole_lines(path.read_bytes()).splitlines(), start=1):
+    for number, event in enumerate(read_journal(path), start=1):
         try:
-            event = load_json(line)
             records.setdefault(event['stage'], StageRecord()).take(event)
         except (ValueError, KeyError, TypeError) as error:
-            raise UsageError(f'{path}:{number}: damaged line ({error})') from error
+            raise damaged_line(path, number, str(error)) from error
     return records

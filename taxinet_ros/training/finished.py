@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from taxinet_ros.campaign.journal import Journal, JournalOwner
+from taxinet_ros.campaign.journal import Journal, JournalOwner, damaged_line
+from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,11 +58,13 @@ class FinishedImages(JournalOwner):
         self.rows[row.index] = row
 
     def _read(self) -> dict[int, FinishedImage]:
-        try:
-            rows = [FinishedImage(**load_json(line)) for line in self._journal.lines]
-        except (ValueError, TypeError) as error:
-            raise UsageError(
-                f'dataset: {self._path}: damaged; delete it, and every image is rendered and '
-                'compared again'
-            ) from error
-        return {row.index: row for row in rows}
+        rows = {}
+        for number, event in enumerate(self._journal.events, start=1):
+            try:
+                row = FinishedImage(**event)
+                for name, kind in FinishedImage.__annotations__.items():
+                    check_kind(name, kind, getattr(row, name))
+            except (TypeError, ValueError) as error:
+                raise damaged_line(self._path, number, str(error)) from error
+            rows[row.index] = row
+        return rows
