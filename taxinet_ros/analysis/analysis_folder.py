@@ -16,10 +16,12 @@ from taxinet_ros.analysis.findings_json import SCHEMA, VERSION, findings_values
 from taxinet_ros.analysis.picture_files import LIGHT, write_png
 from taxinet_ros.analysis.report_parts import Report, Table
 from taxinet_ros.bag.layout import write_atomically, write_whole
+from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
+from taxinet_ros.campaign.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 
 JSON_NAME, PAGE_NAME = 'analysis.json', 'report.html'
+_TABLES = CSV_NAME, PARQUET_NAME
 
 
 def check_folder(out: Path) -> None:
@@ -72,7 +74,7 @@ def write_analysis(
     write_report_page(report, out / PAGE_NAME, on_progress=on_progress)
     files = sorted({*_files(out) - others, JSON_NAME})
     values = {**findings_values(findings, report), 'files': files}
-    write_atomically(out / JSON_NAME, json_text(values))
+    write_sealed(out / JSON_NAME, values, [out / name for name in files if name in _TABLES])
     return values
 
 
@@ -99,7 +101,7 @@ def _begin(out: Path) -> None:
             if not path.is_absolute() and '..' not in path.parts:
                 (out / path).unlink(missing_ok=True)
         claim = {'schema': SCHEMA, 'version': VERSION, 'files': [JSON_NAME]}
-        write_atomically(out / JSON_NAME, json_text(claim))
+        write_sealed(out / JSON_NAME, claim)
     except OSError as error:
         raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
 
@@ -107,17 +109,17 @@ def _begin(out: Path) -> None:
 def _write_runs(findings: Findings, out: Path) -> None:
     """All judged runs with cause and group: as CSV for people, as Parquet for programs."""
     frame = explained_runs(findings)
-    write_whole(out / 'runs.csv', lambda path: frame.to_csv(path, index=False))
-    write_whole(out / 'runs.parquet', lambda path: frame.to_parquet(path, index=False))
+    write_whole(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
+    write_whole(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))
 
 
 def _written_before(out: Path) -> list[str] | None:
     """The files that an earlier analysis has written there; None if there was none."""
     try:
-        values = load_json((out / JSON_NAME).read_bytes())
-    except (OSError, ValueError):
+        values = read_sealed(out / JSON_NAME).values
+    except (OSError, UsageError):
         return None
-    if not isinstance(values, dict) or values.get('schema') != SCHEMA:
+    if values.get('schema') != SCHEMA:
         return None
     return [str(name) for name in values.get('files', ())]
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from taxinet_ros.analysis.group_rates import Floats, GroupRate, Mask, group_rate
 from taxinet_ros.analysis.run_features import PLAIN, feature_columns
-from taxinet_ros.campaign.facts import FACTS_NAME, stacks_in
+from taxinet_ros.campaign.facts import read_facts, stacks_in
 from taxinet_ros.campaign.outcome_words import count_kinds, count_words
 from taxinet_ros.campaign.rates import as_planned, without_gaps
 from taxinet_ros.campaign.row import SIMPLY_DRAWN
@@ -22,7 +22,6 @@ from taxinet_ros.campaign.table import PARQUET_NAME, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.provenance import Provenance
 
 _SCENE = [feature.source for feature in PLAIN]
@@ -146,7 +145,7 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     if missing:
         raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
     name = _spec_name(table, path, spec)
-    facts = read_facts(path)
+    facts = facts_beside(path)
     anytime, counted = _plan(table, facts)
     counts = table.loc[~table['outcome'].isin(_JUDGED), 'outcome'].value_counts()
     others = {str(outcome): int(count) for outcome, count in sorted(counts.items())}
@@ -269,7 +268,7 @@ def _blind(judged: pd.DataFrame) -> int:
 def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:
     """The records that came with the table, or with its campaign."""
     with_table = {str(name): value for name, value in table.attrs.items()}
-    told = stacks_in(with_table) or stacks_in(read_facts(path))
+    told = stacks_in(with_table) or stacks_in(facts_beside(path))
     return tuple(told.values())
 
 
@@ -282,13 +281,13 @@ def _network(perception: str) -> str:
     return Path(perception).stem if perception.endswith(('.safetensors', '.onnx')) else perception
 
 
-def read_facts(path: Path) -> dict[str, Any]:
-    """What ``campaign.json`` beside a campaign's table says; empty where there is none."""
+def facts_beside(path: Path) -> dict[str, Any]:
+    """What ``campaign.json`` beside a campaign's table says; empty where there is none.
+
+    Raises:
+        UsageError: it is damaged.
+    """
     if path.is_file() and path.name != PARQUET_NAME:
         return {}
-    folder = path if path.is_dir() else path.parent
-    try:
-        facts = load_json((folder / FACTS_NAME).read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return dict(facts) if isinstance(facts, dict) else {}
+    found = read_facts(path if path.is_dir() else path.parent)
+    return found.values if found else {}

@@ -1,19 +1,22 @@
-"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger."""
+"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger.
+
+When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then vouches for the
+tables, and says where the ledger ended.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros import __version__
-from taxinet_ros.bag.layout import write_atomically
+from taxinet_ros.bag.layout import disk_error, write_atomically
 from taxinet_ros.campaign.options import CampaignOptions, check_new
 from taxinet_ros.campaign.programs import program_digest, program_text
+from taxinet_ros.campaign.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.provenance import differences, known, provenance, stack_id
 
 FACTS_NAME = 'campaign.json'
@@ -68,15 +71,6 @@ def stacks_in(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
 
 
-def told_stacks(folder: Path) -> dict[str, dict[str, str]]:
-    """All records of the campaign in a folder; empty where nothing can be read."""
-    try:
-        facts = load_json((folder / FACTS_NAME).read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return stacks_in(facts) if isinstance(facts, dict) else {}
-
-
 def other_stack(facts: Mapping[str, Any], what: str) -> str:
     """One line where what is there was made on another machine or version than this; else ''.
 
@@ -102,14 +96,44 @@ def make_folder(out: Path, facts: Mapping[str, Any]) -> None:
     write_facts(out, facts)
 
 
-def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``campaign.json``, making the folder where needed.
+def read_facts(folder: Path) -> SealedJson | None:
+    """What ``campaign.json`` in a folder says; None where there is none.
 
     Raises:
-        UsageError: it cannot be written.
+        UsageError: it is damaged, or cannot be read.
     """
+    path = folder / FACTS_NAME
+    try:
+        return read_sealed(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
+    """Write ``campaign.json``, making the folder where needed; it goes on to vouch for the tables.
+
+    Raises:
+        UsageError: it cannot be written, or what is there is damaged.
+    """
+    before = read_facts(out)
+    files, journals = (before.files, before.journals) if before else ({}, {})
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / FACTS_NAME, json.dumps(facts, indent=2) + '\n')
+        write_atomically(out / FACTS_NAME, sealed_text(facts, files, journals))
     except OSError as error:
         raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+
+
+def seal_facts(folder: Path, facts: SealedJson, tables: Iterable[Path]) -> None:
+    """Have ``campaign.json`` vouch for the tables and for the ledger, as both are now.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path, ledger = folder / FACTS_NAME, folder / LEDGER_NAME
+    try:
+        write_sealed(path, facts.values, tables, [ledger] if ledger.exists() else [])
+    except OSError as error:
+        raise disk_error(path, error) from error

@@ -138,16 +138,34 @@ class Journal:
         os.close(self._fd)
 
 
-def read_journal(path: Path) -> list[dict[str, Any]]:
+def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, Any]]:
     """What the lines of a journal say, also while it is being written.
 
     A last line without its end counts as not there.
+
+    Args:
+        path: of the journal.
+        ended: where it ended once, if that is known; it may have grown since.
 
     Raises:
         OSError: it cannot be read.
         UsageError: ``path:line: message`` on the first thing that is wrong.
     """
-    return _sound_events(path, parse_journal(path.read_bytes()))
+    content = parse_journal(path.read_bytes())
+    events = _sound_events(path, content)
+    if ended is not None and (why := lost_end(content, ended)):
+        raise damaged_line(path, len(content.lines) + 1, why)
+    return events
+
+
+def lost_end(content: JournalContent, ended: JournalEnd) -> str:
+    """What is wrong with a journal that ended there once, or ''."""
+    if len(content.lines) < ended.lines:
+        lost = ended.lines - len(content.lines)
+        return f'{lost} of the {ended.lines} lines that it had are missing at its end'
+    if content.links[ended.lines] != ended.link:
+        return f'its first {ended.lines} lines are not those that it had'
+    return ''
 
 
 def damaged_line(path: Path, number: int, why: str) -> UsageError:

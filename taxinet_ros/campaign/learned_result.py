@@ -10,7 +10,6 @@ give intervals.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,9 +21,9 @@ import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
 from taxinet_ros.campaign.samplers.sampler import Probabilities
+from taxinet_ros.campaign.sealed_json import read_sealed, sealed_text
 from taxinet_ros.campaign.search_space import Choice
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 
 LEARNED_NAME = 'learned.json'
 
@@ -75,7 +74,7 @@ class LearnedResult:
             for choice in self.choices if (name := choice.dimension.name) in self.probabilities
         ]
         values = {'facts': dict(self.facts), 'dimensions': dimensions}
-        return json.dumps(values, indent=2, default=str) + '\n'
+        return sealed_text(values)
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -86,7 +85,7 @@ class LearnedResult:
         """
         path = folder / LEARNED_NAME
         try:
-            values = load_json(path.read_bytes())
+            values = read_sealed(path).values
             dimensions = values['dimensions']
             choices = tuple(Choice.from_json(dimension) for dimension in dimensions)
             return cls(

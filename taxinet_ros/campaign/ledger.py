@@ -7,16 +7,18 @@ record as finished, as begun, or not at all, and a campaign resumes by doing wha
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.layout import disk_error, sync_folder
+from taxinet_ros.bag.layout import disk_error, is_run_name, sync_folder
+from taxinet_ros.campaign.facts import FACTS_NAME, read_facts
 from taxinet_ros.campaign.journal import Journal, JournalOwner, damaged_line, read_journal
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import UsageError, warn_once
+from taxinet_ros.core.outcome import Outcome
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,6 +31,10 @@ class LedgerContent:
         unfinished: indices of runs that were begun and have no result, ascending.
         attempts: how often each run was begun, by index.
         added: formulas that were put to the runs afterwards, by name; the rows have their values.
+        unasked: indices of rows of runs that were never begun, ascending; those that were rejected
+            are none.
+        finished: whether the campaign has ended in good order since its last line.
+        lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
     """
 
     campaign: Mapping[str, Any]
@@ -36,6 +42,9 @@ class LedgerContent:
     unfinished: tuple[int, ...]
     attempts: Mapping[int, int]
     added: Mapping[str, str]
+    unasked: tuple[int, ...] = ()
+    finished: bool = False
+    lost: tuple[str, ...] = ()
 
 
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
@@ -70,7 +79,12 @@ class Ledger(JournalOwner):
         self._append(event | ({'scenario_sha256': scenario_sha256} if scenario_sha256 else {}))
 
     def result(self, row: RunRow) -> None:
-        """Record how a run ended."""
+        """Record how a run ended.
+
+        Raises:
+            ValueError: it cannot have ended like that.
+        """
+        row.check()
         self._append({'event': 'result', 'row': row.to_json()})
 
     def requirement(
@@ -99,53 +113,122 @@ class Ledger(JournalOwner):
 def read_ledger(path: Path) -> LedgerContent:
     """Read a ledger, also while it is being written; a torn last line counts as not there.
 
+    Where ``campaign.json`` lies beside it, the two have to say the same.
+
     Raises:
-        UsageError: ``path:line: message`` if the file cannot be read or a whole line is damaged.
+        UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or
+            says what cannot be, or ``campaign.json`` is damaged or another campaign's.
     """
+    facts = read_facts(path.parent)  # before the ledger, which may grow meanwhile
+    ended = facts.journals.get(path.name) if facts else None
     try:
-        events = read_journal(path)
+        events = read_journal(path, ended)
     except OSError as error:
         raise UsageError(f'ledger {path}: {error.strerror}') from error
-    campaign: dict[str, Any] = {}
-    rows: dict[int, RunRow] = {}
-    begun: Counter[int] = Counter()
-    added: dict[str, str] = {}
+    content = ledger_content(path, events, finished=ended is not None and len(events) == ended[0])
+    if facts is None:
+        warn_once(
+            f'{path}: unverified, for no {FACTS_NAME} beside it says how many lines it has to have'
+        )
+    elif facts.sealed and content.campaign:
+        _check_same(path, facts.values, events)
+    return content
+
+
+def ledger_content(
+    path: Path, events: Iterable[Mapping[str, Any]], *, finished: bool = False
+) -> LedgerContent:
+    """What the lines of a ledger come to.
+
+    Args:
+        path: of the ledger, for messages.
+        events: what its lines say, in order.
+        finished: whether nothing was written since the campaign ended.
+
+    Raises:
+        UsageError: ``path:line: message`` if a line says what cannot be.
+    """
+    found = _Events()
     for number, event in enumerate(events, start=1):
         try:
-            if event['event'] == 'requirement':
-                added[event['name']] = event['formula']
-                _judge(event, rows)
-            else:
-                _take(event, campaign, rows, begun)
+            found.take(event)
         except _DAMAGED as error:
             raise damaged_line(path, number, str(error)) from error
+    rows, begun = found.rows, found.begun
     return LedgerContent(
-        campaign=campaign,
+        campaign=found.campaign,
         rows=tuple(rows[index] for index in sorted(rows)),
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
-        added=added,
+        added=found.added,
+        unasked=tuple(
+            index for index in sorted(set(rows) - set(begun))
+            if rows[index].outcome is not Outcome.REJECTED
+        ),
+        finished=finished,
+        lost=tuple(found.lost),
     )
 
 
-def _judge(event: Mapping[str, Any], rows: dict[int, RunRow]) -> None:
-    """Give the rows so far what a later requirement says; a run done anew afterwards has none."""
-    for index, (lower, upper) in event['intervals'].items():
-        row = rows[int(index)]
-        rows[row.index] = row.also_judged(event['name'], float(lower), float(upper))
+class _Events:
+    """The lines of a ledger so far."""
+
+    def __init__(self) -> None:
+        self.campaign: dict[str, Any] = {}
+        self.rows: dict[int, RunRow] = {}
+        self.begun: Counter[int] = Counter()
+        self.added: dict[str, str] = {}
+        self.lost: list[str] = []
+        self._names: dict[str, int] = {}
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """One more line."""
+        match event['event']:
+            case 'campaign':
+                self.campaign.update(event['campaign'])
+            case 'intent':
+                self._intent(event)
+            case 'result':
+                self._result(RunRow.from_json(event['row']))
+            case 'requirement':
+                self._judge(event)
+            case 'lost':
+                self.lost.append(str(event['what']))
+            case other:
+                raise ValueError(f'unknown event {other!r:.80}')
+
+    def _intent(self, event: Mapping[str, Any]) -> None:
+        index = event['index']
+        check_kind('index', 'int', index)
+        if index < 0 or not is_run_name(event['run_id']):
+            raise ValueError(f'run {event["run_id"]!r:.80} with index {index}')
+        self.begun[index] += 1
+
+    def _result(self, row: RunRow) -> None:
+        before = self.rows.get(row.index)
+        if before is not None and before.outcome.judged:
+            raise ValueError(f'run {row.index} is {before.outcome} already')
+        if self._names.setdefault(row.run_id, row.index) != row.index:
+            raise ValueError(f'run {self._names[row.run_id]} is called {row.run_id} already')
+        self.rows[row.index] = row
+
+    def _judge(self, event: Mapping[str, Any]) -> None:
+        """Give the rows so far what a later requirement says; a run done anew then has none."""
+        self.added[event['name']] = event['formula']
+        for index, (lower, upper) in event['intervals'].items():
+            row = self.rows[int(index)]
+            self.rows[row.index] = row.also_judged(event['name'], float(lower), float(upper))
 
 
-def _take(
-    event: Mapping[str, Any], campaign: dict[str, Any], rows: dict[int, RunRow],
-    begun: Counter[int],
-) -> None:
-    if event['event'] == 'campaign':
-        campaign.update(event['campaign'])
-    elif event['event'] == 'intent':
-        check_kind('index', 'int', event['index'])
-        begun[event['index']] += 1
-    elif event['event'] == 'result':
-        row = RunRow.from_json(event['row'])
-        rows[row.index] = row
-    else:
-        raise ValueError(f'unknown event {event["event"]!r}')
+def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
+    """See that ``campaign.json`` says what the ledger does, or did before it was killed."""
+    told = [event['campaign'] for event in events if event['event'] == 'campaign']
+    if facts in told:
+        return
+    last, none = told[-1], object()
+    name = next(key for key in {**last, **facts} if facts.get(key, none) != last.get(key, none))
+    raise UsageError(
+        f'{path.with_name(FACTS_NAME)}: has another {name} than {path.name} beside it; was it '
+        f'edited, or copied from another campaign? Restore it, or write it anew from the ledger: '
+        f'taxinet doctor --mend {path.parent}'
+    )

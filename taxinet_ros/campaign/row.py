@@ -9,10 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.plain_kinds import check_kind
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers of which every run is an independent draw from the program; '' is none at all."""
@@ -111,6 +113,41 @@ class RunRow:
             raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
         if bool(self.rho_upper) != bool(self.stopped_early):
             raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
+
+    def check(self) -> None:
+        """See that the row can be the result of a run, judged by the formulas that it names.
+
+        Raises:
+            ValueError: its robustness is not that of its outcome, its name could lead out of the
+                campaign's folder, a number is not finite, or a word is none that there is.
+        """
+        if not is_run_name(self.run_id):
+            raise ValueError(f'run_id is {self.run_id!r:.80}, no plain name')
+        if self.index < 0:
+            raise ValueError(f'index is {self.index}')
+        for name, value, known in (
+            ('clouds', self.clouds, CLOUDS), ('aircraft', self.aircraft, AIRCRAFT),
+        ):
+            if value and value not in known:
+                raise ValueError(f'{name} is {value!r:.40}, not one of {", ".join(known)}')
+        for column in dataclasses.fields(self):
+            value = getattr(self, column.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f'{column.name} is {value}')
+        self._check_robustness()
+
+    def _check_robustness(self) -> None:
+        """PASS: every formula is above zero. FAIL: one of them is not."""
+        ends = [self.interval(spec) for spec in {**self.rho, **self.rho_lower, **self.rho_upper}]
+        known = [(low, high) for low, high in filter(None, ends) if low <= high]
+        if len(known) < len(ends):
+            raise ValueError(f'run {self.run_id}: a robustness is no number')
+        passed = all(low > 0 for low, _ in known)
+        failed = any(high <= 0 for _, high in known)
+        if (self.outcome is Outcome.PASS and not passed) or (
+            self.outcome is Outcome.FAIL and not failed
+        ):
+            raise ValueError(f'run {self.run_id}: {self.outcome} with robustness {known}')
 
     @property
     def unusable_share(self) -> float:
@@ -216,8 +253,8 @@ class RunRow:
         """Read back what :meth:`to_json` gave.
 
         Raises:
-            UsageError: a column is missing, unknown or of another kind, or the outcome is none of
-                the five.
+            UsageError: a column is missing, unknown or of another kind, the outcome is none of the
+                five, or the row is none that can be (:meth:`check`).
         """
         # A row from before the crossing could be taken away has a crossing if it has a scene.
         drawn = None if values.get('shadows') is None else True
@@ -225,6 +262,7 @@ class RunRow:
             row = cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
             for column in dataclasses.fields(cls):
                 check_kind(column.name, str(column.type), getattr(row, column.name))
+            row.check()
             return row
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise UsageError(f'not a row of this version: {error}') from error

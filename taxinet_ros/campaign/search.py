@@ -327,8 +327,8 @@ class Search:
 
     def _record(self, facts: dict[str, Any]) -> None:
         self._facts = facts
+        self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
         write_facts(self._campaign.out, facts)
-        self._ledger.campaign(facts)
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

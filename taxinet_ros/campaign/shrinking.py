@@ -100,8 +100,8 @@ class Shrinking:
         try:
             self._read_earlier(facts)
             facts[STACKS] = {**self._stacks, **facts[STACKS]}
+            self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
             write_facts(out, facts)
-            self._ledger.campaign(facts)
         except BaseException:
             self._ledger.__exit__(None, None, None)
             raise

@@ -6,16 +6,28 @@ several campaigns can be put together.
 
 from __future__ import annotations
 
+import functools
+import math
+import operator
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from taxinet_ros.bag.layout import disk_error, sync_folder
-from taxinet_ros.campaign.facts import STACKS, told_stacks
+from taxinet_ros.bag.layout import disk_error, is_run_name, sync_folder
+from taxinet_ros.campaign.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    read_facts,
+    seal_facts,
+    stacks_in,
+)
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import UsageError, warn_once
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
 
 if TYPE_CHECKING:  # A run need not wait for it before it begins.
     import pandas as pd
@@ -90,6 +102,8 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
 def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
     """Write ``runs.csv`` and ``runs.parquet``; each is whole at any moment, the old or the new.
 
+    ``campaign.json``, where there is one, vouches for both then.
+
     The Parquet file has the campaign's records of machine, libraries and code with it, in
     ``attrs['stacks']``; the column ``stack`` says which of them made a row.
 
@@ -99,12 +113,16 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
         specs: names of its formulas, as for :func:`table`.
     """
     frame = table(rows, specs)
-    frame.attrs[STACKS] = told_stacks(folder)
+    facts = read_facts(folder)
+    frame.attrs[STACKS] = stacks_in(facts.values) if facts else {}
     words = frame.apply(
         lambda column: column.map(_no_formula) if column.dtype == 'string' else column
     )
-    _replace(folder / CSV_NAME, lambda file: words.to_csv(file, index=False))
-    _replace(folder / PARQUET_NAME, lambda file: frame.to_parquet(file, index=False))
+    csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
+    _replace(csv, lambda file: words.to_csv(file, index=False))
+    _replace(parquet, lambda file: frame.to_parquet(file, index=False))
+    if facts is not None:
+        seal_facts(folder, facts, [csv, parquet])
 
 
 def read_table(folder: Path) -> pd.DataFrame:
@@ -114,31 +132,128 @@ def read_table(folder: Path) -> pd.DataFrame:
         folder: the campaign's, or a ``.parquet`` file of such a table.
 
     Raises:
-        UsageError: there is none, or it is damaged.
+        UsageError: there is none, it is damaged or not that of the campaign beside it, or it says
+            what cannot be.
+    """
+    path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
+    if not path.is_file():
+        raise UsageError(f'{path}: no such table; is {folder} a campaign?')
+    specs = check_tables(path.parent, path)
+    frame = read_any_table(path)
+    _check_rows(path, frame, specs)
+    return frame
+
+
+def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
+    """See that a campaign's tables are those that ``campaign.json`` vouches for.
+
+    Args:
+        folder: the campaign's.
+        wanted: the table that is to be read; where nobody vouches for it, that is warned of.
+
+    Returns:
+        Names of the formulas that made the outcomes, as far as is known.
+
+    Raises:
+        UsageError: one is not.
+    """
+    facts = read_facts(folder)
+    mend = f'write the tables anew from the ledger: taxinet doctor --mend {folder}'
+    vouched = False
+    for path in (folder / CSV_NAME, folder / PARQUET_NAME):
+        if facts is not None and path.is_file():
+            vouched |= facts.check_file(path, mend) and path == wanted
+    if wanted is not None and not vouched:
+        where = 'is not there' if facts is None else 'does not vouch for them'
+        warn_once(f'{folder}: its tables are unverified, for {FACTS_NAME} {where}')
+    ledger = folder / LEDGER_NAME
+    ended = facts.journals.get(LEDGER_NAME) if facts else None
+    if vouched and ended and ledger.is_file() and ledger.read_bytes().count(b'\n') > ended.lines:
+        warn_once(
+            f'{folder}: its tables are older than its ledger; is the campaign under way? Else '
+            f'--resume it, or {mend}'
+        )
+    own = facts.values.get('specs') if facts else None
+    return list(own) if isinstance(own, dict) else []
+
+
+def read_any_table(path: Path) -> pd.DataFrame:
+    """A table of runs, whoever vouches for it, with the types of :func:`table`.
+
+    Raises:
+        UsageError: it is damaged.
     """
     import pyarrow.parquet
 
-    path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
     try:
         columns = pyarrow.parquet.read_table(path)
         columns.validate(full=True)  # texts that are none, for one
         frame = columns.to_pandas()
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise UsageError(f'{path}: no such table; is {folder} a campaign?') from error
     except Exception as error:  # a foreign reader on untrusted bytes: every failure is the file's
         raise _damaged(path, error) from error
     names = [str(name) for name in frame.columns]
     if len(set(names)) < len(names):
         raise UsageError(f'{path}: damaged (a column is there twice)')
-    # No formula's name has a dot, so none is mistaken for the end of an interval.
-    specs = [name.removeprefix(_RHO) for name in names if re.fullmatch(rf'{_RHO}[^.]*', name)]
     dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
-    kinds = _kinds(specs, dimensions)
+    kinds = _kinds(_specs_of(frame), dimensions)
     # A table from before a column was thought of is still a table.
     try:
         return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
     except (ValueError, TypeError, OverflowError) as error:
         raise _damaged(path, error) from error
+
+
+def _specs_of(frame: pd.DataFrame) -> list[str]:
+    # No formula's name has a dot, so none is mistaken for the end of an interval.
+    return [
+        str(name).removeprefix(_RHO) for name in frame.columns
+        if re.fullmatch(rf'{_RHO}[^.]*', str(name))
+    ]
+
+
+def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
+    """See that every row can be that of a run; as :meth:`.row.RunRow.check`.
+
+    Args:
+        path: of the table, for messages.
+        frame: the table; what it has no columns for is not checked.
+        own: names of the formulas that made the outcomes, where they are known. Else the first of
+            the table's is one; further ones may have been added when the outcomes stood.
+    """
+    def refuse(wrong: Any, what: str) -> None:
+        for row in wrong.to_numpy(dtype=bool, na_value=True).nonzero()[0][:1]:
+            raise UsageError(f'{path}: row {row + 1}: {what}; a damaged or edited table')
+
+    def known(name: str, words: Iterable[str]) -> None:
+        if name in frame.columns:
+            refuse(~frame[name].fillna('').isin([*words]), f'an unknown word for {name}')
+
+    if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
+        return
+    refuse(~frame['run_id'].map(lambda name: is_run_name(str(name))), 'run_id is no plain name')
+    refuse((frame['index'] < 0) | frame['index'].duplicated(), 'its index is negative or not alone')
+    refuse(frame['run_id'].duplicated(), 'its run_id is not alone')
+    refuse(~frame['outcome'].isin([*Outcome]), 'its outcome is none')
+    known('clouds', ('', *CLOUDS))
+    known('aircraft', ('', *AIRCRAFT))
+    for name in frame.select_dtypes('float64').columns:
+        if not str(name).startswith(('rho', _POINT)):
+            refuse(frame[name].abs() == math.inf, f'{name} is not finite')
+    passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
+    specs = _specs_of(frame)
+    if not specs:
+        return
+    deciding = [name for name in own if name in specs] or specs[:1]
+    lower, upper = {}, {}
+    for name in specs:
+        exact = frame[f'{_RHO}{name}']
+        lower[name] = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
+        upper[name] = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
+        refuse(~(passed | failed) & upper[name].notna(), 'it has a robustness without a verdict')
+    below = [~(lower[name] > 0) for name in deciding]
+    refuse(passed & functools.reduce(operator.or_, below), 'PASS with a robustness not above 0')
+    some = [upper[name] <= 0 for name in (deciding if own else specs)]
+    refuse(failed & ~functools.reduce(operator.or_, some), 'FAIL with no robustness of 0 or less')
 
 
 def _damaged(path: Path, error: Exception) -> UsageError:

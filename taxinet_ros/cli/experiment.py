@@ -7,13 +7,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from taxinet_ros.bag.layout import write_atomically, write_whole
+from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.experiment import arm_rows, arm_searches, check_paired
 from taxinet_ros.campaign.experiment_file import Experiment
 from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.sealed_json import write_sealed
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -100,7 +101,7 @@ def _report(
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
     write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
-    write_atomically(out / JSON_NAME, json.dumps(values, indent=2) + '\n')
+    write_sealed(out / JSON_NAME, values, [pairs])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures

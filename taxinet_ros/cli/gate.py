@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.gate import GateAnswer, GateOptions, Verdict, ask_gate
 from taxinet_ros.analysis.junit import junit_xml
+from taxinet_ros.bag.findings import ranges
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.facts import LEDGER_NAME, stacks_in
-from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.ledger import LedgerContent, read_ledger
+from taxinet_ros.campaign.table import check_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import differences
@@ -39,12 +42,11 @@ def run_gate(
     path = folder / LEDGER_NAME
     if not path.is_file():
         raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
+    check_tables(folder)
     content = read_ledger(path)
     planned = content.campaign.get('first_runs', content.campaign.get('runs', 0))
     answer = ask_gate(content.rows, options, planned=int(planned))
-    if found := differences(*stacks_in(content.campaign).values()):
-        note = f'the runs were made on different machines or versions: {found}'
-        answer = replace(answer, notes=(*answer.notes, note))
+    answer = replace(answer, notes=(*answer.notes, *_record_notes(content)))
     if junit is not None:
         document = junit_xml(
             content.rows, answer, folder, content.campaign,
@@ -56,6 +58,17 @@ def run_gate(
     print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
     codes = {Verdict.PASS: 0, Verdict.FAIL: FAILED}
     return codes.get(answer.verdict, INCONCLUSIVE_WORDS[inconclusive])
+
+
+def _record_notes(content: LedgerContent) -> Iterator[str]:
+    """What the record itself has that a reader has to know."""
+    if found := differences(*stacks_in(content.campaign).values()):
+        yield f'the runs were made on different machines or versions: {found}'
+    if content.finished and content.unfinished:
+        yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
+    if content.unasked:
+        yield f'run {ranges(content.unasked)}: has a result, but nothing says that it was begun'
+    yield from content.lost
 
 
 def _words(answer: GateAnswer, folder: Path) -> str:

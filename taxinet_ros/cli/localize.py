@@ -15,10 +15,10 @@ from taxinet_ros.analysis.fault_report import (
     localisation_sentences,
     write_cases,
 )
-from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.facts import other_stack
 from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.localize import LocalizeOptions, localize
+from taxinet_ros.campaign.sealed_json import write_sealed
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.mtl import parse_spec
 
@@ -77,12 +77,12 @@ def _write(found: Localisation, out: Path) -> list[Path]:
     from taxinet_ros.analysis.report_page import write_report_page
 
     report = localisation_report(found)
-    path = out / JSON_NAME
-    write_atomically(path, json.dumps(localisation_json(found), indent=2) + '\n')
+    path, tables = out / JSON_NAME, write_cases(found, out)
+    write_sealed(path, localisation_json(found), tables)
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures
     ]
     page = out / 'localize.html'
     write_report_page(report, page)
-    return [page, *pictures, *write_cases(found, out), path]
+    return [page, *pictures, *tables, path]

@@ -6,20 +6,18 @@ Every complaint is one line with the file, the key, and what is expected there.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.experiment_file import find_experiment
 from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.campaign.yaml_file import YamlFile, read_yaml
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.study.config import StudyConfig
 
 SHIPPED = 'case_study.yaml'
@@ -77,7 +75,7 @@ def read_config(path: Path) -> StudyConfig:
 
 def write_study(out: Path, config: StudyConfig) -> None:
     """Put down what a study is, for ``--resume`` and for its report."""
-    write_atomically(out / STUDY_NAME, json.dumps(dataclasses.asdict(config), indent=2) + '\n')
+    write_sealed(out / STUDY_NAME, dataclasses.asdict(config))
 
 
 def read_study(out: Path, option: str) -> StudyConfig:
@@ -92,7 +90,7 @@ def read_study(out: Path, option: str) -> StudyConfig:
     """
     path = out / STUDY_NAME
     try:
-        values = dict(load_json(path.read_bytes()))
+        values = read_sealed(path).values
         lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
         return StudyConfig(**{**values, **lists})
     except FileNotFoundError:

@@ -21,9 +21,9 @@ from taxinet_ros.analysis.failure_region import Region, part_of
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.sealed_json import read_sealed
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import card_path, load_model
 from taxinet_ros.study.acceptance import Decision, decide
 from taxinet_ros.study.improve_options import ImproveOptions
@@ -158,8 +158,7 @@ class Improvement:
 
     def _analysis(self, number: int) -> Mapping[str, Any]:
         path = self._out / analyze_name(number) / 'analysis.json'
-        values: Mapping[str, Any] = load_json(path.read_bytes())
-        return values
+        return read_sealed(path).values
 
 
 def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

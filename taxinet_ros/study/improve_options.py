@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.programs import find_program, known_programs
 from taxinet_ros.campaign.samplers.make import SAMPLERS
+from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import load_model, weights_path
 from taxinet_ros.training.portions import parse_portion
 
@@ -151,7 +149,7 @@ def write_options(out: Path, options: ImproveOptions) -> None:
     Raises:
         BagWriteError: it cannot be written to.
     """
-    write_atomically(out / FACTS_NAME, json.dumps(options.to_json(), indent=2) + '\n')
+    write_sealed(out / FACTS_NAME, options.to_json())
 
 
 def read_options(out: Path) -> ImproveOptions:
@@ -162,13 +160,12 @@ def read_options(out: Path) -> ImproveOptions:
     """
     path = out / FACTS_NAME
     try:
-        values = load_json(path.read_bytes())
-        if not isinstance(values, dict):
-            raise UsageError('is no JSON object')
-        return ImproveOptions.from_json(values)
+        values = read_sealed(path).values
     except OSError as error:
         raise UsageError(
             f'--resume: {path}: {error.strerror}; name the folder of an earlier taxinet improve'
         ) from error
-    except (ValueError, UsageError) as error:
+    try:
+        return ImproveOptions.from_json(values)
+    except UsageError as error:
         raise UsageError(f'{path}: {error}') from error

@@ -15,8 +15,9 @@ from taxinet_ros.analysis.paired_rates import PairedRates, paired_rates
 from taxinet_ros.analysis.settled import settled_cross_track_m
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
 from taxinet_ros.campaign.rates import Rate, rate
+from taxinet_ros.campaign.sealed_json import read_sealed
 from taxinet_ros.campaign.search_space import Choice
-from taxinet_ros.campaign.table import PARQUET_NAME, read_table
+from taxinet_ros.campaign.table import PARQUET_NAME, read_any_table, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.weights import weights_path
@@ -170,11 +171,11 @@ def read_results(config: StudyConfig, out: Path) -> Results:
             networks[name] = _network(name, folder, card, bags=True)
     names = [Path(word).stem for word in config.experiments]
     folders = {name: out / f'experiment-{name}' for name in names}
-    values = {name: _values(folder / 'experiment.json') for name, folder in folders.items()}
+    values = {name: _vouched(folder / 'experiment.json') for name, folder in folders.items()}
     return Results(
         networks=networks, searches=_searches(config, out),
-        localized=_values(out / LOCALIZE / 'localize.json'),
-        analysis=_values(out / ANALYZE / 'analysis.json'),
+        localized=_vouched(out / LOCALIZE / 'localize.json'),
+        analysis=_vouched(out / ANALYZE / 'analysis.json'),
         experiments={name: found for name, found in values.items() if found is not None},
         experiment_pairs=_pairs({
             name: folder / 'pairs.parquet' for name, folder in folders.items()
@@ -255,7 +256,7 @@ def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, 
 
 
 def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
-    return {name: read_table(path) for name, path in paths.items() if path.is_file()}
+    return {name: read_any_table(path) for name, path in paths.items() if path.is_file()}
 
 
 def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:
@@ -303,6 +304,17 @@ def _values(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError) as error:
         raise UsageError(f'{path}: cannot be read ({error}); do its stage again') from error
     return dict(values)
+
+
+def _vouched(path: Path) -> dict[str, Any] | None:
+    """The values of a sealed file, whose tables are those that it vouches for."""
+    if not path.is_file():
+        return None
+    found = read_sealed(path)
+    for name in found.files:
+        if (table := path.with_name(name)).is_file():
+            found.check_file(table, 'do its stage again')
+    return found.values
 
 
 def share_of(hits: Sequence[bool] | np.ndarray) -> Rate:

@@ -13,6 +13,7 @@ from typing import Any
 from taxinet_ros import __version__
 from taxinet_ros.campaign.experiment_file import find_experiment, read_experiment
 from taxinet_ros.campaign.programs import find_program, program_digest
+from taxinet_ros.campaign.sealed_json import file_sha256
 from taxinet_ros.core.perception import check_perception
 
 
@@ -111,7 +112,7 @@ class Stage:
         found: dict[str, Any] = {
             'words': self.words, 'version': __version__,
             'inputs': {
-                name: file_digest(out / name) for name in (*self.inputs, *self.wants)
+                name: file_sha256(out / name) for name in (*self.inputs, *self.wants)
                 if (name in self.inputs and name != self.needs) or (out / name).is_file()
             },
             'programs': {
@@ -122,20 +123,14 @@ class Stage:
         if self.experiment:
             path = find_experiment(self.experiment)
             program = find_program(read_experiment(path).program)
-            found['experiment'] = [file_digest(path), program_digest(program)]
+            found['experiment'] = [file_sha256(path), program_digest(program)]
         if self.perception:
             found['perception'] = check_perception(self.perception)
         return found
 
     def results(self, out: Path) -> dict[str, str]:
         """Digests of its outputs by name; of those that are there."""
-        return {name: file_digest(out / name) for name in self.outputs if (out / name).is_file()}
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open('rb') as file:
-        return hashlib.file_digest(file, 'sha256').hexdigest()
+        return {name: file_sha256(out / name) for name in self.outputs if (out / name).is_file()}
 
 
 def _digest(values: Mapping[str, Any]) -> str:

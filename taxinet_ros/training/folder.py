@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -26,8 +25,8 @@ from numpy.typing import NDArray
 
 from taxinet_ros import __version__
 from taxinet_ros.campaign.programs import find_program, program_digest, program_text
+from taxinet_ros.campaign.sealed_json import read_sealed, sealed_text
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training.dataset import SAMPLERS, Progress, draw_scenes, silent
@@ -145,7 +144,7 @@ def _begin(out: Path, request: Mapping[str, Any]) -> None:
     """Make the folder, and write down there what for."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        _put(out / REQUEST, _json(request))
+        _put(out / REQUEST, sealed_text(request).encode())
         (out / IMAGES).mkdir()
     except OSError as error:
         raise _unwritable(out, error) from error
@@ -154,18 +153,18 @@ def _begin(out: Path, request: Mapping[str, Any]) -> None:
 def _check_request(out: Path, request: Mapping[str, Any]) -> None:
     path = out / REQUEST
     try:
-        begun = load_json(path.read_bytes())
+        begun = read_sealed(path).values
         (out / IMAGES).mkdir(exist_ok=True)
     except FileNotFoundError as error:
         raise UsageError(
             f'dataset: --resume: {path}: no such file, so nothing was begun; leave --resume out'
         ) from error
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise UsageError(
             f'dataset: --resume: {path}: cannot be read; name another --out'
         ) from error
     for name, value in request.items():
-        before = begun.get(name) if isinstance(begun, dict) else None
+        before = begun.get(name)
         if before != value:
             raise UsageError(
                 f'dataset: --resume: {out} was begun with {name} {before}, not {value}; repeat its '
@@ -240,7 +239,8 @@ def _complete(
     try:
         _put(out / LABELS, table.getvalue())
         os.sync()  # once for all images: the next file must not outlive them in a loss of power
-        _put(out / FACTS, _json({**request, 'labels_sha256': labels_sha256}))
+        facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
+        _put(out / FACTS, facts.encode())
     except OSError as error:
         raise _unwritable(out, error) from error
 
@@ -268,10 +268,6 @@ def _put(path: Path, data: bytes) -> None:
     draft = path.with_name(f'.{path.name}.draft')
     draft.write_bytes(data)
     draft.replace(path)
-
-
-def _json(values: Mapping[str, Any]) -> bytes:
-    return json.dumps(values, indent=2).encode() + b'\n'
 
 
 def _other_bytes(path: Path) -> UsageError:

@@ -21,11 +21,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from PIL import Image
 
+from taxinet_ros.campaign.sealed_json import file_sha256, read_sealed
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.labelled_frames import LabelledFrame, labelled_frames
 from taxinet_ros.core.model_card import Source
 from taxinet_ros.core.network import INPUT_SHAPE, shrink
-from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.training.dataset import Dataset, Progress, silent
 from taxinet_ros.training.layout import FACTS, LABELS, REQUEST
 
@@ -186,10 +186,10 @@ def _table(folder: Path) -> Path:
 def _check_digest(folder: Path, table: Path) -> None:
     facts = folder / FACTS
     try:
-        expected = load_json(facts.read_bytes())['labels_sha256']
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        expected = read_sealed(facts).values['labels_sha256']
+    except (OSError, LookupError) as error:
         raise UsageError(f'{facts}: cannot be read; make the dataset again') from error
-    if hashlib.sha256(table.read_bytes()).hexdigest() != expected:
+    if file_sha256(table) != expected:
         raise UsageError(
             f'{table}: is not the table that {FACTS} describes (its SHA-256 differs); restore it, '
             'or make the dataset again'

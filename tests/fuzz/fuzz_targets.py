@@ -18,7 +18,7 @@ import whole_runs
 import yaml
 
 from taxinet_ros.analysis.analysis_folder import SCHEMA, check_folder
-from taxinet_ros.analysis.campaign_runs import read_facts
+from taxinet_ros.analysis.campaign_runs import facts_beside
 from taxinet_ros.bag.checkup import check_bag
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.layout import METADATA_FILE
@@ -174,7 +174,7 @@ TARGETS: dict[str, Target] = {
     'ledger': Target(True, lambda folder: [_ledger_text(folder)], _resume),
     'campaign.json': Target(
         True, lambda folder: [json.dumps(_search_facts(folder), indent=2).encode()],
-        _file(FACTS_NAME, lambda path: read_facts(path.parent))),
+        _file(FACTS_NAME, lambda path: facts_beside(path.parent))),
     'learned.json': Target(True, lambda folder: [_LEARNED.to_json().encode()], _learned),
     'bench report': Target(True, _jsons(_REPORT), _file('old.json', load_report)),
     'analysis.json': Target(
