@@ -107,9 +107,14 @@ def sync_folder(folder: Path) -> None:
 
 def write_atomically(path: Path, text: str) -> None:
     """Put ``text`` at ``path`` so that a reader sees all of it or no file, come what may."""
+    write_bytes_atomically(path, text.encode())
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> None:
+    """Put ``data`` at ``path``, as :func:`write_atomically`."""
     draft = path.with_name(path.name + '.tmp')
-    with draft.open('w', encoding='utf-8') as stream:
-        stream.write(text)
+    with draft.open('wb') as stream:
+        stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
     draft.rename(path)

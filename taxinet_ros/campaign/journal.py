@@ -34,6 +34,10 @@ _DIGITS = 32
 _LINE = re.compile(rb'\{"chain":"([0-9a-f]{32})([0-9a-f]{32})",(.+\})', re.DOTALL)
 
 
+_START = hashlib.sha256().hexdigest()[:_DIGITS]
+"""Link before the first line: the digest of nothing."""
+
+
 class JournalEnd(NamedTuple):
     """Where a journal ends: number of its lines, and link of the last."""
 
@@ -70,7 +74,7 @@ class JournalContent:
 
     lines: tuple[JournalLine, ...] = ()
     unprotected: int = 0
-    links: tuple[str, ...] = ('',)
+    links: tuple[str, ...] = (_START,)
     whole: int = 0
     trouble: str = ''
 

@@ -6,6 +6,7 @@ record as finished, as begun, or not at all, and a campaign resumes by doing wha
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -168,6 +169,21 @@ def ledger_content(
         finished=finished,
         lost=tuple(found.lost),
     )
+
+
+def possible_events(events: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A ledger's events without those that say what cannot be."""
+    found, kept = _Events(), []
+    for event in events:
+        with contextlib.suppress(*_DAMAGED):
+            found.take(event)
+            kept.append(dict(event))
+    return kept
+
+
+def lost_event(what: str) -> dict[str, Any]:
+    """An event for a ledger of which damaged lines were left out."""
+    return {'event': 'lost', 'what': what}
 
 
 class _Events:

@@ -125,6 +125,8 @@ class RunRow:
             raise ValueError(f'run_id is {self.run_id!r:.80}, no plain name')
         if self.index < 0:
             raise ValueError(f'index is {self.index}')
+        if self.bag and not is_run_name(self.bag):
+            raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
         for name, value, known in (
             ('clouds', self.clouds, CLOUDS), ('aircraft', self.aircraft, AIRCRAFT),
         ):

@@ -115,14 +115,18 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     frame = table(rows, specs)
     facts = read_facts(folder)
     frame.attrs[STACKS] = stacks_in(facts.values) if facts else {}
-    words = frame.apply(
-        lambda column: column.map(_no_formula) if column.dtype == 'string' else column
-    )
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    _replace(csv, lambda file: words.to_csv(file, index=False))
+    _replace(csv, lambda file: file.write(csv_text(frame).encode()))
     _replace(parquet, lambda file: frame.to_parquet(file, index=False))
     if facts is not None:
         seal_facts(folder, facts, [csv, parquet])
+
+
+def csv_text(frame: pd.DataFrame) -> str:
+    """Text of ``runs.csv`` with a table; no spreadsheet takes a word of it for a formula."""
+    return frame.apply(
+        lambda column: column.map(_no_formula) if column.dtype == 'string' else column
+    ).to_csv(index=False)
 
 
 def read_table(folder: Path) -> pd.DataFrame:

@@ -132,6 +132,36 @@ def explain(
     raise typer.Exit(code)
 
 
+def doctor(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar='CAMPAIGN',
+            help='folder of a campaign, an experiment, a dataset, a study; anything that holds '
+            'such',
+        ),
+    ],
+    mend: Annotated[
+        bool,
+        typer.Option(
+            '--mend',
+            help='write tables and campaign.json anew from the ledger; put a damaged ledger '
+            'aside and go on with its sound lines',
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Check all that lies in a folder of results: is it what was written there?
+
+    Every line of every ledger, the tables against it, each bag against its row, each picture of a
+    dataset against its label, and what killed processes have left. Exit code: 0 all is sound, 3
+    something is not whole, 2 there is nothing to check.
+    """
+    from taxinet_ros.cli.doctor import run_doctor
+
+    raise typer.Exit(run_doctor(folder, mended=mend, as_json=as_json))
+
+
 def gate(
     campaign: CampaignArgument,
     min_satisfaction: Annotated[

@@ -31,7 +31,7 @@ from taxinet_ros.campaign.interrupts import (
     heard_again,
     told_apart,
 )
-from taxinet_ros.cli.analysis_commands import analyze, experiment, explain, gate, localize
+from taxinet_ros.cli.analysis_commands import analyze, doctor, experiment, explain, gate, localize
 from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.given import asks_for, given_options
@@ -58,8 +58,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, monitor, spec,
-    demo, train, dataset, evaluate, case_study, improve,
+    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, doctor,
+    monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

@@ -6,9 +6,11 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import falsify_samples as toy
 import pytest
+from journal_samples import rewrite, under_way
 
 from taxinet_ros.campaign import scene_source
 from taxinet_ros.campaign import search as search_module
@@ -150,6 +152,7 @@ def test_given_a_ledger_torn_at_any_byte_of_its_end_when_resumed_then_nothing_el
     for cut in cuts:
         torn = tmp_path / f'torn-{cut}'
         shutil.copytree(whole, torn)
+        under_way(torn)
         (torn / 'ledger.jsonl').write_bytes(data[:cut])
         toy.finish(toy.options(torn, resume=True))
         toy.same_table(whole, torn)
@@ -361,11 +364,12 @@ def test_given_a_search_killed_before_its_first_line_when_resumed_then_it_begins
 
 
 def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refused(whole):
-    ledger = whole / 'ledger.jsonl'
-    events = [json.loads(line) for line in ledger.read_text().splitlines()]
-    rows = [event['row'] for event in events if event['event'] == 'result']
-    rows[7]['point']['x'] += 1e-9
-    ledger.write_text(''.join(json.dumps(event) + '\n' for event in events))
+    def elsewhere(events: list[dict[str, Any]]) -> None:
+        rows = [event['row'] for event in events if event['event'] == 'result']
+        rows[7]['point']['x'] += 1e-9
+
+    under_way(whole)
+    rewrite(whole / 'ledger.jsonl', elsewhere)
     with pytest.raises(UsageError, match='another point for run 7'):
         toy.finish(toy.options(whole, resume=True))
 

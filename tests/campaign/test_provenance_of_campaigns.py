@@ -7,12 +7,14 @@ from pathlib import Path
 
 import falsify_samples as toy
 import pytest
+from journal_samples import rewrite, write_old
 
 from taxinet_ros.analysis.campaign_runs import read_runs
 from taxinet_ros.analysis.summary_words import stack_sentences
 from taxinet_ros.campaign import facts as facts_module
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.facts import FACTS_NAME, STACKS, stacks_in, this_stack
+from taxinet_ros.campaign.journal import read_journal
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
@@ -70,11 +72,12 @@ def test_provenance_of_a_search_resumed_elsewhere_is_kept_for_each_sitting_and_w
 def test_provenance_of_an_older_campaign_is_said_to_be_untold(tmp_path):
     toy.finish(toy.options(tmp_path, runs=4))
     ledger = tmp_path / 'ledger.jsonl'
-    lines = [json.loads(line) for line in ledger.read_text().splitlines()]
-    for line in lines:
-        line.get('campaign', {}).pop(STACKS, None)
-        line.get('row', {}).pop('stack', None)
-    ledger.write_text(''.join(json.dumps(line) + '\n' for line in lines))
+    events = read_journal(ledger)
+    for event in events:
+        event.get('campaign', {}).pop(STACKS, None)
+        event.get('row', {}).pop('stack', None)
+    (tmp_path / FACTS_NAME).unlink()
+    write_old(ledger, events)
     with toy.searching(toy.options(tmp_path, runs=4, resume=True)) as search:
         assert 'nothing tells on which machine and versions' in search.warning
 
@@ -113,8 +116,7 @@ def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path):
         assert log.records['falsify'].stacks == (dict(provenance()),)
         assert other_stack(log.records) == ''
     path = tmp_path / 'stages.jsonl'
-    text = path.read_text().replace(json.dumps(provenance()['numpy']), '"0.1"')
-    path.write_text(text)
+    rewrite(path, lambda events: events[0]['provenance'].update(numpy='0.1'))
     with StageLog(tmp_path) as log:
         assert f'numpy 0.1 | {provenance()["numpy"]}' in other_stack(log.records)
 

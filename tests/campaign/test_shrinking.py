@@ -190,7 +190,7 @@ def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
         lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
-            outcome=Outcome.PASS, rho={NAME: 0.5}, statistics=RunStatistics(), last_seq=10),
+            outcome=Outcome.PASS, rho={NAME: 0.5}, statistics=RunStatistics(max_cross_track_m=1.0), last_seq=10),
     )
     assert report(shrinking).state.end is End.NOT_REPRODUCED
     assert len(shrinking.rows) == 2
@@ -227,7 +227,7 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
         rho = min(0.305 - scenario.rain, 1.0 if scenario.distance_m > 705 else -0.1)
         return RunResult(
             outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={NAME: rho}, last_seq=10,
-            statistics=RunStatistics(),
+            statistics=RunStatistics(max_cross_track_m=1.0),
         )
 
     shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'), either)
