@@ -9,9 +9,8 @@ from typing import Any
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.layout import write_atomically
-from taxinet_ros.campaign.options import CampaignOptions, check_new
+from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.programs import program_digest, program_text
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.provenance import differences, known, provenance, stack_id
@@ -92,24 +91,10 @@ def other_stack(facts: Mapping[str, Any], what: str) -> str:
         found) else ''
 
 
-def make_folder(out: Path, facts: Mapping[str, Any]) -> None:
-    """Begin a campaign's folder, which must be new or empty.
-
-    Raises:
-        UsageError: it is not, or it cannot be made.
-    """
-    check_new(out)
-    write_facts(out, facts)
-
-
 def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``campaign.json``, making the folder where needed.
+    """Write ``campaign.json`` into the folder ``out``.
 
     Raises:
-        UsageError: it cannot be written.
+        OSError: it cannot be written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / FACTS_NAME, json.dumps(facts, indent=2) + '\n')
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+    write_atomically(out / FACTS_NAME, json.dumps(facts, indent=2) + '\n')

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.bag.layout import disk_error
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import RecordError, UsageError
 
 
 class Journal:
@@ -48,11 +48,27 @@ class Journal:
 
         Raises:
             OSError: not all of it could be written, as on a full disk.
+            RecordError: it was written, but where nobody looks for it; see :meth:`check_in_place`.
         """
         line = json.dumps(values, separators=(',', ':')).encode() + b'\n'
         if (written := os.write(self._fd, line)) != len(line):
             what = f'only {written} of {len(line)} bytes fitted'
             raise OSError(None, what, str(self._path))
+        self.check_in_place()
+
+    def check_in_place(self) -> None:
+        """See that the open file is still the one at its path.
+
+        Raises:
+            RecordError: it, or a folder above it, was moved, deleted or replaced. What was appended
+                is in the file all the same, wherever that is now.
+        """
+        if not _is_at(self._path, self._fd):
+            os.fsync(self._fd)
+            raise RecordError(
+                f'{self._path}: was moved, deleted or replaced while it was written; what was '
+                'recorded is in the file that was moved'
+            )
 
     def sync(self) -> None:
         """Wait until what was written has reached the disk."""
@@ -61,6 +77,13 @@ class Journal:
     def close(self) -> None:
         """Let others open it."""
         os.close(self._fd)
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except OSError:
+        return False
 
 
 def whole_lines(data: bytes) -> bytes:
@@ -94,4 +117,12 @@ class JournalOwner:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others open it."""
         self._journal.close()
+
+    def check_in_place(self) -> None:
+        """See :meth:`Journal.check_in_place`."""
+        self._journal.check_in_place()
