@@ -6,6 +6,7 @@ the folder. As there, ``metadata.yaml`` is written last: a folder without it was
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -18,6 +19,9 @@ from taxinet_ros.core.errors import UsageError
 
 METADATA_FILE = 'metadata.yaml'
 STORAGE_ID = 'mcap'
+
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Errors of the operating system that no other path would mend."""
 
 T = TypeVar('T')
 
@@ -106,19 +110,28 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Put ``text`` at ``path`` so that a reader sees all of it or no file, come what may."""
+    """Put ``text`` at ``path`` so that a reader sees all of it or no file, come what may.
+
+    Raises:
+        OSError: it cannot be written; what was there before is there still.
+    """
     write_bytes_atomically(path, text.encode())
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
     """Put ``data`` at ``path``, as :func:`write_atomically`."""
     draft = path.with_name(path.name + '.tmp')
-    with draft.open('wb') as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
-    draft.rename(path)
-    sync_folder(path.parent)
+    try:
+        with draft.open('wb') as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        draft.rename(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+        raise disk_error(path, error) from error
 
 
 def write_whole(path: Path, write: Callable[[Path], T]) -> T:

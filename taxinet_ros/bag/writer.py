@@ -70,12 +70,12 @@ class BagWriter:
     def __init__(
         self, folder: Path, topics: Sequence[TopicInfo], *, metadata: Mapping[str, str],
         attachments: Mapping[str, bytes], min_free_bytes: int = 1_000_000_000,
-        beside: Mapping[str, str] | None = None,
+        beside: Mapping[str, str] | None = None, make_parents: bool = True,
     ) -> None:
         """Start a bag.
 
         Args:
-            folder: the run folder, named as the run; it must not exist, its parents need not.
+            folder: the run folder, named as the run; it must not exist.
             topics: every topic that may be written.
             metadata: words of the run: scenario, seed, versions, perception; kept as custom data.
             attachments: files to put in, by name; ``manifest.json`` is added unless it is given.
@@ -83,6 +83,7 @@ class BagWriter:
                 kept free while recording.
             beside: words that stand in ``metadata.yaml`` alone: those in which bags of equal runs
                 may differ, such as the commit.
+            make_parents: whether the folder's parents need not exist.
 
         Raises:
             UsageError: the folder exists, there is too little space, or a topic is malformed.
@@ -90,7 +91,7 @@ class BagWriter:
         """
         check_topics(topics)
         _check_words('metadata', {**metadata, **(beside or {})})
-        _make_folder(folder, min_free_bytes)
+        _make_folder(folder, min_free_bytes, make_parents)
         self.folder = folder
         self._topics = tuple(topics)
         self._custom = dict(metadata)
@@ -213,12 +214,13 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
             raise UsageError(f'bag metadata {name!r}: {key!r} is {value!r}; give text for both')
 
 
-def _make_folder(folder: Path, min_free_bytes: int) -> None:
+def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     if folder.exists() or folder.is_symlink():
         text = 'exists already; nothing recorded is overwritten, name another folder'
         raise UsageError(f'{folder}: {text}')
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        if make_parents:
+            folder.parent.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(folder.parent).free
         if free < min_free_bytes:
             raise UsageError(

@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, make_folder
-from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.facts import campaign_facts
 from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.record import Record
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource, first_duration_s
-from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
@@ -79,9 +78,12 @@ class Campaign:
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
             facts['warnings'] = list(self.check.warnings)
-            make_folder(self.options.out, facts)
-            self._ledger = Ledger(self.options.out / LEDGER_NAME)
-            self._ledger.campaign(facts)
+            self._record = Record(self.options.out, [spec.name for spec in self._specs])
+            try:
+                self._record.facts(facts)
+            except BaseException:
+                self._record.close()
+                raise
         except BaseException:
             self._source.__exit__(None, None, None)
             raise
@@ -93,8 +95,7 @@ class Campaign:
     ) -> None:
         """Write the table of what there is, whatever happened."""
         self._source.__exit__(None, None, None)
-        self._ledger.__exit__(None, None, None)
-        write_tables(self.rows, self.options.out, [spec.name for spec in self._specs])
+        self._record.__exit__(kind, error, trace)
 
     @property
     def unfinished(self) -> bool:
@@ -116,7 +117,7 @@ class Campaign:
                 continue
             self._refused[index] = self._source.refused
             request = run_request(self.options, index, scenario, self._participants)
-            self._ledger.intent(index, request.run_id)
+            self._record.intent(index, request.run_id)
             yield request
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
@@ -129,9 +130,11 @@ class Campaign:
 
     def _keep(self, row: RunRow) -> None:
         row = dataclasses.replace(row, refused=self._refused.pop(row.index, 0))
-        self._ledger.result(row)
         self.rows.append(row)
-        self._on_row(row)
+        try:
+            self._record.result(row)
+        finally:
+            self._on_row(row)
 
 
 def exit_code(rows: list[RunRow]) -> int:

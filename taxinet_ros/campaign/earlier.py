@@ -12,11 +12,15 @@ from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, STACKS, other_st
 from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
 
-_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS})
+UNTOLD = 'untold'
+"""The fact that names the runs of :attr:`Earlier.untold`."""
+
+_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNTOLD})
 """Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
 may warn of more than another, and another machine or version is warned of."""
 
@@ -31,7 +35,12 @@ class Earlier:
     """The part of a search that is done.
 
     Attributes:
-        rows: results by index, without those of interrupted runs, which are run again.
+        rows: results by index of the runs that are done.
+        again: results by index of those that are done again: the bench broke them, they were
+            interrupted, or their scenes were chosen without the result of a run that broke.
+        untold: runs that the bench had broken when others, since judged, were chosen without their
+            results; they may have been run again meanwhile. What was chosen stays, so the sampler
+            is never told of them.
         begun: number of runs that were begun or done, counted from run 0.
         attempts: how often each run was begun, by index.
         facts: those that stay: how many runs were planned at first, and on the perception, where
@@ -40,24 +49,14 @@ class Earlier:
         warning: one line where one of them is another than this, or ''.
     """
 
-    rows: dict[int, RunRow] = field(default_factory=dict)
+    rows: Mapping[int, RunRow] = field(default_factory=dict)
+    again: Mapping[int, RunRow] = field(default_factory=dict)
+    untold: frozenset[int] = frozenset()
     begun: int = 0
     attempts: Mapping[int, int] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
     stacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     warning: str = ''
-
-
-def check_resumable(out: Path) -> None:
-    """See that there is a search in ``out`` to be continued.
-
-    Raises:
-        UsageError: there is none.
-    """
-    if not (out / LEDGER_NAME).is_file():
-        raise UsageError(
-            f'--resume: {out / LEDGER_NAME}: no such file, so nothing was begun; leave --resume out'
-        )
 
 
 def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
@@ -75,16 +74,46 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     if content.campaign:
         _check_same(out, content.campaign, {k: v for k, v in facts.items() if k not in of_graph})
-    rows = {row.index: row for row in content.rows if row.outcome is not Outcome.INTERRUPTED}
+    untold = _untold(content.campaign, content.rows)
+    again = {row.index: row for row in _not_done(content.rows, untold)}
+    rows = {row.index: row for row in content.rows if row.index not in again}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
     if begun > facts['runs']:
         raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
     return Earlier(
-        rows=rows, begun=begun, attempts=content.attempts,
+        rows=rows, again=again, untold=untold, begun=begun,
+        attempts=content.attempts,
         facts=_staying(content.campaign, of_graph),
         stacks=stacks_in(content.campaign),
-        warning=other_stack(content.campaign, str(out)) if rows else '',
+        warning=other_stack(content.campaign, str(out)) if content.rows else '',
     )
+
+
+def _untold(before: Mapping[str, Any], rows: Sequence[RunRow]) -> frozenset[int]:
+    """See :class:`Earlier`. A run is chosen with the results of those ``LAG`` before it."""
+    known = before.get(UNTOLD, [])
+    if not isinstance(known, list) or not all(type(index) is int for index in known):
+        raise UsageError(f"the ledger's {UNTOLD} is {_short(known)}; it has to be a list of runs")
+    last = max((row.index for row in rows if row.outcome.judged), default=-1)
+    broken = (row.index for row in rows if row.outcome is Outcome.INFRA_ERROR)
+    return frozenset([*known, *(index for index in broken if index + LAG <= last)])
+
+
+def _not_done(rows: Sequence[RunRow], untold: frozenset[int]) -> list[RunRow]:
+    """The rows of runs that have to be done again.
+
+    Among them are scenes that could not be drawn, and may have been chosen without a result that
+    there is by now. They cost no run, and come to the same where nothing has changed.
+    """
+    broken = (
+        row.index for row in rows
+        if row.index not in untold and (row.retries or row.outcome is Outcome.INFRA_ERROR)
+    )
+    sure = LAG + min(broken, default=len(rows))
+    return [
+        row for row in rows if row.outcome in (Outcome.INFRA_ERROR, Outcome.INTERRUPTED)
+        or (row.outcome is Outcome.REJECTED and row.index >= sure)
+    ]
 
 
 def _staying(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:

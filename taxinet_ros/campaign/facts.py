@@ -12,7 +12,7 @@ from typing import Any
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.layout import disk_error, write_atomically
-from taxinet_ros.campaign.options import CampaignOptions, check_new
+from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.programs import program_digest, program_text
 from taxinet_ros.campaign.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
 from taxinet_ros.core.errors import UsageError
@@ -86,16 +86,6 @@ def other_stack(facts: Mapping[str, Any], what: str) -> str:
         found) else ''
 
 
-def make_folder(out: Path, facts: Mapping[str, Any]) -> None:
-    """Begin a campaign's folder, which must be new or empty.
-
-    Raises:
-        UsageError: it is not, or it cannot be made.
-    """
-    check_new(out)
-    write_facts(out, facts)
-
-
 def read_facts(folder: Path) -> SealedJson | None:
     """What ``campaign.json`` in a folder says; None where there is none.
 
@@ -112,18 +102,15 @@ def read_facts(folder: Path) -> SealedJson | None:
 
 
 def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
-    """Write ``campaign.json``, making the folder where needed; it goes on to vouch for the tables.
+    """Write ``campaign.json`` into the folder ``out``; it goes on to vouch for the tables.
 
     Raises:
-        UsageError: it cannot be written, or what is there is damaged.
+        OSError: it cannot be written.
+        UsageError: what is there is damaged.
     """
     before = read_facts(out)
     files, journals = (before.files, before.journals) if before else ({}, {})
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / FACTS_NAME, sealed_text(facts, files, journals))
-    except OSError as error:
-        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+    write_atomically(out / FACTS_NAME, sealed_text(facts, files, journals))
 
 
 def seal_facts(folder: Path, facts: SealedJson, tables: Iterable[Path]) -> None:

@@ -27,7 +27,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from taxinet_ros.bag.layout import disk_error
-from taxinet_ros.core.errors import UsageError, warn_once
+from taxinet_ros.core.errors import RecordError, UsageError, warn_once
 from taxinet_ros.core.plain_values import load_json
 
 _DIGITS = 32
@@ -122,6 +122,7 @@ class Journal:
 
         Raises:
             OSError: not all of it could be written, as on a full disk; then none of it is.
+            RecordError: it was written, but where nobody looks for it; see :meth:`check_in_place`.
         """
         line, link = chained_line(self._link, event)
         try:
@@ -132,6 +133,21 @@ class Journal:
             os.ftruncate(self._fd, self._size)
             raise
         self._size, self._link = self._size + len(line), link
+        self.check_in_place()
+
+    def check_in_place(self) -> None:
+        """See that the open file is still the one at its path.
+
+        Raises:
+            RecordError: it, or a folder above it, was moved, deleted or replaced. What was appended
+                is in the file all the same, wherever that is now.
+        """
+        if not _is_at(self._path, self._fd):
+            os.fsync(self._fd)
+            raise RecordError(
+                f'{self._path}: was moved, deleted or replaced while it was written; what was '
+                'recorded is in the file that was moved'
+            )
 
     def sync(self) -> None:
         """Wait until what was written has reached the disk."""
@@ -302,6 +318,13 @@ def _torn_trouble(rest: bytes) -> str:
         return ''
 
 
+def _is_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except OSError:
+        return False
+
+
 def open_journal(path: Path, command: str) -> Journal:
     """Open a journal for a command that works on its folder.
 
@@ -328,4 +351,12 @@ class JournalOwner:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others open it."""
         self._journal.close()
+
+    def check_in_place(self) -> None:
+        """See :meth:`Journal.check_in_place`."""
+        self._journal.check_in_place()

@@ -218,7 +218,8 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
         try:
             if event['event'] == 'trial':
                 trial = Trial.from_json(event['trial'])
-                trials[trial.run_id, trial.word] = trial
+                if trial.passed is not None:  # what could not be judged is tried again
+                    trials[trial.run_id, trial.word] = trial
             elif event['facts'] != facts:
                 raise UsageError(
                     f'--out {options.out}: holds trials of another campaign or network; '

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from taxinet_ros.bag.layout import FULL_DISK
 from taxinet_ros.campaign.overrides import check_overrides, doubtful_values
 from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.core.errors import UsageError
@@ -173,12 +174,15 @@ def make_out(out: Path) -> None:
     """Make the folder that ``--out`` names, where it is not there.
 
     Raises:
-        UsageError: it cannot be made.
+        UsageError: it cannot be made there.
+        OSError: the disk is full, or broken.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+        if error.errno in FULL_DISK:
+            raise
+        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
 
 
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:

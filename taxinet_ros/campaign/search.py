@@ -15,17 +15,11 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.campaign.earlier import Earlier, check_resumable, read_earlier
-from taxinet_ros.campaign.facts import (
-    LEDGER_NAME,
-    STACKS,
-    campaign_facts,
-    make_folder,
-    write_facts,
-)
+from taxinet_ros.campaign.earlier import UNTOLD, Earlier, read_earlier
+from taxinet_ros.campaign.facts import STACKS, campaign_facts
 from taxinet_ros.campaign.graph_perception import met
-from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.put_aside import put_aside
+from taxinet_ros.campaign.record import Record, check_resumable
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
@@ -41,7 +35,6 @@ from taxinet_ros.campaign.scene_source import (
 from taxinet_ros.campaign.search_options import SearchOptions, with_sampler
 from taxinet_ros.campaign.search_space import SearchSpace
 from taxinet_ros.campaign.stop_rule import HALF_WIDTH
-from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
@@ -50,7 +43,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.spec_check import SpecCheck
 
 PATIENCE = 3
-"""After so many infrastructure errors in a row the bench is broken, not the run."""
+"""After so many infrastructure errors in a row of one sitting the bench is broken, not the run."""
 
 
 class Search:
@@ -59,7 +52,8 @@ class Search:
     Attributes:
         options: what to do; within the ``with``, with the sampler that the program asks for.
         notes: lines on what is not as it may seem: whose sampler it is, what a program may mean.
-        rows: one row per run that is done, in the order in which they were.
+        rows: one row per run that is done, in the order in which they were; after the ``with``,
+            of earlier runs that the bench broke and that were not tried again, too.
         stopped: which rule ended the search before all its runs were done; '' where none did.
         exhausted: whether that was for want of other points.
         interrupted: whether :meth:`interrupt` was called.
@@ -114,17 +108,12 @@ class Search:
         self._source.__enter__()
         try:
             self._prepare()
-            facts = self._asked_facts()
-            if not self.options.resume:
-                make_folder(out, facts)
-            self._ledger = Ledger(out / LEDGER_NAME)
+            names = [spec.name for spec in self._specs]
+            self._record = Record(out, names, resume=self.options.resume)
             try:
-                self._earlier = read_earlier(out, facts)
-                self._attempts.update(self._earlier.attempts)
-                stacks = {**self._earlier.stacks, **facts[STACKS]}
-                self._record({**facts, **self._earlier.facts, STACKS: stacks})
+                self._take_up(self._asked_facts())
             except BaseException:
-                self._ledger.__exit__(None, None, None)
+                self._record.close()
                 raise
         except BaseException:
             self._source.__exit__(None, None, None)
@@ -138,9 +127,12 @@ class Search:
     ) -> None:
         """Write the table of what there is, whatever happened."""
         self._source.__exit__(None, None, None)
-        self._ledger.__exit__(None, None, None)
-        rows = {**self._earlier.rows, **{row.index: row for row in self.rows}}
-        write_tables(rows.values(), self._campaign.out, [spec.name for spec in self._specs])
+        counted = {row.index for row in self.rows}
+        self.rows += [
+            row for index, row in sorted(self._record.rows.items())
+            if index not in counted and row.outcome is not Outcome.INTERRUPTED
+        ]
+        self._record.__exit__(kind, error, trace)
 
     @property
     def space(self) -> SearchSpace:
@@ -175,13 +167,12 @@ class Search:
             UsageError: it comes from another perception than those before; it is not kept.
         """
         if news := met(self._campaign.out, self._facts, result):
-            self._record({**self._facts, **news})
+            self._put_down({**self._facts, **news})
         if result.outcome is Outcome.INFRA_ERROR and request.index not in self._retried:
             self._retried.add(request.index)
             self._again.append(self._begin(request))
             return
-        retries = int(request.index in self._retried)
-        self._keep(finished_row(self._campaign, request, result), retries=retries)
+        self._keep(finished_row(self._campaign, request, result))
 
     def interrupt(self) -> None:
         """Ask for no more runs, not for second chances either. A signal handler may call it."""
@@ -215,6 +206,8 @@ class Search:
 
     def _more(self) -> bool:
         """Whether one more run is wanted. What was begun before is always finished first."""
+        if self._broken >= PATIENCE:
+            self.stopped = f'{self._broken} runs in a row were broken by the bench'
         if self._asked >= self._campaign.runs or self.interrupted:
             return False
         if self._asked >= self._earlier.begun:
@@ -223,8 +216,6 @@ class Search:
 
     def _reason(self) -> str:
         options = self.options
-        if self._broken >= PATIENCE:
-            return f'{self._broken} runs in a row were broken by the bench'
         # By the results that the next run depends on, so workers make no difference.
         known = [row for row in self.rows if row.index < self._sampler.due]
         if options.stop is not None and options.stop.met(known):
@@ -271,20 +262,31 @@ class Search:
         self._attempts[index] += 1
         name = run_name(self._campaign, index, self._attempts[index])
         put_aside(self._campaign.out / name)
-        self._ledger.intent(index, name, scenario_sha256)
+        self._record.intent(index, name, scenario_sha256)
         return dataclasses.replace(request, run_id=name)
 
     # Answers -----------------------------------------------------------------------------------
 
-    def _keep(self, row: RunRow, *, retries: int = 0) -> None:
+    def _keep(self, row: RunRow) -> None:
         row = row.chosen(
             sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
             weight=self._weight(row.index), drawn=self._sampler.drawn(row.index),
-            refused=self._refused[row.index], retries=retries,
+            refused=self._refused[row.index], retries=self._retries(row.index),
         )
-        self._ledger.result(row)
+        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench had a part
+            infra = row.outcome is Outcome.INFRA_ERROR
+            self._broken = self._broken + 1 if infra else 0
         self._remember(row)
-        self._on_row(row)
+        try:
+            self._record.result(row)
+        finally:
+            self._on_row(row)
+
+    def _retries(self, index: int) -> int:
+        """How often a run was begun anew because the bench broke, in earlier sittings too."""
+        before = self._earlier.again.get(index)
+        broken = before is not None and before.outcome is Outcome.INFRA_ERROR
+        return (before.retries if before else 0) + broken + (index in self._retried)
 
     def _weight(self, index: int) -> float | None:
         """Density of the program's distribution over the sampler's at a run's point, if known.
@@ -298,12 +300,9 @@ class Search:
 
     def _remember(self, row: RunRow) -> None:
         self.rows.append(row)
-        if row.outcome is Outcome.INTERRUPTED:
-            return
-        if row.outcome is not Outcome.REJECTED:  # the bench had no part in that
-            infra = row.outcome is Outcome.INFRA_ERROR
-            self._broken = self._broken + 1 if infra else 0
-        self._sampler.tell(row.index, row.told(self._specs[0].name))
+        if row.outcome is not Outcome.INTERRUPTED:
+            untold = row.index in self._earlier.untold
+            self._sampler.tell(row.index, None if untold else row.told(self._specs[0].name))
 
     # Beginning ---------------------------------------------------------------------------------
 
@@ -325,10 +324,19 @@ class Search:
             )
         self.check = campaign.check(first_duration_s(self._source))
 
-    def _record(self, facts: dict[str, Any]) -> None:
+    def _take_up(self, asked: dict[str, Any]) -> None:
+        """Go on where an earlier sitting ended, if there was one."""
+        earlier = self._earlier = read_earlier(self._campaign.out, asked)
+        self._attempts.update(earlier.attempts)
+        self._record.rows.update({**earlier.rows, **earlier.again})
+        untold = {UNTOLD: sorted(earlier.untold)} if earlier.untold else {}
+        self._put_down({
+            **asked, **earlier.facts, **untold, STACKS: {**earlier.stacks, **asked[STACKS]},
+        })
+
+    def _put_down(self, facts: dict[str, Any]) -> None:
         self._facts = facts
-        self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
-        write_facts(self._campaign.out, facts)
+        self._record.facts(facts)
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

@@ -76,6 +76,8 @@ def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
     if why and len(rows) < campaign.runs:
         how = '' if search.exhausted else f'; {resuming} continues it'
         lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
+    elif any(row.outcome is Outcome.INFRA_ERROR for row in rows):
+        lines.append(f'{resuming} tries the runs again that the bench broke')
     return lines
 
 

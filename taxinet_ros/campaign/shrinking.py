@@ -1,7 +1,8 @@
 """The shrinking of a failed run on disk: a campaign whose scenes are chosen by :mod:`.shrink`.
 
 Its folder is a campaign's (:mod:`.campaign`). What comes next depends on the answers only, so a
-resumed shrinking finds those that it has in its ledger and goes on where it was.
+resumed shrinking finds those that it has in its ledger and goes on where it was. Runs that have no
+verdict are done anew under their old numbers, so that the table is that of an undisturbed one.
 """
 
 from __future__ import annotations
@@ -12,25 +13,22 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros import __version__
-from taxinet_ros.campaign.earlier import check_resumable
 from taxinet_ros.campaign.facts import (
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
-    make_folder,
     other_stack,
     stacks_in,
     this_sitting,
-    write_facts,
 )
-from taxinet_ros.campaign.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.put_aside import put_aside
+from taxinet_ros.campaign.record import Record, check_resumable
 from taxinet_ros.campaign.requests import finished_row, run_request
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.shrink import Point, Shrink
 from taxinet_ros.campaign.shrink_options import PROGRAM, ShrinkOptions
 from taxinet_ros.campaign.shrink_space import STEPS
-from taxinet_ros.campaign.table import write_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
@@ -81,7 +79,8 @@ class Shrinking:
         self._under_way: dict[int, Point] = {}
         self._again: list[RunRequest] = []
         self._retried: set[int] = set()
-        self._all: dict[int, RunRow] = {}
+        self._broken_before: dict[str, int] = {}
+        self._undone: list[int] = []
         self._next = 0
         self._stacks: dict[str, dict[str, str]] = {}
 
@@ -94,16 +93,14 @@ class Shrinking:
         out, facts = self._campaign.out, self._facts()
         if self.options.resume:
             check_resumable(out)
-        else:
-            make_folder(out, facts)
-        self._ledger = Ledger(out / LEDGER_NAME)
+        names = [parse_spec(text).name for text in self._campaign.specs]
+        self._record = Record(out, names, resume=self.options.resume)
         try:
             self._read_earlier(facts)
             facts[STACKS] = {**self._stacks, **facts[STACKS]}
-            self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
-            write_facts(out, facts)
+            self._record.facts(facts)
         except BaseException:
-            self._ledger.__exit__(None, None, None)
+            self._record.close()
             raise
         return self
 
@@ -112,9 +109,7 @@ class Shrinking:
         trace: TracebackType | None,
     ) -> None:
         """Write the table of what there is, whatever happened."""
-        self._ledger.__exit__(None, None, None)
-        specs = [parse_spec(text).name for text in self._campaign.specs]
-        write_tables(self._all.values(), self._campaign.out, specs)
+        self._record.__exit__(kind, error, trace)
 
     def next(self) -> RunRequest | None:
         """A run to begin now; None where there is none before another run has ended, or at all."""
@@ -135,15 +130,14 @@ class Shrinking:
         infra = result.outcome is Outcome.INFRA_ERROR
         if infra and index not in self._retried:
             self._retried.add(index)
-            put_aside(self._campaign.out / request.run_id)
-            self._ledger.intent(index, request.run_id)
+            self._put_down(request)
             self._again.append(request)
             return
+        key = self._key(self._under_way[index])
         row = finished_row(self._campaign, request, result).chosen(
-            sampler=PROGRAM, point={}, weight=None, retries=int(index in self._retried)
+            sampler=PROGRAM, point={}, weight=None,
+            retries=self._broken_before.get(key, 0) + (index in self._retried),
         )
-        self._ledger.result(row)
-        self._all[index] = row
         point = self._under_way.pop(index)
         if row.outcome.judged:
             self._remember(point, row)
@@ -151,7 +145,10 @@ class Shrinking:
             self.interrupted = True
         else:
             self.broken = row
-        self._on_row(row)
+        try:
+            self._record.result(row)
+        finally:
+            self._on_row(row)
 
     def interrupt(self) -> None:
         """Ask for no more runs, not for second chances either. A signal handler may call it."""
@@ -168,13 +165,19 @@ class Shrinking:
         return next((point for point in wanted if point not in under_way), None)
 
     def _begun(self, point: Point) -> RunRequest:
-        index, self._next = self._next, self._next + 1
+        if self._undone:
+            index = self._undone.pop(0)
+        else:
+            index, self._next = self._next, self._next + 1
         scenario = self.options.space.scenario(point)
         request = run_request(self._campaign, index, scenario, self._participants)
-        put_aside(self._campaign.out / request.run_id)
-        self._ledger.intent(index, request.run_id)
+        self._put_down(request)
         self._under_way[index] = point
         return request
+
+    def _put_down(self, request: RunRequest) -> None:
+        put_aside(self._campaign.out / request.run_id)
+        self._record.intent(request.index, request.run_id)
 
     def _remember(self, point: Point, row: RunRow) -> None:
         self.rows.append(row)
@@ -194,13 +197,15 @@ class Shrinking:
                     f'--resume: {out / FACTS_NAME} has another {name}; repeat what was typed '
                     'before, or name another --out'
                 )
-        self._all = {row.index: row for row in content.rows}
+        self._record.rows.update({row.index: row for row in content.rows})
         self._stacks = stacks_in(before)
-        self.warning = other_stack(before, str(out)) if self._all else ''
-        self._next = 1 + max((*content.unfinished, *self._all), default=-1)
-        self._earlier = {
-            json.dumps({key: getattr(row, key) for key in HUMAN_KEYS}): row
-            for row in content.rows if row.outcome.judged
+        self.warning = other_stack(before, str(out)) if content.rows else ''
+        self._next = 1 + max((*content.unfinished, *self._record.rows), default=-1)
+        self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
+        undone = [row for row in content.rows if not row.outcome.judged]
+        self._undone = sorted([*content.unfinished, *(row.index for row in undone)])
+        self._broken_before = {
+            _scene(row): row.retries + (row.outcome is Outcome.INFRA_ERROR) for row in undone
         }
 
     def _facts(self) -> dict[str, Any]:
@@ -225,3 +230,8 @@ class Shrinking:
             'processes': False,
             'images': campaign.images,
         }
+
+
+def _scene(row: RunRow) -> str:
+    """The scene of a run, as :meth:`Shrinking._key` has that of a point."""
+    return json.dumps({key: getattr(row, key) for key in HUMAN_KEYS})

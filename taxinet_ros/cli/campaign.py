@@ -14,6 +14,7 @@ from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import check_lines, heading, row_line, summary
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.core import camera
 from taxinet_ros.core.perception import GroundTruth
 from taxinet_ros.nodes.names import PARTICIPANTS
@@ -55,10 +56,11 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             progress.advance(bar)
 
         at_hand = _AtHand()
+        graphs = _Graphs(options)
+        campaign = Campaign(options, PARTICIPANTS, show, graphs.make_ahead)
         with (
-            _Graphs(options) as graphs,
-            Campaign(options, PARTICIPANTS, show, graphs.make_ahead) as campaign,
-            interrupts(at_hand.interrupt, at_hand.give_up),
+            told_if_lost(progress.console, campaign.rows, shown=True),
+            graphs, campaign, interrupts(at_hand.interrupt, at_hand.give_up),
         ):
             lines = [heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)

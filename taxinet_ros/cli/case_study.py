@@ -90,6 +90,8 @@ def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Con
         console.print(line, soft_wrap=True, markup=False)
 
     make_out(out)
+    if not (out / STUDY_NAME).exists():
+        write_study(out, config)  # first, so that whatever is begun can be resumed
     with StageLog(out) as log:
         write_study(out, config)
         show(study_heading(config, wanted, out))

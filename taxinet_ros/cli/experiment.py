@@ -18,6 +18,7 @@ from taxinet_ros.campaign.sealed_json import write_sealed
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.domain import check_workers
@@ -35,7 +36,8 @@ def run_experiment(
     """Run every arm, compare them, and print what came of it.
 
     Returns:
-        Exit code: 0 done, 4 the bench broke some run, 130 interrupted; ``--resume`` goes on.
+        Exit code: 0 done, 4 the bench broke some run, 130 interrupted; ``--resume`` goes on. No
+        comparison is written before every arm has had all its runs.
 
     Raises:
         UsageError: bad input, or arms whose scenes are not the same.
@@ -48,18 +50,23 @@ def run_experiment(
             f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
             f'{options.campaign.out}', soft_wrap=True,
         )
-        if not _run_arm(options, console, first=number == 1):
+        search = _run_arm(options, console, first=number == 1)
+        if search.interrupted and len(search.rows) < options.campaign.runs:
             console.print('interrupted; --resume goes on')
             return INTERRUPTED
+        if search.stopped and not search.exhausted:
+            console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
+            return BROKEN
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
-    _report(experiment, rows, out, console, as_json=as_json)
-    broken = any(row.outcome is Outcome.INFRA_ERROR for arm in rows.values() for row in arm)
-    return BROKEN if broken else 0
+    known = [row for arm in rows.values() for row in arm]
+    with told_if_lost(console, known, shown=True):
+        _report(experiment, rows, out, console, as_json=as_json)
+    return BROKEN if any(row.outcome is Outcome.INFRA_ERROR for row in known) else 0
 
 
-def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> bool:
-    """Run one arm; False where it was interrupted before its end.
+def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
+    """Run one arm to its end, or until it is interrupted or the bench breaks.
 
     The first one says how the requirements are understood, for they are the same in all.
     """
@@ -70,7 +77,8 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> bool:
         if not live or not row.outcome.judged:
             console.print(row_line(row), soft_wrap=True)
 
-    with Search(options, PARTICIPANTS, show) as search:
+    search = Search(options, PARTICIPANTS, show)
+    with told_if_lost(console, search.rows, shown=not live), search:
         for line in check_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
         for note in (*search.notes, *filter(None, [search.warning])):
@@ -81,7 +89,7 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> bool:
             Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
         ):
             run_search(search, crew)
-    return not search.interrupted or len(search.rows) >= options.campaign.runs
+    return search
 
 
 def _report(

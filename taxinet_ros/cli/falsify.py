@@ -14,6 +14,7 @@ from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_lines import search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_loop import run_search
 from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
@@ -43,7 +44,8 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         if not quiet and (not live or not row.outcome.judged):
             console.print(row_line(row), soft_wrap=True)
 
-    with Search(options, PARTICIPANTS, show) as search:
+    search = Search(options, PARTICIPANTS, show)
+    with told_if_lost(console, search.rows, shown=not (quiet or live)), search:
         if search.warning:
             console.print(search.warning, soft_wrap=True, markup=False)
         if not quiet:

@@ -40,7 +40,7 @@ from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
 from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.terminal import OutputUnreadError, flush_output, standard_streams
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
-from taxinet_ros.core.errors import InfraError, UsageError, plain_line
+from taxinet_ros.core.errors import InfraError, RecordError, UsageError, plain_line
 
 USAGE, INFRA = 2, 4
 UNREAD = 128 + signal.SIGPIPE
@@ -228,11 +228,9 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{text.rstrip(".")}; see taxinet --help', USAGE)
     except UsageError as error:
         return _complain(str(error), USAGE)
-    except InfraError as error:
-        return _complain(str(error), INFRA)
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
-    except BagError as error:
+    except (InfraError, RecordError, BagError) as error:
         return _complain(str(error), INFRA)
     except OutputUnreadError:
         return _complain(_NOBODY_READS, UNREAD)

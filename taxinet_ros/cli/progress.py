@@ -1,9 +1,9 @@
-"""Bars for the stages of a long command; only a terminal gets to see them."""
+"""How far a long command is: bars that only a terminal gets to see, and what is left of a loss."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
 from rich.progress import (
@@ -14,6 +14,38 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+
+from taxinet_ros.bag.layout import disk_words
+from taxinet_ros.campaign.lines import row_line
+from taxinet_ros.campaign.outcome_words import count_outcomes
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.errors import RecordError
+
+
+@contextlib.contextmanager
+def told_if_lost(
+    console: Console, rows: Sequence[RunRow], *, shown: bool
+) -> Iterator[None]:
+    """Within the ``with`` a campaign is recorded; where that fails, print what is known of it.
+
+    Args:
+        console: where to.
+        rows: of the campaign, as they come.
+        shown: whether each of them has been printed before.
+
+    Raises:
+        RecordError: for every error of the operating system amid the campaign, which is no mistake
+            of whoever named its folder.
+    """
+    try:
+        yield
+    except (OSError, RecordError) as error:
+        lines = [] if shown else [row_line(row) for row in rows]
+        for line in [*lines, f'known until then: {count_outcomes(rows) or "nothing"}']:
+            console.print(line, soft_wrap=True)
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(f'{error.filename or "output"}: {disk_words(error)}') from error
 
 
 @contextlib.contextmanager

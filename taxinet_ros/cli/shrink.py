@@ -26,6 +26,7 @@ from taxinet_ros.campaign.shrink_lines import (
 from taxinet_ros.campaign.shrink_options import ShrinkOptions
 from taxinet_ros.campaign.shrink_report import Report, report
 from taxinet_ros.campaign.shrinking import Shrinking
+from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.nodes.domain import check_workers
 from taxinet_ros.nodes.graph import GraphOptions
@@ -46,24 +47,29 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     Raises:
         UsageError: bad input, or the run does not fail again.
         InfraError: the bench broke.
+        RecordError: the record cannot be kept.
     """
     check_workers(options.workers)
     console = Console(highlight=False)
     begun = time.monotonic()
-    with _view(console, quiet=quiet) as show, Shrinking(options, PARTICIPANTS, show) as shrinking:
-        if shrinking.warning:
-            console.print(shrinking.warning, soft_wrap=True, markup=False)
-        if not quiet:
-            console.print(shrink_heading(options), soft_wrap=True)
-        with (
-            interrupts(shrinking.interrupt),
-            Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
-        ):
-            run_search(shrinking, crew)
+    with _view(console, quiet=quiet) as show:
+        shrinking = Shrinking(options, PARTICIPANTS, show)
+        shown = not (quiet or console.is_terminal)
+        with told_if_lost(console, shrinking.rows, shown=shown), shrinking:
+            if shrinking.warning:
+                console.print(shrinking.warning, soft_wrap=True, markup=False)
+            if not quiet:
+                console.print(shrink_heading(options), soft_wrap=True)
+            with (
+                interrupts(shrinking.interrupt),
+                Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+            ):
+                run_search(shrinking, crew)
     found = report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)
-    _print(console, shrinking, found, time.monotonic() - begun)
+    with told_if_lost(console, shrinking.rows, shown=True):
+        _print(console, shrinking, found, time.monotonic() - begun)
     return 130 if found.state.end is End.NOT_YET else 0
 
 

@@ -1,4 +1,4 @@
-"""The two kinds of trouble: the user's (mend the input) and the bench's (a part of it failed)."""
+"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's."""
 
 from __future__ import annotations
 
@@ -32,6 +32,17 @@ def warn_once(text: str) -> None:
 
 class UsageError(Exception):
     """Bad input. The message is one line: what is wrong, where, and how to mend it. CLI exit 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(plain_line(message))
+
+
+class RecordError(Exception):
+    """What was found out cannot be kept: its place is full, closed or gone. CLI exit 4.
+
+    Unlike a place that is named wrongly at the start, this comes amid the work, and what was
+    recorded before it stays.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(plain_line(message))

@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.campaign.interrupts import INTERRUPTED, told_apart
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.nodes.spinning import spin_until
 
 _BAD_ARGUMENTS = (
@@ -61,6 +61,8 @@ def run_node(
         code = stopped
     except UsageError as error:
         code = complain(str(error), 2)
+    except RecordError as error:
+        code = complain(str(error), 4)
     except ParameterException as error:
         # Of a parameter that rclpy declares itself, as use_sim_time.
         code = complain(' '.join(str(error).split()), 2)

@@ -95,6 +95,7 @@ class Recorder(Participant):
         )
         self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
+        self._recorded = False
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
         for topic in self._stepped:
@@ -126,7 +127,10 @@ class Recorder(Participant):
             attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
             beside=_commit(),
+            # Where it has been moved or deleted meanwhile, nothing is begun in its place.
+            make_parents=not self._recorded,
         )
+        self._recorded = True
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

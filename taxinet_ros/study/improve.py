@@ -14,10 +14,12 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.failure_region import Region, part_of
+from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -175,6 +177,6 @@ def _copy(weights: Path, to: Path) -> None:
     try:
         for one, other in ((card_path(weights), card_path(to)), (weights, to)):
             if not other.exists() or other.read_bytes() != one.read_bytes():
-                shutil.copyfile(one, other)
+                write_whole(other, partial(shutil.copyfile, one))
     except OSError as error:
         raise UsageError(f'{to}: cannot be written ({error.strerror})') from error

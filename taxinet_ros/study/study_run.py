@@ -52,6 +52,7 @@ class StudyRun:
 
         Raises:
             UsageError: a stage cannot be begun.
+            RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
         if warning := other_stack(self._log.records):
@@ -99,6 +100,7 @@ class StudyRun:
         begun = time.monotonic()
         code, interrupted = run_child([*self._command, *words], self._out)
         wall_s = time.monotonic() - begun
+        self._log.check_in_place()  # before it is said that this or that is missing
         trouble = self._trouble(stage, code)
         if trouble:
             self._log.write('stopped', stage.name, wall_s=wall_s, code=code)

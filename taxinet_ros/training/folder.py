@@ -24,9 +24,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from taxinet_ros import __version__
+from taxinet_ros.bag.layout import FULL_DISK
 from taxinet_ros.campaign.programs import find_program, program_digest, program_text
 from taxinet_ros.campaign.sealed_json import read_sealed, sealed_text
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training.dataset import SAMPLERS, Progress, draw_scenes, silent
@@ -35,6 +36,15 @@ from taxinet_ros.training.layout import FACTS, FINISHED, IMAGES, LABELS, REQUEST
 from taxinet_ros.training.rendering import photographs
 
 _LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
+
+
+
+def _draft_name(name: str) -> str:
+    return f'.{name}.draft'
+
+
+_DRAFT = _draft_name(REQUEST)
+"""What a kill or a full disk may leave of a dataset before it is begun."""
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 """Lossless at every level; higher ones take several times as long for a tenth of the room."""
@@ -107,7 +117,8 @@ def write_dataset(options: DatasetOptions, progress: Progress = silent) -> int:
         How many images had to be rendered.
 
     Raises:
-        UsageError: options, program or folder cannot be used, or the disk is full.
+        UsageError: options, program or folder cannot be used.
+        RecordError: the disk is full, or the folder was moved or deleted meanwhile.
         InfraError: a worker process died, or the simulator failed.
     """
     request = options.request()
@@ -132,7 +143,7 @@ def write_dataset(options: DatasetOptions, progress: Progress = silent) -> int:
 
 def _check_new(out: Path) -> None:
     try:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        if out.exists() and (not out.is_dir() or {path.name for path in out.iterdir()} - {_DRAFT}):
             begun = (out / REQUEST).is_file()
             mend = 'say --resume, or name another' if begun else 'name another'
             raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
@@ -147,7 +158,7 @@ def _begin(out: Path, request: Mapping[str, Any]) -> None:
         _put(out / REQUEST, sealed_text(request).encode())
         (out / IMAGES).mkdir()
     except OSError as error:
-        raise _unwritable(out, error) from error
+        raise (_lost if error.errno in FULL_DISK else _unwritable)(out, error) from error
 
 
 def _check_request(out: Path, request: Mapping[str, Any]) -> None:
@@ -211,7 +222,7 @@ def _store(
     try:
         _put(out / image_name(index), data)
     except OSError as error:
-        raise _unwritable(out, error) from None  # an OSError's traceback does not travel well
+        raise _lost(out, error) from None  # an OSError's traceback does not travel well
     sha256 = hashlib.sha256(data).hexdigest()
     return FinishedImage(index=index, cte_m=truth.cte_m, he_rad=truth.he_rad, sha256=sha256)
 
@@ -225,13 +236,14 @@ def _record(out: Path, finished: FinishedImages, row: FinishedImage) -> None:
     try:
         finished.add(row)
     except OSError as error:
-        raise _unwritable(out, error) from error
+        raise _lost(out, error) from error
 
 
 def _complete(
     out: Path, request: Mapping[str, Any], scenes: list[Scenario], finished: FinishedImages
 ) -> None:
     """Write the table, and then the file that says that all is there."""
+    finished.check_in_place()
     table = io.BytesIO()
     rows = [_row(scene, finished.rows[index]) for index, scene in enumerate(scenes)]
     pd.DataFrame(rows).to_parquet(table, index=False)
@@ -242,7 +254,7 @@ def _complete(
         facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
         _put(out / FACTS, facts.encode())
     except OSError as error:
-        raise _unwritable(out, error) from error
+        raise _lost(out, error) from error
 
 
 def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
@@ -265,7 +277,7 @@ def _put(path: Path, data: bytes) -> None:
         if path.read_bytes() != data:
             raise _other_bytes(path)
         return
-    draft = path.with_name(f'.{path.name}.draft')
+    draft = path.with_name(_draft_name(path.name))
     draft.write_bytes(data)
     draft.replace(path)
 
@@ -278,7 +290,10 @@ def _other_bytes(path: Path) -> UsageError:
 
 
 def _unwritable(out: Path, error: OSError) -> UsageError:
-    return UsageError(
-        f'dataset: {out}: cannot be written ({error.strerror}); mend that and say --resume, or '
-        'name another --out'
+    return UsageError(f'dataset: {out}: cannot be written ({error.strerror}); name another --out')
+
+
+def _lost(out: Path, error: OSError) -> RecordError:
+    return RecordError(
+        f'dataset: {out}: cannot be written ({error.strerror}); mend that and say --resume'
     )

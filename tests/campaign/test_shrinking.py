@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -28,7 +29,7 @@ from taxinet_ros.campaign.shrink_options import ShrinkOptions, make_shrink_optio
 from taxinet_ros.campaign.shrink_report import Report, report
 from taxinet_ros.campaign.shrink_space import make_space
 from taxinet_ros.campaign.shrinking import Shrinking
-from taxinet_ros.campaign.table import read_table
+from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
@@ -186,11 +187,34 @@ def test_given_a_run_that_breaks_once_then_it_is_retried_and_if_twice_the_bench_
     assert shrunk(drive(options(path, tmp_path / 'never', resume=True))) == NEAREST
 
 
+def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_undisturbed_one(
+    tmp_path
+):
+    path, but = campaign(tmp_path / 'c'), [*WALL_CLOCK_COLUMNS, 'retries']
+    drive(options(path, tmp_path / 'whole'))
+    whole = read_table(tmp_path / 'whole')
+    for at in (0, 3, len(whole) - 1):
+        out = tmp_path / f'at-{at}'
+
+        def broken(request: RunRequest, at=at) -> RunResult:
+            return judged(request, Outcome.INFRA_ERROR if request.index == at else None)
+
+        for sitting in range(2):
+            assert drive(options(path, out, resume=sitting > 0), broken).broken is not None
+        drive(options(path, out, resume=True), most=2)
+        assert shrunk(drive(options(path, out, resume=True))) == NEAREST
+        table = read_table(out)
+        pd.testing.assert_frame_equal(table.drop(columns=but), whole.drop(columns=but))
+        assert dict(table['retries'].value_counts()) == {0: len(whole) - 1, 4: 1}
+
+
 def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
         lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
-            outcome=Outcome.PASS, rho={NAME: 0.5}, statistics=RunStatistics(max_cross_track_m=1.0), last_seq=10),
+            outcome=Outcome.PASS, rho={NAME: 0.5}, last_seq=10,
+            statistics=RunStatistics(max_cross_track_m=1.0),
+        ),
     )
     assert report(shrinking).state.end is End.NOT_REPRODUCED
     assert len(shrinking.rows) == 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from training_samples import SCENES
 
 from taxinet_ros.campaign.programs import find_program, program_digest
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training import folder, rendering
@@ -213,7 +213,7 @@ def test_given_a_full_disk_when_written_then_one_line_says_so_and_it_can_go_on(
             put(path, data)
 
         full.setattr(folder, '_put', put_or_fail)
-        with pytest.raises(UsageError, match='No space left on device') as caught:
+        with pytest.raises(RecordError, match='No space left on device') as caught:
             write_dataset(options(out))
         assert '\n' not in str(caught.value)
     assert write_dataset(options(out, resume=True)) == 3

@@ -1,0 +1,189 @@
+"""A campaign that something broke goes on, and ends as one that nobody disturbed (F1)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import falsify_samples as toy
+import pandas as pd
+import pytest
+
+from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.campaign.search import PATIENCE
+from taxinet_ros.campaign.search_lines import search_summary
+from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, 'SceneSource', toy.ToySource)
+
+
+def break_all(from_index: int = 0, but: Collection[int] = ()) -> Callable[[RunRequest], RunResult]:
+    """A bench that breaks at every try of every run from some run on."""
+
+    def judge(request: RunRequest) -> RunResult:
+        broken = request.index >= from_index and request.index not in but
+        return toy.result(request, Outcome.INFRA_ERROR if broken else None)
+
+    return judge
+
+
+def same_but_for_tries(one: Path, other: Path) -> None:
+    """See that two tables are equal but for the clock and how often runs were begun."""
+    tables = [
+        read_table(folder).drop(columns=[*WALL_CLOCK_COLUMNS, 'retries']) for folder in (one, other)
+    ]
+    assert len(tables[0]) > 0
+    pd.testing.assert_frame_equal(*tables)
+
+
+@pytest.mark.parametrize(('workers', 'sampler'), [
+    (1, 'ce'), (3, 'ce'), (LAG, 'ce'), (LAG, 'active'), (3, 'halton'), (LAG, 'tpe'),
+])
+def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_undisturbed_one(
+    workers, sampler, tmp_path
+):
+    whole, out = tmp_path / 'whole', tmp_path / 'c'
+    undisturbed = toy.finish(toy.options(whole, sampler=sampler))
+    broken = toy.finish(toy.options(out, sampler=sampler), workers, toy.last, break_all(6))
+    assert 'runs in a row were broken by the bench' in broken.stopped
+    assert exit_code(broken.rows) == 4
+    resumed = toy.finish(toy.options(out, sampler=sampler, resume=True), workers, toy.last)
+    assert resumed.stopped == ''
+    same_but_for_tries(whole, out)
+    assert exit_code(resumed.rows) == exit_code(undisturbed.rows)
+    tried = {row.index for row in broken.rows if row.outcome is Outcome.INFRA_ERROR}
+    assert len(tried) >= PATIENCE
+    assert {row.index for row in resumed.rows if row.retries} == tried
+    assert {row.retries for row in resumed.rows} == {0, 2}
+
+
+def test_f1_given_a_bench_that_stays_broken_then_every_sitting_tries_and_says_so(tmp_path):
+    out = tmp_path / 'c'
+    for sitting in range(1, 5):
+        asked = []
+
+        def judge(request: RunRequest, asked=asked) -> RunResult:
+            asked.append(request.index)
+            return toy.result(request, Outcome.INFRA_ERROR)
+
+        search = toy.finish(toy.options(out, sampler='halton', resume=sitting > 1), judge=judge)
+        assert len(asked) == 2 * PATIENCE, 'each twice, and no fourth run'
+        assert len(set(asked)) == PATIENCE
+        assert 'broken by the bench; --resume continues it' in search_summary(search)[-1]
+        rows = [row for row in search.rows if row.outcome is Outcome.INFRA_ERROR]
+        assert {row.retries for row in rows} == {2 * sitting - 1}
+    toy.finish(toy.options(out, sampler='halton', resume=True))
+    toy.finish(toy.options(tmp_path / 'whole', sampler='halton'))
+    same_but_for_tries(tmp_path / 'whole', out)
+
+
+def test_f1_given_broken_runs_among_sound_ones_when_the_bench_is_still_broken_then_none_is_lost(
+    tmp_path
+):
+    """Sound runs of before are no sign that the bench works now, and are kept all the same."""
+    out = tmp_path / 'c'
+    odd = break_all(but=range(0, 20, 2))
+    first = toy.finish(toy.options(out, sampler='random'), judge=odd)
+    before = read_table(out)
+    assert len(before) == 20
+    assert search_summary(first)[-1] == '--resume tries the runs again that the bench broke'
+    tried = []
+
+    def judge(request: RunRequest) -> RunResult:
+        tried.append(request.index)
+        return toy.result(request, Outcome.INFRA_ERROR)
+
+    again = toy.finish(toy.options(out, sampler='random', resume=True), judge=judge)
+    assert len(set(tried)) == PATIENCE
+    assert exit_code(again.rows) == 4
+    assert len(again.rows) == 20
+    after = read_table(out)
+    assert list(after['outcome']) == list(before['outcome'])
+    toy.finish(toy.options(out, sampler='random', resume=True))
+    toy.finish(toy.options(tmp_path / 'whole', sampler='random'))
+    same_but_for_tries(tmp_path / 'whole', out)
+
+
+def test_f1_given_a_run_that_others_were_chosen_without_when_retried_then_no_choice_changes(
+    tmp_path
+):
+    """The sampler had been told of nothing; what it chose then was run, and stays."""
+    out = tmp_path / 'c'
+    toy.finish(toy.options(out), judge=break_all(4, but=range(5, 20)))
+    before = read_table(out).set_index('index')
+    for runs in (20, 30):  # a third sitting has to know what the second one knew
+        toy.finish(toy.options(out, runs=runs, resume=True))
+        after = read_table(out).set_index('index')
+        changed = before.drop(4).compare(after.loc[:19].drop(4))
+        assert changed.empty
+        assert after.loc[4, 'outcome'] in ('PASS', 'FAIL')
+        assert after.loc[4, 'u_x'] == before.loc[4, 'u_x']
+    assert json.loads((out / 'campaign.json').read_text())['untold'] == [4]
+    toy.finish(toy.options(tmp_path / 'whole', runs=30), judge=break_all(4, but=range(5, 30)))
+    whole = read_table(tmp_path / 'whole').set_index('index')
+    assert list(after['u_x']) == list(whole['u_x'])
+
+
+def test_f1_given_a_run_that_nothing_was_chosen_without_when_retried_then_it_is_told(tmp_path):
+    out, at = tmp_path / 'c', 20 - LAG
+    toy.finish(toy.options(out), judge=break_all(at, but=range(at + 1, 20)))
+    toy.finish(toy.options(out, runs=40, resume=True))
+    assert 'untold' not in json.loads((out / 'campaign.json').read_text())
+    toy.finish(toy.options(tmp_path / 'whole', runs=40))
+    same_but_for_tries(tmp_path / 'whole', out)
+
+
+def test_f1_given_broken_and_interrupted_runs_when_resumed_for_a_moment_then_all_stay_in_the_table(
+    tmp_path
+):
+    out = tmp_path / 'c'
+    toy.finish(toy.options(out, sampler='halton'), judge=break_all(3))
+    before = read_table(out)
+    with toy.searching(toy.options(out, sampler='halton', resume=True)) as search:
+        search.interrupt()
+    pd.testing.assert_frame_equal(read_table(out), before)
+    assert (before['outcome'] == 'INFRA_ERROR').sum() == PATIENCE
+    assert sum(row.outcome is Outcome.INFRA_ERROR for row in search.rows) == PATIENCE
+
+
+def test_f1_given_a_folder_in_which_nothing_was_begun_then_resuming_begins(tmp_path):
+    toy.finish(toy.options(tmp_path / 'whole'))
+    for number, left in enumerate((('campaign.json',), ('campaign.json', 'campaign.json.tmp'))):
+        out = tmp_path / f'c{number}'
+        (out / 'logs').mkdir(parents=True)
+        for name in left:
+            (out / name).write_text('{"torn')
+        toy.finish(toy.options(out, resume=True))
+        toy.same_table(tmp_path / 'whole', out)
+
+
+def test_f1_given_runs_but_no_ledger_then_resuming_says_what_is_missing(tmp_path):
+    out = tmp_path / 'c'
+    toy.finish(toy.options(out))
+    (out / 'ledger.jsonl').unlink()
+    with pytest.raises(UsageError, match='without it nobody knows what was run; put it back'):
+        toy.finish(toy.options(out, resume=True))
+
+
+def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_had_been(tmp_path):
+    whole, killed = tmp_path / 'whole', tmp_path / 'killed'
+    toy.finish(toy.options(whole))
+    toy.finish(toy.options(killed), 3, toy.last, break_all(5))
+    with toy.searching(toy.options(killed, resume=True)) as search:
+        for number, _ in enumerate(toy.answers(search, 3, toy.last)):
+            copy = tmp_path / f'copy-{number}'
+            shutil.copytree(killed, copy)
+            toy.finish(toy.options(copy, resume=True), 2)
+            same_but_for_tries(whole, copy)
+            assert len(read_ledger(copy / 'ledger.jsonl').rows) == 20
+    assert number > 5
