@@ -65,7 +65,7 @@ class Record:
         """
         try:
             with self._kept():
-                self._ledger.check_in_place()
+                self._check_in_place()
                 write_tables(self.rows.values(), self._out, self._specs)
         except RecordError:
             if not isinstance(error, RecordError):  # else the first trouble is the one to tell
@@ -108,12 +108,16 @@ class Record:
 
     @contextlib.contextmanager
     def _kept(self) -> Iterator[None]:
-        """Within the ``with`` something is written; afterwards it is known to be in its place."""
+        """Within the ``with`` something is written; afterwards the record is seen to be there."""
         try:
             yield
         except OSError as error:
             where = error.filename or self._out
             raise RecordError(f'{where}: {disk_words(error)}; --resume goes on') from error
+        self._check_in_place()
+
+    def _check_in_place(self) -> None:
+        self._ledger.check_in_place()
         if not (self._out / FACTS_NAME).is_file():
             raise RecordError(
                 f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was under way'

@@ -148,8 +148,8 @@ class _Graphs:
 
         options = self._options
         graph = GraphOptions(
-            perception=options.perception, out=options.out, images=options.images,
-            gains=options.gains,
+            perception=options.perception, out=options.out, make_out=False,
+            images=options.images, gains=options.gains,
         )
         if options.processes:
             return process_graph(graph, options.out / 'logs')

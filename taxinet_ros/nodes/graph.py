@@ -40,6 +40,8 @@ class GraphOptions:
     Attributes:
         perception: ``truth``, ``taxinet``, or a network's file.
         out: folder that takes one bag folder per run.
+        make_out: whether that is made where it is missing. A campaign has made its own, so if it is
+            missing then it was moved or deleted, and nothing is to be begun in its place.
         images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
@@ -48,6 +50,7 @@ class GraphOptions:
 
     perception: str
     out: Path
+    make_out: bool = True
     images: str = 'all'
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
@@ -64,7 +67,9 @@ class GraphOptions:
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
             interface.MTL_MONITOR: (MtlMonitor, {}),
-            interface.RECORDER: (Recorder, {'out': str(self.out), 'images': self.images}),
+            interface.RECORDER: (Recorder, {
+                'out': str(self.out), 'make_out': self.make_out, 'images': self.images,
+            }),
         }
 
 

@@ -82,6 +82,8 @@ class Recorder(Participant):
         self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
         text = 'free space below which no bag is begun, and a tenth of it none goes on [MB]'
         self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
+        text = 'whether the folder is made where it is missing'
+        self._make_out = declare(self, 'make_out', True, text)
         text = 'runs whose camera frames go into the bags: all, failures or none'
         images = declare(self, 'images', 'all', text)
         refuse_unknown(self)
@@ -95,7 +97,6 @@ class Recorder(Participant):
         )
         self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
-        self._recorded = False
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
         for topic in self._stepped:
@@ -127,10 +128,8 @@ class Recorder(Participant):
             attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
             beside=_commit(),
-            # Where it has been moved or deleted meanwhile, nothing is begun in its place.
-            make_parents=not self._recorded,
+            make_parents=self._make_out,
         )
-        self._recorded = True
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

@@ -113,8 +113,8 @@ def main(words: Sequence[str] | None = None) -> int:
     from taxinet_ros.nodes.graph import GraphOptions
 
     options = GraphOptions(
-        perception=arguments.perception, out=arguments.out, images=arguments.images,
-        gains=json.loads(arguments.gains),
+        perception=arguments.perception, out=arguments.out, make_out=False,
+        images=arguments.images, gains=json.loads(arguments.gains),
     )
     outbox = _Outbox(arguments.answers)
     try:

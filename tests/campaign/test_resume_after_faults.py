@@ -1,4 +1,4 @@
-"""A campaign that something broke goes on, and ends as one that nobody disturbed (F1)."""
+"""A campaign that something broke goes on as if nothing had been (F1), or ends at once (F9)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.search import PATIENCE
 from taxinet_ros.campaign.search_lines import search_summary
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.cli import main as cli
+from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
 
@@ -187,3 +188,81 @@ def test_f1_given_a_kill_amid_a_second_sitting_then_a_third_ends_as_if_nothing_h
             same_but_for_tries(whole, copy)
             assert len(read_ledger(copy / 'ledger.jsonl').rows) == 20
     assert number > 5
+
+
+def ledger_moved(out: Path) -> None:
+    (out / 'ledger.jsonl').rename(out.parent / 'elsewhere')
+
+
+def ledger_copied_over(out: Path) -> None:
+    """As by a tool that synchronises folders: the same bytes, but another file."""
+    ledger_moved(out)
+    shutil.copy(out.parent / 'elsewhere', out / 'ledger.jsonl')
+
+
+def facts_deleted(out: Path) -> None:
+    (out / 'campaign.json').unlink()
+
+
+def folder_replaced(out: Path) -> None:
+    out.rename(out.parent / 'moved')
+    out.mkdir()
+
+
+def folder_deleted(out: Path) -> None:
+    shutil.rmtree(out)
+
+
+@pytest.mark.parametrize(
+    'act', [ledger_moved, ledger_copied_over, facts_deleted, folder_replaced, folder_deleted]
+)
+def test_f9_given_a_record_that_is_taken_away_then_the_next_row_ends_the_campaign(act, tmp_path):
+    out, told = tmp_path / 'c', []
+    chosen = toy.options(out, sampler='halton')
+    search = search_module.Search(chosen, ('perception',), told.append)
+
+    def disturbed() -> None:
+        with search:
+            for number, _ in enumerate(toy.answers(search, 1)):
+                if number == 3:
+                    act(out)
+
+    with pytest.raises(RecordError, match='was moved') as caught:
+        disturbed()
+    assert '\n' not in str(caught.value)
+    assert [row.outcome for row in told] == [row.outcome for row in search.rows]
+    assert sum(row.outcome.judged for row in told) in (4, 5), 'the last one is told all the same'
+    assert not (out / 'runs.csv').exists()
+    if act in (ledger_moved, ledger_copied_over):
+        kept = read_ledger(tmp_path / 'elsewhere').rows
+        assert len(kept) == len(told)
+
+
+def test_f9_given_a_record_that_is_taken_away_after_the_last_run_then_no_table_is_written(
+    tmp_path
+):
+    out = tmp_path / 'c'
+
+    def disturbed() -> None:
+        with toy.searching(toy.options(out)) as search:
+            for _ in toy.answers(search, 1):
+                pass
+            folder_replaced(out)
+
+    with pytest.raises(RecordError, match='was moved'):
+        disturbed()
+    assert list(out.iterdir()) == []
+
+
+def test_f9_given_a_table_that_cannot_be_written_then_the_bench_broke(
+    tmp_path, monkeypatch, capsys
+):
+    """A folder that may be read only; a super user may write to it all the same."""
+    def refuse(*arguments: object) -> None:
+        raise PermissionError(13, 'Permission denied', str(tmp_path / 'c' / 'runs.csv'))
+
+    monkeypatch.setattr('taxinet_ros.campaign.record.write_tables', refuse)
+    code = cli._exit_code(lambda: toy.finish(toy.options(tmp_path / 'c')))
+    assert (code, capsys.readouterr().err) == (4, (
+        f'taxinet: error: {tmp_path}/c/runs.csv: [Errno 13] Permission denied; --resume goes on\n'
+    ))
