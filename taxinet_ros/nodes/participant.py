@@ -99,6 +99,11 @@ class Participant(Node):
             self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
         )
 
+    def may_leave(self) -> bool:
+        """Whether nobody waits for this node, which was asked to end: there is no simulator."""
+        heard = next(heard for topic, heard in self._listeners if topic is interface.SCENARIO)
+        return not self.run_id or not heard.get_publisher_count()
+
     def close(self) -> None:
         """Finish what must not be lost; called once before the node goes away."""
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import functools
 import json
+import time
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
 
@@ -31,6 +33,7 @@ from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
@@ -38,6 +41,14 @@ from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
+
+_REST_S = 2.0
+"""Longest wait [s] for what was said before the end of a run that was broken off."""
+
+_TORN_S = 0.25
+"""The same [s] where only the last step is not whole, which may never be."""
+
+_REST_POLL_S = 0.05
 
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
@@ -97,6 +108,10 @@ class Recorder(Participant):
         self._writer: BagWriter | None = None
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        await_rest = functools.partial(self._guarded(self._await_rest), None)
+        self._rest = self.create_timer(_REST_POLL_S, await_rest, clock=steady)
+        self._rest.cancel()
         for topic in self._stepped:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
@@ -128,8 +143,20 @@ class Recorder(Participant):
             beside=_commit(),
         )
 
+    def may_leave(self) -> bool:
+        """Whether the bag is closed; without a simulator that tells the end, this node says it."""
+        if self._writer is not None and self._ended is None and super().may_leave():
+            status = RunStatus(
+                header=header(self._whole * CONTROL_PERIOD_NS), run_id=self.run_id,
+                state=RunStatus.ENDED, outcome=Outcome.INTERRUPTED,
+                detail='the simulator left before it', seq=self._whole,
+            )
+            self._guarded(functools.partial(self._end, status))(serialize_message(status))
+        return self._writer is None and not self._late_frames.under_way
+
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
+        self._rest.cancel()
         self._late_frames.give_up()
         if self._writer is not None:
             self._writer.abandon()
@@ -176,8 +203,12 @@ class Recorder(Participant):
         if self._writer is None or status.run_id != self.run_id:
             return
         if status.state == RunStatus.ENDED:
-            self._ended, self._ended_cdr = status, cdr
-            self._finish_if_whole()
+            self._end(status, cdr)
+
+    def _end(self, status: RunStatus, cdr: bytes) -> None:
+        """Take the end of the run."""
+        self._ended, self._ended_cdr, self._ended_s = status, cdr, time.monotonic()
+        self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -236,6 +267,9 @@ class Recorder(Participant):
         if judged and self._written != last_seq + 1:
             raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
         if not judged:
+            if self._is_rest_under_way():
+                self._rest.reset()
+                return
             self._write_rest()
         stamp_ns = self._ended.seq * CONTROL_PERIOD_NS
         if self._verdict is not None:
@@ -271,6 +305,25 @@ class Recorder(Participant):
             self.report(NodeStatus.ERROR, detail=trouble)
         else:
             self._done()
+
+    @property
+    def _whole(self) -> int:
+        """Number of the steps that are in."""
+        return self._written + len(self._held)
+
+    def _is_rest_under_way(self) -> bool:
+        """Whether what was said before the end of a run that broke off may not be in yet.
+
+        It comes on other topics than the end, which may overtake it.
+        """
+        assert self._ended is not None
+        short = self._whole - self._ended.seq
+        patience_s = _REST_S if short < 0 else _TORN_S
+        return short <= 0 and time.monotonic() - self._ended_s < patience_s
+
+    def _await_rest(self, _: None) -> None:
+        self._rest.cancel()
+        self._finish_if_whole()
 
     def _write_rest(self) -> None:
         """Save what an aborted run left behind: steps held back, and the torn one."""
