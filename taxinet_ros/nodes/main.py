@@ -36,7 +36,7 @@ _BAD_ARGUMENTS = (
     rclpy_implementation.RCLError,
 )
 
-GRACE_S = 4.0
+GRACE_S = 3.0
 """Longest time [s] that a node which was asked to end goes on, for the run at hand to end."""
 
 _LOOK_S = 0.05

@@ -20,6 +20,7 @@ from taxinet_ros.nodes.reading import read_here, reader_of
 from taxinet_ros.nodes.step_cdr import progress_cdr
 
 _READY_POLL_S = 0.005
+_SILENT_LOOKS = 20
 
 
 def one_line(error: BaseException) -> str:
@@ -37,6 +38,7 @@ class Participant(Node):
         run_id: the run that the node is set up for, or ''.
         implementation: which of the exchangeable kinds it is; goes into every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        silent_looks: how often :meth:`may_leave` was asked since the last message.
     """
 
     def __init__(self, name: str, **node: Any) -> None:
@@ -46,6 +48,7 @@ class Participant(Node):
         self.implementation = ''
         self.fingerprint = ''
         self._scenario: Scenario | None = None
+        self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
         self._listeners: list[tuple[Topic, Subscription]] = []
         self._status = self.speak(interface.NODE_STATUS)
@@ -100,9 +103,15 @@ class Participant(Node):
         )
 
     def may_leave(self) -> bool:
-        """Whether nobody waits for this node, which was asked to end: there is no simulator."""
+        """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
+
+        So it is without a run, without a simulator, and where for a second nothing was heard of
+        them: one that was killed is still counted for a while.
+        """
+        self.silent_looks += 1
         heard = next(heard for topic, heard in self._listeners if topic is interface.SCENARIO)
-        return not self.run_id or not heard.get_publisher_count()
+        silent = self.silent_looks > _SILENT_LOOKS or not heard.get_publisher_count()
+        return silent or not self.run_id
 
     def close(self) -> None:
         """Finish what must not be lost; called once before the node goes away."""
@@ -141,6 +150,7 @@ class Participant(Node):
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
+            self.silent_looks = 0
             try:
                 callback(message)
             except Exception as error:

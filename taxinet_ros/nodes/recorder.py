@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,6 @@ from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
@@ -42,13 +40,13 @@ from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
 
-_REST_S = 2.0
-"""Longest wait [s] for what was said before the end of a run that was broken off."""
+_REST_LOOK_S = 0.05
+_REST_LOOKS = {'whole': 40, 'torn': 10, 'broken': 5}
+"""After so many looks without a message no more is awaited of a run that was broken off: where
+steps before its last are not whole; where only the last is not; where a node broke."""
 
-_TORN_S = 0.25
-"""The same [s] where only the last step is not whole, which may never be."""
-
-_REST_POLL_S = 0.05
+_DRAINED_LOOKS = 4
+"""After so many looks without a message all is taken that came before the simulator left."""
 
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
@@ -110,7 +108,7 @@ class Recorder(Participant):
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         await_rest = functools.partial(self._guarded(self._await_rest), None)
-        self._rest = self.create_timer(_REST_POLL_S, await_rest, clock=steady)
+        self._rest = self.create_timer(_REST_LOOK_S, await_rest, clock=steady)
         self._rest.cancel()
         for topic in self._stepped:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
@@ -132,6 +130,7 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
+        self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
@@ -144,15 +143,9 @@ class Recorder(Participant):
         )
 
     def may_leave(self) -> bool:
-        """Whether the bag is closed; without a simulator that tells the end, this node says it."""
-        if self._writer is not None and self._ended is None and super().may_leave():
-            status = RunStatus(
-                header=header(self._whole * CONTROL_PERIOD_NS), run_id=self.run_id,
-                state=RunStatus.ENDED, outcome=Outcome.INTERRUPTED,
-                detail='the simulator left before it', seq=self._whole,
-            )
-            self._guarded(functools.partial(self._end, status))(serialize_message(status))
-        return self._writer is None and not self._late_frames.under_way
+        """Whether the bag is closed, or nothing more is heard of its run."""
+        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
+        return left or (self._writer is None and not self._late_frames.under_way)
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
@@ -173,6 +166,7 @@ class Recorder(Participant):
                 f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
                 'is no control step; does a second simulator publish?'
             )
+        self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)
         if whole:
             self._held += whole
@@ -203,12 +197,8 @@ class Recorder(Participant):
         if self._writer is None or status.run_id != self.run_id:
             return
         if status.state == RunStatus.ENDED:
-            self._end(status, cdr)
-
-    def _end(self, status: RunStatus, cdr: bytes) -> None:
-        """Take the end of the run."""
-        self._ended, self._ended_cdr, self._ended_s = status, cdr, time.monotonic()
-        self._finish_if_whole()
+            self._ended, self._ended_cdr = status, cdr
+            self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -312,16 +302,19 @@ class Recorder(Participant):
         return self._written + len(self._held)
 
     def _is_rest_under_way(self) -> bool:
-        """Whether what was said before the end of a run that broke off may not be in yet.
+        """Whether what was said before the end of a run that was broken off may not be in yet.
 
         It comes on other topics than the end, which may overtake it.
         """
         assert self._ended is not None
-        short = self._whole - self._ended.seq
-        patience_s = _REST_S if short < 0 else _TORN_S
-        return short <= 0 and time.monotonic() - self._ended_s < patience_s
+        if self._whole > self._ended.seq:
+            return False
+        lacking = 'torn' if self._whole == self._ended.seq else 'whole'
+        kind = lacking if self._ended.outcome == Outcome.INTERRUPTED else 'broken'
+        return self._rest_looks < _REST_LOOKS[kind]
 
     def _await_rest(self, _: None) -> None:
+        self._rest_looks += 1
         self._rest.cancel()
         self._finish_if_whole()
 

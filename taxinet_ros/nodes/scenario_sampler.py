@@ -21,6 +21,8 @@ from taxinet_ros.nodes.death_notices import node_died, simulator_lost
 from taxinet_ros.nodes.parameters import declare
 
 _WATCH_PERIOD_S = 0.1
+_SILENT_LOOKS = 20
+"""After an interrupt so many looks without a word mean that the simulator has gone too."""
 
 
 class ScenarioSampler(Node):
@@ -52,6 +54,7 @@ class ScenarioSampler(Node):
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
+        self._silent_looks = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
@@ -75,6 +78,7 @@ class ScenarioSampler(Node):
     def interrupt(self) -> None:
         """Cancel the run at hand, take its answer, and ask for no more."""
         self.interrupted = True
+        self._silent_looks = 0
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
@@ -174,6 +178,7 @@ class ScenarioSampler(Node):
             answer.set_result(_result_of(response.result().result))
 
     def _on_feedback(self, message: Any) -> None:
+        self._silent_looks = 0
         self._last_heard = time.monotonic()
         self.seq = message.feedback.seq
 
@@ -183,8 +188,10 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        if self.interrupted and not self._client.server_is_ready():
-            # One Ctrl-C in a terminal may have ended the simulator too.
+        self._silent_looks += 1
+        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
+        silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
+        if self.interrupted and silent:
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:

@@ -36,7 +36,7 @@ from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 
 _WATCH_PERIOD_S = 0.1
-_LAST_STEP_S = 2.0
+_LAST_STEP_S = 1.0
 """Longest wait [s] for the answers to the frame that is out, when a run is to be broken off."""
 
 _DELIVERY_S = 0.3
