@@ -32,9 +32,11 @@ from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.notices import lost_run
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
@@ -115,6 +117,10 @@ class Recorder(Participant):
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
         self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
+        topic = interface.OBITUARY
+        self.create_subscription(
+            topic.type, topic.name, self._guarded(self._on_obituary), topic.qos
+        )
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
@@ -157,6 +163,11 @@ class Recorder(Participant):
 
     # Messages --------------------------------------------------------------------------------
 
+    def _take(self, scenario: Scenario) -> None:
+        # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
+        if self._writer is None or not self._charged:
+            super()._take(scenario)
+
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
             return
@@ -194,11 +205,19 @@ class Recorder(Participant):
 
     def _on_run_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, RunStatus)
+        if status.state == RunStatus.ENDED:
+            self._end(status, cdr)
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        if notice.node == interface.SIMULATOR:
+            status = lost_run(notice)
+            self._end(status, serialize_message(status))
+
+    def _end(self, status: RunStatus, cdr: bytes) -> None:
         if self._writer is None or status.run_id != self.run_id:
             return
-        if status.state == RunStatus.ENDED:
-            self._ended, self._ended_cdr = status, cdr
-            self._finish_if_whole()
+        self._ended, self._ended_cdr = status, cdr
+        self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -251,11 +270,17 @@ class Recorder(Participant):
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
+        if judged and self.spoken_into():
+            # Whose word that was, nobody knows; the simulator ends the run for it.
+            self._ended = None
+            return
         if judged and self._verdict is None:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
-        if judged and self._written != last_seq + 1:
+        if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
             raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
+        if judged:
+            self._check_verdict()
         if not judged:
             if self._is_rest_under_way():
                 self._rest.reset()
@@ -279,11 +304,26 @@ class Recorder(Participant):
         else:
             self._done()
 
+    def _check_verdict(self) -> None:
+        """See that the run ended as the monitor has judged it, and when."""
+        assert self._ended is not None
+        assert self._verdict is not None
+        verdict = deserialize_message(self._verdict, interface.VERDICT.type)
+        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
+        seq = stamp_of(verdict.header.stamp) // CONTROL_PERIOD_NS
+        if (outcome, seq) != (self._ended.outcome, self._ended.seq):
+            raise RuntimeError(
+                f'the run ended as {self._ended.outcome} at step {self._ended.seq}, but the '
+                f'monitor says {outcome} at step {seq}'
+            )
+
     def _done(self) -> None:
-        """Tell that the bag is on disk and whole."""
+        """Tell that the bag is on disk and whole, and how the run ended by its account."""
         assert self._ended is not None
         seq = self._ended.seq
-        self.report(NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS)
+        self.report(
+            NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, detail=self._ended.outcome
+        )
 
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is at work."""
