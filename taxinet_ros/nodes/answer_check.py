@@ -7,10 +7,8 @@ import math
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.nodes.notices import PROTOCOL
 from taxinet_ros.nodes.reading import Said
-
-PROTOCOL = 'protocol'
-"""Kind of an error of a node that does not keep to the lockstep."""
 
 
 def check_answer(answer: Said, who: str, seq: int) -> None:

@@ -6,13 +6,12 @@ import contextlib
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import rclpy
 from domain_coordinator import domain_id
 from domain_coordinator.impl import PORT_BASE
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from taxinet_ros.core.errors import UsageError
@@ -119,12 +118,8 @@ def domain_number(text: str, where: str) -> int:
     return int(text)
 
 
-def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> None:
+def refuse_neighbours(domain: int) -> None:
     """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
-
-    Args:
-        domain: where to look.
-        go_on: asked now and then whether it still matters.
 
     Raises:
         UsageError: names the node that is there, and says how to mend it.
@@ -144,7 +139,7 @@ def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> 
             start_parameter_services=False,
         )
         deadline = time.monotonic() + look_s
-        while not (found := clock_keepers(probe)) and go_on() and time.monotonic() < deadline:
+        while not (found := clock_keepers(probe)) and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
         probe.destroy_node()
     finally:
@@ -159,13 +154,10 @@ def stand_alone() -> None:
 
     Raises:
         UsageError: another graph is on the domain of this process.
-        ExternalShutdownException: somebody stopped this process meanwhile.
     """
     domain = domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
     if os.environ.get(_RESERVED) != str(domain):
-        refuse_neighbours(domain, rclpy.ok)
-    if not rclpy.ok():
-        raise ExternalShutdownException
+        refuse_neighbours(domain)
 
 
 def clock_keepers(node: Node) -> list[str]:

@@ -36,6 +36,7 @@ from taxinet_ros.nodes.names import SCENARIO_SAMPLER as SCENARIO_SAMPLER
 from taxinet_ros.nodes.names import SCENE_MARKERS as SCENE_MARKERS
 from taxinet_ros.nodes.names import SIMULATOR as SIMULATOR
 from taxinet_ros.nodes.names import STEERING_CONTROLLER as STEERING_CONTROLLER
+from taxinet_ros.nodes.names import SUPERVISOR as SUPERVISOR
 
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
@@ -102,8 +103,13 @@ class Topic:
         return names & {SIMULATOR, *participants}
 
     def speakers(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that publish."""
-        return set(self.publishers) & {SIMULATOR, *participants}
+        """Those of the nodes of a run that publish, one end each.
+
+        Where none of them takes part, whoever plays the simulator stands in, as in a replay.
+        """
+        if self.recorded == PER_NODE:
+            return set(participants) - {SIMULATOR}
+        return (set(self.publishers) & {SIMULATOR, *participants}) or {SIMULATOR}
 
 
 SCENARIO = Topic(
@@ -172,6 +178,16 @@ RUN_STATUS = Topic(
     subscribers=(RECORDER,), recorded=PER_RUN,
     carries='preparing, running, or how the run ended',
 )
+
+OBITUARY = Topic(
+    name='obituary', type=NodeStatus, qos=LATCHED, publishers=(SCENARIO_SAMPLER, SUPERVISOR),
+    subscribers=(SIMULATOR, RECORDER), recorded=None,
+    carries='a node that is dead (DIED) or a simulator that is silent (ERROR)',
+)
+"""What is said of nodes by those who look after them; it ends a run, and gives it no verdict.
+
+So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the run may.
+"""
 
 TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,

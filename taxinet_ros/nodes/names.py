@@ -1,5 +1,11 @@
 """Names of the nodes. They need no ROS, whose import takes a while."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from taxinet_ros.core.errors import UsageError
+
 SIMULATOR = 'simulator'
 PERCEPTION = 'perception'
 STEERING_CONTROLLER = 'steering_controller'
@@ -7,6 +13,7 @@ MTL_MONITOR = 'mtl_monitor'
 RECORDER = 'recorder'
 SCENARIO_SAMPLER = 'scenario_sampler'
 SCENE_MARKERS = 'scene_markers'
+SUPERVISOR = 'supervisor'
 
 PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
 """Nodes that take part in the lockstep beside the simulator, which keeps it."""
@@ -16,3 +23,18 @@ CHAIN = (PERCEPTION, STEERING_CONTROLLER)
 
 FOLLOWERS = (MTL_MONITOR, RECORDER)
 """Nodes that only listen, and report progress."""
+
+REQUIRED = (*CHAIN, MTL_MONITOR)
+"""Participants without which no run can go on, or be judged."""
+
+
+def check_participants(names: Sequence[str]) -> None:
+    """See that a run has whom it needs.
+
+    Raises:
+        UsageError: names who is missing.
+    """
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        given = ', '.join(names) or 'nobody'
+        raise UsageError(f'participants: a run needs {", ".join(missing)} too, not only {given}')

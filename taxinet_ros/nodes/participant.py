@@ -9,17 +9,20 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, Scenario
 
+from taxinet_ros.core.errors import InfraError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.matching import heard_by, hears_from
+from taxinet_ros.nodes.matching import heard_by
+from taxinet_ros.nodes.notices import charge
 from taxinet_ros.nodes.reading import read_here, reader_of
+from taxinet_ros.nodes.speakers import HeardSpeakers, first_stranger
 from taxinet_ros.nodes.step_cdr import progress_cdr
 
 _READY_POLL_S = 0.005
+_SILENT_LOOKS = 20
 
 
 def one_line(error: BaseException) -> str:
@@ -31,12 +34,14 @@ class Participant(Node):
     """A node that sets itself up for each scenario and then answers messages.
 
     A subclass overrides :meth:`prepare`. An exception in a callback becomes an ERROR status that
-    names the node, so that the run ends at once with a reason instead of a timeout.
+    names the node, so that the run ends at once with a reason instead of a timeout. From READY on
+    the node hears nobody but those who were there; who comes later is charged.
 
     Attributes:
         run_id: the run that the node is set up for, or ''.
         implementation: which of the exchangeable kinds it is; goes into every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        silent_looks: how often :meth:`may_leave` was asked since the last message.
     """
 
     def __init__(self, name: str, **node: Any) -> None:
@@ -46,8 +51,10 @@ class Participant(Node):
         self.implementation = ''
         self.fingerprint = ''
         self._scenario: Scenario | None = None
+        self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
-        self._listeners: list[tuple[Topic, Subscription]] = []
+        self._listeners: list[HeardSpeakers] = []
+        self._charged = False
         self._status = self.speak(interface.NODE_STATUS)
         self.listen(interface.SCENARIO, self._take)
         # Getting ready is about processes finding each other, so it runs on wall time.
@@ -74,9 +81,15 @@ class Participant(Node):
         """
         if read_here(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
-        guarded = self._guarded(callback)
-        heard = self.create_subscription(topic.type, topic.name, guarded, topic.qos, raw=raw)
-        self._listeners.append((topic, heard))
+        self._listeners.append(HeardSpeakers(
+            self, topic, self._guarded(callback), raw=raw, on_match=self.spoken_into
+        ))
+
+    def destroy_node(self) -> None:
+        """See :class:`rclpy.node.Node`."""
+        for heard in self._listeners:
+            heard.close()
+        super().destroy_node()
 
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Tell the simulator how this node stands in the current run."""
@@ -88,7 +101,7 @@ class Participant(Node):
             state=state,
             seq=seq,
             detail=detail,
-            listens=[topic.name for topic, _ in self._listeners] if ready else [],
+            listens=[heard.topic.name for heard in self._listeners] if ready else [],
             implementation=self.implementation,
             fingerprint=self.fingerprint,
         ))
@@ -99,12 +112,41 @@ class Participant(Node):
             self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
         )
 
+    def may_leave(self) -> bool:
+        """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
+
+        So it is without a run, without a simulator, and where for a second nothing was heard of
+        them: one that was killed is still counted for a while.
+        """
+        self.silent_looks += 1
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        alone = not heard.subscription.get_publisher_count()
+        silent = alone or self.silent_looks > _SILENT_LOOKS
+        return silent or not self.run_id
+
     def close(self) -> None:
         """Finish what must not be lost; called once before the node goes away."""
+
+    def charge(self, error: InfraError) -> None:
+        """Have the run end for what somebody else did."""
+        Participant.report(self, NodeStatus.ERROR, detail=charge(error))
+
+    def spoken_into(self) -> bool:
+        """Whether somebody speaks where this node listens who was not there at its READY.
+
+        Tells the simulator of it, once.
+        """
+        if not self._charged and (stranger := first_stranger(self._listeners)) is not None:
+            self._charged = True
+            self.charge(stranger.error(-1))
+        return self._charged
 
     def _take(self, scenario: Scenario) -> None:
         if self.get_name() not in scenario.participants:
             return
+        for heard in self._listeners:
+            heard.release()
+        self._charged = False
         self.run_id = scenario.run_id
         self._scenario = scenario
         self.prepare(scenario)
@@ -122,9 +164,10 @@ class Participant(Node):
         for topic, publisher in self._speakers:
             if not heard_by(self, publisher, topic.listeners(present)):
                 return
-        for topic, heard in self._listeners:
-            if not hears_from(self, heard, topic.speakers(present)):
-                return
+        if not all(heard.settled(present) for heard in self._listeners):
+            return
+        for heard in self._listeners:
+            heard.pin(present)
         self._poll.cancel()
         self.report(NodeStatus.READY)
 
@@ -136,9 +179,16 @@ class Participant(Node):
     def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
+            self.silent_looks = 0
             try:
                 callback(message)
             except Exception as error:
+                # What it cannot take may be somebody else's, and is not this node's fault then.
+                if self.spoken_into():
+                    return
+                if isinstance(error, InfraError):
+                    self.charge(error)
+                    return
                 reason = one_line(error)
                 self.get_logger().error(f'run {self.run_id}: {reason}')
                 self.report(NodeStatus.ERROR, detail=reason)

@@ -12,6 +12,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
 
@@ -31,13 +32,23 @@ from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
+from taxinet_ros.nodes.notices import lost_run
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
+
+_REST_LOOK_S = 0.05
+_REST_LOOKS = {'whole': 40, 'torn': 10, 'broken': 5}
+"""After so many looks without a message no more is awaited of a run that was broken off: where
+steps before its last are not whole; where only the last is not; where a node broke."""
+
+_DRAINED_LOOKS = 4
+"""After so many looks without a message all is taken that came before the simulator left."""
 
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
@@ -99,11 +110,19 @@ class Recorder(Participant):
         self._writer: BagWriter | None = None
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        await_rest = functools.partial(self._guarded(self._await_rest), None)
+        self._rest = self.create_timer(_REST_LOOK_S, await_rest, clock=steady)
+        self._rest.cancel()
         for topic in self._stepped:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
         self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
+        topic = interface.OBITUARY
+        self.create_subscription(
+            topic.type, topic.name, self._guarded(self._on_obituary), topic.qos
+        )
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
@@ -119,6 +138,7 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
+        self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
@@ -131,14 +151,25 @@ class Recorder(Participant):
             make_parents=self._make_out,
         )
 
+    def may_leave(self) -> bool:
+        """Whether the bag is closed, or nothing more is heard of its run."""
+        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
+        return left or (self._writer is None and not self._late_frames.under_way)
+
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
+        self._rest.cancel()
         self._late_frames.give_up()
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
 
     # Messages --------------------------------------------------------------------------------
+
+    def _take(self, scenario: Scenario) -> None:
+        # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
+        if self._writer is None or not self._charged:
+            super()._take(scenario)
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
@@ -149,6 +180,7 @@ class Recorder(Participant):
                 f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
                 'is no control step; does a second simulator publish?'
             )
+        self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)
         if whole:
             self._held += whole
@@ -176,11 +208,19 @@ class Recorder(Participant):
 
     def _on_run_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, RunStatus)
+        if status.state == RunStatus.ENDED:
+            self._end(status, cdr)
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        if notice.node == interface.SIMULATOR:
+            status = lost_run(notice)
+            self._end(status, serialize_message(status))
+
+    def _end(self, status: RunStatus, cdr: bytes) -> None:
         if self._writer is None or status.run_id != self.run_id:
             return
-        if status.state == RunStatus.ENDED:
-            self._ended, self._ended_cdr = status, cdr
-            self._finish_if_whole()
+        self._ended, self._ended_cdr = status, cdr
+        self._finish_if_whole()
 
     # Writing ---------------------------------------------------------------------------------
 
@@ -233,12 +273,21 @@ class Recorder(Participant):
         if self._ended is None:
             return
         judged = Outcome(self._ended.outcome).judged
+        if judged and self.spoken_into():
+            # Whose word that was, nobody knows; the simulator ends the run for it.
+            self._ended = None
+            return
         if judged and self._verdict is None:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
-        if judged and self._written != last_seq + 1:
+        if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
             raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
+        if judged:
+            self._check_verdict()
         if not judged:
+            if self._is_rest_under_way():
+                self._rest.reset()
+                return
             self._write_rest()
         stamp_ns = self._ended.seq * CONTROL_PERIOD_NS
         if self._verdict is not None:
@@ -258,11 +307,26 @@ class Recorder(Participant):
         else:
             self._done()
 
+    def _check_verdict(self) -> None:
+        """See that the run ended as the monitor has judged it, and when."""
+        assert self._ended is not None
+        assert self._verdict is not None
+        verdict = deserialize_message(self._verdict, interface.VERDICT.type)
+        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
+        seq = stamp_of(verdict.header.stamp) // CONTROL_PERIOD_NS
+        if (outcome, seq) != (self._ended.outcome, self._ended.seq):
+            raise RuntimeError(
+                f'the run ended as {self._ended.outcome} at step {self._ended.seq}, but the '
+                f'monitor says {outcome} at step {seq}'
+            )
+
     def _done(self) -> None:
-        """Tell that the bag is on disk and whole."""
+        """Tell that the bag is on disk and whole, and how the run ended by its account."""
         assert self._ended is not None
         seq = self._ended.seq
-        self.report(NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS)
+        self.report(
+            NodeStatus.DONE, seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, detail=self._ended.outcome
+        )
 
     def _on_frame(self, seq: int) -> None:
         """Tell the simulator that this node is at work."""
@@ -274,6 +338,28 @@ class Recorder(Participant):
             self.report(NodeStatus.ERROR, detail=trouble)
         else:
             self._done()
+
+    @property
+    def _whole(self) -> int:
+        """Number of the steps that are in."""
+        return self._written + len(self._held)
+
+    def _is_rest_under_way(self) -> bool:
+        """Whether what was said before the end of a run that was broken off may not be in yet.
+
+        It comes on other topics than the end, which may overtake it.
+        """
+        assert self._ended is not None
+        if self._whole > self._ended.seq:
+            return False
+        lacking = 'torn' if self._whole == self._ended.seq else 'whole'
+        kind = lacking if self._ended.outcome == Outcome.INTERRUPTED else 'broken'
+        return self._rest_looks < _REST_LOOKS[kind]
+
+    def _await_rest(self, _: None) -> None:
+        self._rest_looks += 1
+        self._rest.cancel()
+        self._finish_if_whole()
 
     def _write_rest(self) -> None:
         """Save what an aborted run left behind: steps held back, and the torn one."""

@@ -21,6 +21,7 @@ from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.names import check_participants
 from taxinet_ros.nodes.participant import one_line
 
 
@@ -31,14 +32,16 @@ class ActiveRun:
         """Build the world that the goal's scenario describes.
 
         Raises:
-            UsageError: the scenario has a value out of range, an unknown rule to stop, or a
-                formula that is none or that a run of this length cannot be judged by.
+            UsageError: the scenario has a value out of range, an unknown rule to stop, a formula
+                that is none or that a run of this length cannot be judged by, or lacks a node
+                that every run needs.
             InfraError: the world cannot be built.
         """
         message = goal.request.scenario
         self.goal = goal
         self.run_id: str = message.run_id
         self.participants = tuple(message.participants)
+        check_participants(self.participants)
         scenario = scenario_of(message)
         check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
         self.world = World(scenario)
@@ -54,8 +57,10 @@ class ActiveRun:
         self.perception = {'perception': '', 'fingerprint': ''}
         self.started = False
         self.command: TaxiCommand | None = None
+        self.suspect: tuple[InfraError, float] | None = None
         self.verdict: Verdict | None = None
         self.ending: RunStatus | None = None
+        self.unwanted_s = 0.0  # When somebody asked for its end, by the monotonic clock.
         self.done = Future(executor=executor)
         self.created = self.last_heard = time.monotonic()
 

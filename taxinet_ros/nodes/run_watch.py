@@ -10,7 +10,7 @@ from rclpy.node import Node
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.death_notices import node_died, simulator_lost
+from taxinet_ros.nodes.notices import lost_run, obituary
 from taxinet_ros.nodes.onlooker import AT_LEISURE
 
 _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
@@ -43,18 +43,15 @@ class RunWatch:
             interface.RUN_SCENARIO_TYPE.Impl.FeedbackMessage,
             f'{interface.RUN_SCENARIO}/_action/feedback', self._on_feedback, AT_LEISURE,
         )
-        self._obituaries = node.create_publisher(NodeStatus, status.name, status.qos)
-        self._endings = node.create_publisher(RunStatus, run_status.name, run_status.qos)
+        obituaries = interface.OBITUARY
+        node.create_subscription(NodeStatus, obituaries.name, self._on_obituary, obituaries.qos)
+        self._obituaries = node.create_publisher(NodeStatus, obituaries.name, obituaries.qos)
         self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
 
     def mourn(self, name: str, detail: str) -> None:
         """A node's process is dead: have the run at hand end at once, with the reason."""
-        if not self.run_id:
-            return
-        if name == interface.SIMULATOR:
-            self._endings.publish(simulator_lost(self.run_id, 'died', detail, self.seq))
-        else:
-            self._obituaries.publish(node_died(self.run_id, name, detail))
+        if self.run_id:
+            self._obituaries.publish(obituary(self.run_id, name, detail, seq=self.seq))
 
     def interrupt(self) -> bool:
         """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.
@@ -76,6 +73,10 @@ class RunWatch:
             self.outcomes[str(status.outcome)] += 1
             words = [str(status.outcome), status.kind, status.who, status.detail]
             self._say(f'run {status.run_id}: {" ".join(word for word in words if word)}')
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        if notice.node == interface.SIMULATOR:
+            self._on_run(lost_run(notice))
 
     def _on_status(self, status: NodeStatus) -> None:
         if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):

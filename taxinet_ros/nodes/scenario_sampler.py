@@ -11,16 +11,18 @@ from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from taxinet_msgs.msg import RunStatus, Verdict
+from taxinet_msgs.msg import Verdict
 
 from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
-from taxinet_ros.nodes.death_notices import node_died, simulator_lost
+from taxinet_ros.nodes.notices import obituary
 from taxinet_ros.nodes.parameters import declare
 
 _WATCH_PERIOD_S = 0.1
+_SILENT_LOOKS = 20
+"""After an interrupt so many looks without a word mean that the simulator has gone too."""
 
 
 class ScenarioSampler(Node):
@@ -40,11 +42,8 @@ class ScenarioSampler(Node):
         silence_timeout_s = declare(self, 'silence_timeout', 60.0, text, (0.1, 3600.0))
         self._limits = (server_timeout_s, silence_timeout_s)
         self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
-        status = interface.NODE_STATUS
-        self._obituary = self.create_publisher(status.type, status.name, status.qos)
-        self._run_status = self.create_publisher(
-            RunStatus, interface.RUN_STATUS.name, interface.RUN_STATUS.qos
-        )
+        topic = interface.OBITUARY
+        self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
         self._answer: Future | None = None
         self._finished: Future | None = None
@@ -52,6 +51,7 @@ class ScenarioSampler(Node):
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
+        self._silent_looks = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
@@ -75,6 +75,7 @@ class ScenarioSampler(Node):
     def interrupt(self) -> None:
         """Cancel the run at hand, take its answer, and ask for no more."""
         self.interrupted = True
+        self._silent_looks = 0
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
@@ -92,13 +93,15 @@ class ScenarioSampler(Node):
         if node == interface.SIMULATOR:
             self._lose_simulator('died', detail)
         else:
-            self._obituary.publish(node_died(self._request.run_id, node, detail))
+            self._obituaries.publish(obituary(self._request.run_id, node, detail, seq=self.seq))
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
         """End the run in its stead."""
         assert self._request is not None
         assert self._answer is not None
-        self._run_status.publish(simulator_lost(self._request.run_id, kind, detail, self.seq))
+        self._obituaries.publish(obituary(
+            self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
+        ))
         self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:
@@ -174,6 +177,7 @@ class ScenarioSampler(Node):
             answer.set_result(_result_of(response.result().result))
 
     def _on_feedback(self, message: Any) -> None:
+        self._silent_looks = 0
         self._last_heard = time.monotonic()
         self.seq = message.feedback.seq
 
@@ -183,8 +187,10 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        if self.interrupted and not self._client.server_is_ready():
-            # One Ctrl-C in a terminal may have ended the simulator too.
+        self._silent_looks += 1
+        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
+        silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
+        if self.interrupted and silent:
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:

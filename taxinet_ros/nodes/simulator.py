@@ -18,7 +18,6 @@ from rclpy.clock import Clock as RclClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.errors import InfraError
@@ -28,16 +27,26 @@ from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.matching import heard_by, hears_from
+from taxinet_ros.nodes.matching import heard_by
+from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged
 from taxinet_ros.nodes.observation_messages import observation_messages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
+from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
+from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
 
 _WATCH_PERIOD_S = 0.1
+_LAST_STEP_S = 1.0
+"""Longest wait [s] for the answers to the frame that is out, when a run is to be broken off."""
+
+_DELIVERY_S = 0.3
+"""What the last answer may take on its way before this node leaves the graph."""
+
 _RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
-_TROUBLE = {NodeStatus.ERROR: 'node_error', NodeStatus.DIED: 'died'}
+_SUSPECTED_S = 1.0
+"""How long it is awaited that somebody else turns out to have begun what a node did wrong."""
 
 
 class Simulator(Node):
@@ -52,8 +61,10 @@ class Simulator(Node):
         self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
         refuse_unknown(self)
         self._run: ActiveRun | None = None
+        self._leaving = False
+        self._may_leave_s = 0.0
         self._speakers: dict[str, Publisher] = {}
-        self._listeners: list[tuple[Topic, Subscription]] = []
+        self._listeners: list[HeardSpeakers] = []
         for topic in interface.TOPICS:
             if interface.SIMULATOR in topic.publishers:
                 self._speakers[topic.name] = self.create_publisher(
@@ -67,10 +78,17 @@ class Simulator(Node):
             (interface.VERDICT, self._on_verdict),
         ):
             hear = functools.partial(self._hear, reader_of(topic), callback)
-            heard = self.create_subscription(
-                topic.type, topic.name, hear, topic.qos, raw=read_here(topic)
-            )
-            self._listeners.append((topic, heard))
+            self._listeners.append(HeardSpeakers(
+                self, topic, hear, raw=read_here(topic), on_match=self._look_for_strangers
+            ))
+        heard = {listener.topic.name for listener in self._listeners}
+        self._topics: list[Speakers] = [
+            *self._listeners,
+            *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
+        ]
+        topic = interface.OBITUARY
+        told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
+        self.create_subscription(topic.type, topic.name, told, topic.qos)
         self._server = ActionServer(
             self,
             interface.RUN_SCENARIO_TYPE,
@@ -83,14 +101,25 @@ class Simulator(Node):
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
+    def may_leave(self) -> bool:
+        """Whether the run at hand, which is to end as INTERRUPTED, has and all have heard it."""
+        self._leaving = True
+        return self._run is None and time.monotonic() >= self._may_leave_s
+
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
         self._server.destroy()
 
+    def destroy_node(self) -> None:
+        """See :class:`rclpy.node.Node`."""
+        for listener in self._listeners:
+            listener.close()
+        super().destroy_node()
+
     # The action ------------------------------------------------------------------------------
 
     def _accept(self, goal: Any) -> GoalResponse:
-        busy = self._run is not None
+        busy = self._leaving or self._run is not None
         if busy:
             self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
@@ -111,10 +140,15 @@ class Simulator(Node):
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
-        if goal.is_cancel_requested:
+        self._may_leave_s = time.monotonic() + _DELIVERY_S
+        for speakers in self._topics:
+            speakers.release()
+        if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
+            goal.succeed()
+        elif goal.is_cancel_requested:
             goal.canceled()
         else:
-            goal.succeed()
+            goal.abort()
         return result
 
     # What the graph says -----------------------------------------------------------------------
@@ -150,12 +184,29 @@ class Simulator(Node):
             run.lockstep.ready(status.node)
             run.heard()
             self._start_if_ready(run)
-        elif status.state in _TROUBLE:
-            mute = status.node == interface.RECORDER and status.state == NodeStatus.ERROR
-            kind = 'bag' if mute else _TROUBLE[status.state]
-            self._fail(run, kind, status.node, status.detail)
-        elif status.state == NodeStatus.DONE and run.ending is not None:
+        elif status.state == NodeStatus.ERROR:
+            bag = status.node == interface.RECORDER
+            usual = 'bag' if bag else 'node_error', status.node, status.detail
+            self._fail(run, *(charged(status.detail) or usual))
+        elif status.state == NodeStatus.DONE and status.node == interface.RECORDER:
+            self._on_done(run, status)
+
+    def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
+        """The recorder has closed its bag; a verdict stands only if the bag holds the same."""
+        if run.ending is None:
+            detail = f'closed its bag as {done.detail} amid the run'
+            self._fail(run, 'bag', interface.RECORDER, detail)
+        elif Outcome(run.ending.outcome).judged and (done.detail, done.seq) != (
+            run.ending.outcome, run.ending.seq
+        ):
+            detail = f'closed its bag as {done.detail} at step {done.seq}'
+            self._fail(run, 'bag', interface.RECORDER, detail)
+        else:
             run.finish()
+
+    def _on_obituary(self, run: ActiveRun, notice: NodeStatus) -> None:
+        """A node is dead by the word of whoever looks after it, or this one is said to be."""
+        self._fail(run, 'died', notice.node, notice.detail)
 
     def _on_estimate(self, run: ActiveRun, estimate: Said) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
@@ -165,7 +216,12 @@ class Simulator(Node):
     def _on_command(self, run: ActiveRun, command: Said) -> None:
         if run.ending is not None:
             return
-        check_answer(command, interface.STEERING_CONTROLLER, run.lockstep.seq)
+        try:
+            check_answer(command, interface.STEERING_CONTROLLER, run.lockstep.seq)
+        except InfraError as error:
+            # It may but repeat what the perception said, whose estimate is still to come then.
+            run.suspect = run.suspect or (error, time.monotonic())
+            return
         check_command(command.value, interface.STEERING_CONTROLLER, command.seq)
         # The estimate travels on another topic and may be overtaken by the command made from it.
         run.lockstep.answer(interface.PERCEPTION, command.seq)
@@ -175,6 +231,9 @@ class Simulator(Node):
             self._go_on(run)
 
     def _on_progress(self, run: ActiveRun, progress: Said) -> None:
+        if progress.seq > run.lockstep.seq:
+            detail = f'has come to frame {progress.seq}, which is not out yet'
+            raise InfraError(PROTOCOL, progress.value, run.lockstep.seq, detail)
         run.lockstep.progress(progress.value, progress.seq)
         run.heard()
         self._go_on(run)
@@ -192,6 +251,8 @@ class Simulator(Node):
         if run.started or not run.lockstep.all_ready or self._deaf(run):
             return
         run.started = True
+        for speakers in self._topics:
+            speakers.pin(run.participants)
         self._say(interface.RUN_STATUS, run.status(RunStatus.RUNNING))
         self._publish_frame(run)
 
@@ -203,17 +264,16 @@ class Simulator(Node):
             if not heard_by(self, publisher, run.listeners(name))
         ]
         unseen = [
-            topic.name
-            for topic, heard in self._listeners
-            if not hears_from(self, heard, topic.speakers(run.participants))
+            speakers.topic.name for speakers in self._topics
+            if not speakers.settled(run.participants)
         ]
         return unheard + unseen
 
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
             return
-        if run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        if run.unwanted_s and run.command is not None:
+            self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
             run.world.advance(command)
@@ -234,43 +294,75 @@ class Simulator(Node):
             detail = 'the monitor had no whole, finite sequence of samples to judge'
             self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
             return
+        self._look_for_strangers()
+        if run.ending is not None:
+            return
         outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
         self._end(run, run.status(RunStatus.ENDED, outcome=outcome))
 
     # Endings ---------------------------------------------------------------------------------
 
+    def _look_for_strangers(self) -> None:
+        """End the run at hand if somebody speaks in it who has no part in it."""
+        run = self._run
+        if run is not None and (stranger := self._stranger(run)) is not None:
+            self._fail(run, INTRUDER, stranger.name, stranger.detail)
+
+    def _stranger(self, run: ActiveRun) -> Stranger | None:
+        """Whoever came since the first step, while it matters."""
+        over = run.ending is not None and not Outcome(run.ending.outcome).judged
+        return None if over or not run.started else first_stranger(self._topics)
+
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
+        # Nobody is blamed for what may be somebody else's.
+        if kind != INTRUDER and (stranger := self._stranger(run)) is not None:
+            kind, who, detail = INTRUDER, stranger.name, stranger.detail
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
         )
-        if run.ending is None:
-            self._end(run, status)
-        elif who == interface.RECORDER:
+        recorder_lost = who == interface.RECORDER and kind != INTRUDER
+        judged = run.ending is not None and Outcome(run.ending.outcome).judged
+        if run.ending is None or (judged and (kind == INTRUDER or who == interface.SIMULATOR)):
+            self._end(run, status, recorder_lost)
+        elif recorder_lost:
             # The bag could not be finished, so the evidence is not whole: no verdict stands.
             run.ending = status
             run.finish()
 
-    def _end(self, run: ActiveRun, status: RunStatus) -> None:
+    def _break_off(self, run: ActiveRun) -> None:
+        """End a run that nobody wants to see the end of, between two steps if that can be."""
+        self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+
+    def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
         """Announce the end, then wait for the recorder to close its bag where there is one."""
         run.ending = status
         run.heard()
         self._say(interface.RUN_STATUS, status)
-        if interface.RECORDER not in run.participants or status.who == interface.RECORDER:
+        if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()
 
     def _watch(self) -> None:
         run = self._run
         if run is None:
             return
-        silence = time.monotonic() - run.last_heard
+        now = time.monotonic()
+        silence = now - run.last_heard
         run.goal.publish_feedback(run.feedback())
+        if not run.unwanted_s and (self._leaving or run.goal.is_cancel_requested):
+            run.unwanted_s = now
+        self._look_for_strangers()
         if run.ending is not None:
             if silence > self._answer_timeout_s:
                 self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
-        elif run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        elif run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
+            self._break_off(run)
+        elif run.unwanted_s:
+            self._go_on(run)
+        elif run.suspect is not None and now - run.suspect[1] > _SUSPECTED_S:
+            error = run.suspect[0]
+            self._fail(run, error.kind, error.who, error.detail)
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
@@ -279,11 +371,24 @@ class Simulator(Node):
         self._start_if_ready(run)
         if run.started:
             return
-        if run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        if run.unwanted_s:
+            self._break_off(run)
         elif time.monotonic() - run.created > self._ready_timeout_s:
-            who = ', '.join(run.lockstep.missing() or self._deaf(run))
-            self._fail(run, 'not_ready', who, f'not ready within {self._ready_timeout_s:g} s')
+            self._fail(run, *self._unready(run))
+
+    def _unready(self, run: ActiveRun) -> tuple[str, str, str]:
+        """Kind, who and what of a run that could not begin: those alone that others wait for."""
+        within = f'not ready within {self._ready_timeout_s:g} s'
+        for speakers in self._topics:
+            if (stranger := speakers.unsettled_by(run.participants)) is not None:
+                return INTRUDER, stranger.name, f'{stranger.detail} ({within})'
+        if absent := missing(self, run.participants):
+            names = sorted(absent)
+            return 'not_ready', ', '.join(names), f'{within}: {absent[names[0]]}'
+        if silent := run.lockstep.missing():
+            return 'not_ready', ', '.join(silent), f'{within}: does not say that it is ready'
+        topics = ', '.join(self._deaf(run))
+        return 'not_ready', interface.SIMULATOR, f'{within}: not all ends are found on {topics}'
 
     def _say(self, topic: Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)

@@ -45,7 +45,12 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
     with interrupts(node.interrupt, node.give_up), campaign:
         checked = [line.plain for line in check_lines(campaign.check)]
         _say(node, [heading(node.campaign), *campaign.notes, *checked])
-        answers = _Answers(node, campaign.take)
+
+        def take(request: RunRequest, result: RunResult) -> bool:
+            campaign.take(request, result)
+            return campaign.unfinished
+
+        answers = _Answers(node, take)
         _drive(node, executor, campaign.requests(), answers)
     if campaign.rows:
         _say(node, summary(campaign.rows, node.campaign).splitlines())

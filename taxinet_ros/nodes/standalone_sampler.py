@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from taxinet_msgs.msg import RunStatus
+from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
 from taxinet_ros.campaign.samplers.make import SAMPLERS
@@ -17,6 +17,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.names import check_participants
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
 
@@ -43,10 +44,11 @@ class StandaloneSampler(ScenarioSampler):
             UsageError: one line on the first that is wrong.
         """
         super().__init__(**node)
-        status = interface.RUN_STATUS
-        self.create_subscription(RunStatus, status.name, self._on_run_status, status.qos)
+        topic = interface.OBITUARY
+        self.create_subscription(NodeStatus, topic.name, self._on_obituary, topic.qos)
         text = 'node names that take part in the lockstep beside the simulator'
         self.participants = tuple(declare(self, 'participants', list(PARTICIPANTS), text))
+        check_participants(self.participants)
         sampler, how = self._declare_search()
         what = self._declare_campaign()
         refuse_unknown(self)
@@ -79,11 +81,11 @@ class StandaloneSampler(ScenarioSampler):
         seen = self._in_graph()
         return [name for name in self.participants if name not in seen]
 
-    def _on_run_status(self, status: RunStatus) -> None:
+    def _on_obituary(self, notice: NodeStatus) -> None:
         """Who looks after the simulator's process knows at once that it is dead."""
-        dead = (status.kind, status.who) == ('died', interface.SIMULATOR)
-        if dead and self._is_at(status.run_id):
-            self.mourn(status.who, status.detail)
+        dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
+        if dead and self._is_at(notice.run_id):
+            self.mourn(notice.node, notice.detail)
 
     def _is_at(self, run_id: str) -> bool:
         return self._request is not None and self._request.run_id == run_id

@@ -81,7 +81,7 @@ class Supervisor(Node):
             say: takes a line about whatever happens.
             node: goes to :class:`rclpy.node.Node`.
         """
-        super().__init__('supervisor', start_parameter_services=False, **node)
+        super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
         times = care.limit if care.restart is Restart.ON_FAILURE else 0
         self.nodes = [
             WatchedNode(
