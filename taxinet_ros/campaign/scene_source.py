@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
-from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.overrides import (
     WEATHER,
     Contradiction,
@@ -28,6 +27,7 @@ from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.search_space import SearchSpace
+from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario

@@ -46,6 +46,7 @@ import numpy as np
 from taxinet_ros.campaign.old_scenic import hint
 from taxinet_ros.campaign.programs import MODEL
 from taxinet_ros.campaign.scene_values import ProgramError, scene_values
+from taxinet_ros.core.child_process import limit_cpu, limit_memory
 
 MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
@@ -235,13 +236,8 @@ def _allow(seconds: float) -> None:
     """Let the next request take ``seconds``: an alarm that names the line, else a CPU limit."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
-    _lower(resource.RLIMIT_CPU, cpu_s)
+    limit_cpu(cpu_s)
     signal.setitimer(signal.ITIMER_REAL, seconds)
-
-
-def _lower(limit: int, value: int) -> None:
-    _, hard = resource.getrlimit(limit)
-    resource.setrlimit(limit, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
 def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
@@ -302,7 +298,7 @@ def main() -> None:
         target=_follow_parent, args=(args.request_fd, requests), daemon=True
     ).start()
     signal.signal(signal.SIGALRM, _alarm)
-    _lower(resource.RLIMIT_AS, args.memory_bytes)
+    limit_memory(args.memory_bytes)
     try:
         programs = Programs(args.seed, args.shipped)
     except ImportError as error:

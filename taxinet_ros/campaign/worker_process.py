@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.wire import line_of, request_to_json
+from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 

@@ -83,7 +83,8 @@ class Standing:
         for process in self.started:
             process.terminate()
         for process in self.started:
-            process.communicate()
+            with process:  # its pipe is closed, and its end waited for
+                pass
 
 
 def results(out: Path) -> int:
