@@ -6,7 +6,7 @@ limits guard against accidents, not against malice.
 
 Requests come in and answers go out as JSON lines over two pipes that are not stdin and stdout, so
 a program may print what it likes (it appears on stderr). The first line out says that Scenic is
-imported. Then each request has one answer:
+imported. Then each request, which has a ticket, has one answer, with the same ticket:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{}``
@@ -273,7 +273,7 @@ def _serve(
     while True:
         request = json.loads(requests.get())
         program = request.get('program', program)
-        operation = operations[request.pop('op')]
+        operation, ticket = operations[request.pop('op')], request.pop('ticket')
         try:
             _allow(args.timeout_s)
             answer = operation(**request)
@@ -281,7 +281,7 @@ def _serve(
         except BaseException as error:  # whatever user code raises, exit() included
             signal.setitimer(signal.ITIMER_REAL, 0)
             answer = {'error': describe(error, program, args.timeout_s)}
-        _answer(args.response_fd, answer)
+        _answer(args.response_fd, {**answer, 'ticket': ticket})
 
 
 def main() -> None:
@@ -303,9 +303,10 @@ def main() -> None:
         programs = Programs(args.seed, args.shipped)
     except ImportError as error:
         message = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
-        _answer(args.response_fd, {'error': {'file': '', 'line': 0, 'message': message}})
+        error_at_start = {'file': '', 'line': 0, 'message': message}
+        _answer(args.response_fd, {'error': error_at_start, 'ticket': ''})
         return
-    _answer(args.response_fd, {})
+    _answer(args.response_fd, {'ticket': ''})
     _serve(programs, requests, args)
 
 

@@ -21,6 +21,13 @@ def child_environment() -> dict[str, str]:
     return {**os.environ, **fixed, 'OPENBLAS_NUM_THREADS': '1', 'OMP_NUM_THREADS': '1'}
 
 
+def fill_standard_descriptors() -> None:
+    """Have 0, 1 and 2 be open, so that no file or pipe of ours becomes a standard stream."""
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+
+
 def limit_memory(most_bytes: int) -> None:
     """Let this process have at most so much address space; beyond it, asking for more fails."""
     _lower(resource.RLIMIT_AS, most_bytes)

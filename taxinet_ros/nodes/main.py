@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.campaign.interrupts import INTERRUPTED, told_apart
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.nodes.spinning import spin_until
 
 _BAD_ARGUMENTS = (
@@ -31,7 +31,8 @@ def run_node(
     """Run one node until Ctrl-C, SIGTERM or the end of its work, then exit.
 
     Args:
-        build: makes the node; may raise :class:`UsageError`, which exits 2 with one line.
+        build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
+            :class:`InfraError`, which exits 4.
         work: given the node and its executor, spins until the work is done and returns the exit
             code, after an interrupt too, which is its own to handle; where None the node spins
             until it is stopped, or until its future ``ended`` is done, if it has one.
@@ -61,6 +62,8 @@ def run_node(
         code = stopped
     except UsageError as error:
         code = complain(str(error), 2)
+    except InfraError as error:
+        code = complain(str(error), 4)
     except ParameterException as error:
         # Of a parameter that rclpy declares itself, as use_sim_time.
         code = complain(' '.join(str(error).split()), 2)

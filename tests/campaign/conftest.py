@@ -24,11 +24,13 @@ class Client:
 
     def __init__(self, requests: TextIO, answers: TextIO) -> None:
         self._requests, self._answers = requests, answers
-        assert json.loads(answers.readline()) == {}, 'the first line says that Scenic is there'
+        first = {'ticket': ''}
+        assert json.loads(answers.readline()) == first, 'the first line says that Scenic is there'
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        print(json.dumps(request), file=self._requests, flush=True)
+        print(json.dumps({**request, 'ticket': 'one'}), file=self._requests, flush=True)
         answer: dict[str, Any] = json.loads(self._answers.readline())
+        assert answer.pop('ticket') == 'one'
         return answer
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -39,9 +40,9 @@ def falsify(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 
 
 @contextlib.contextmanager
-def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
+def begun(*words: str, stderr: int | None = None) -> Iterator[subprocess.Popen[str]]:
     command = [*TAXINET, *WORDS, *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as search:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as search:
         try:
             yield search
         finally:
@@ -130,6 +131,20 @@ def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(who
     assert search.returncode in (0, 1), stdout
     same_runs(whole, out, 'retries')
     assert read_table(out)['retries'].sum() <= 1
+
+
+def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_on(whole, tmp_path):
+    out = tmp_path / 'c'
+    with begun('--out', str(out), stderr=subprocess.PIPE) as search:
+        wait_for(lambda: results(out) >= 2)
+        (pid,) = children(search.pid, 'scenic_child')
+        os.kill(pid, signal.SIGKILL)
+        _, complaint = search.communicate()
+    assert search.returncode == 4
+    assert re.fullmatch(r'taxinet: error: died: the Scenic process of \S*nominal.scenic: killed by '
+                        r'SIGKILL\n', complaint)
+    assert falsify('--out', str(out), '--resume').returncode in (0, 1)
+    same_runs(whole, out, 'run_id', 'bag', 'retries')
 
 
 def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_as_if_not(

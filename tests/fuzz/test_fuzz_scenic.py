@@ -22,7 +22,7 @@ LINE = 3000
 HOSTILE = {
     'ends': 'import os\nos._exit(0)\n',
     'ends with its pipes': 'import os\nos.closerange(3, 40)\n',
-    'kills itself': 'import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n',
+    'crashes': 'import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n',
     'prints without end': 'print("x" * 30_000_000)\nraise ValueError("x" * 300_000_000)\n',
     'says nonsense': 'import os\nfor fd in range(3, 64):\n    try:\n'
                      '        os.write(fd, b"nonsense\\n")\n    except OSError:\n        pass\n',
