@@ -32,6 +32,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagError
 from taxinet_ros.bag.parse import (
     HEAD,
     MAX_RECORD_BYTES,
+    Work,
     open_chunk,
     parse_index,
     parse_record,
@@ -59,10 +60,11 @@ def index_troubles(path: Path) -> tuple[Trouble, ...]:
     Raises:
         BagError: the file cannot be read, or its checksums do not hold after all.
     """
-    check = _Check()
     try:
+        size = path.stat().st_size
+        check = _Check(work=Work(size))
         with path.open('rb') as stream:
-            for offset, opcode, body in _records(stream, path.stat().st_size):
+            for offset, opcode, body in _records(stream, size):
                 check.note(offset, opcode, body)
     except OSError as error:
         raise BagError(f'{path}: cannot read: {error.strerror}', path=path) from error
@@ -91,6 +93,7 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
 class _Check:
     """What is there, gathered from the data; then the summary, held against it."""
 
+    work: Work
     troubles: list[Trouble] = field(default_factory=list)
     chunks: dict[int, ChunkIndex] = field(default_factory=dict)
     files: dict[int, AttachmentIndex] = field(default_factory=dict)
@@ -151,7 +154,7 @@ class _Check:
 
     def _note_chunk(self, offset: int, length: int, chunk: Chunk) -> None:
         stamps = []
-        for place, record in placed_records(open_chunk(chunk)):
+        for place, record in placed_records(open_chunk(chunk, self.work), self.work):
             if isinstance(record, Message):
                 self._count(record)
                 stamps.append(record.log_time)

@@ -2,7 +2,7 @@
 
 Lengths are believed only within :data:`MAX_RECORD_BYTES`, and a chunk is decompressed only into the
 size that it declares and taken apart message by message, so a small hostile file cannot fill the
-memory.
+memory. :class:`Work` limits what all the chunks of a file together may ask of a reader.
 """
 
 from __future__ import annotations
@@ -40,7 +40,19 @@ from mcap.records import (
 from taxinet_ros.bag.errors import BagCorrupt
 
 MAX_RECORD_BYTES = 256 * 2**20
-_FREE_MESSAGES = 1_000_000
+FREE_RECORDS = 250_000
+BYTES_FOR_A_RECORD = 4
+"""Of the file; the smallest message takes more, with its index or without, however well packed."""
+
+FREE_BYTES = 2 << 30
+UNPACKED_FOR_A_BYTE = 256
+"""Black camera frames are packed better still; the free ones are for those."""
+
+_TEXT_OF_A_RECORD = 32
+"""Bytes of a definition that are as much work as a message."""
+
+_IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+_FIRST_PRIVATE = 0x80
 HEAD = struct.Struct('<BQ')
 """What every record begins with: opcode, length of the rest."""
 
@@ -127,18 +139,46 @@ def check_message_index(body: Body) -> None:
         raise BagCorrupt('message index contradicts its own length')
 
 
-def check_message_count(count: int, file_bytes: int) -> None:
-    """Refuse a file of more messages than a recorder would put into so many bytes.
+class Work:
+    """What the chunks of one file may ask of one pass over it.
 
-    The smallest message with its index takes more than a byte however well it is compressed; a
-    file that is made to keep a reader busy may claim thousands for each.
+    A file that is made to keep a reader busy packs thousands of records, or of bytes, into each of
+    its own; a recorder does not.
     """
-    if count > _FREE_MESSAGES + file_bytes:
-        raise BagCorrupt(f'more than {count - 1} messages in a file of {file_bytes} bytes')
+
+    def __init__(self, file_bytes: int) -> None:
+        """A budget for a file of so many bytes."""
+        self._file_bytes = file_bytes
+        self._records = FREE_RECORDS + file_bytes // BYTES_FOR_A_RECORD
+        self._bytes = FREE_BYTES + file_bytes * UNPACKED_FOR_A_BYTE
+
+    def unpack(self, size: int) -> None:
+        """So many bytes are about to be unpacked.
+
+        Raises:
+            BagCorrupt: with all before, that is too many.
+        """
+        if size > self._bytes:
+            raise BagCorrupt(f'chunks of {self._file_bytes} bytes unpack to more than a recording')
+        self._bytes -= size
+
+    def record(self, opcode: int, length: int) -> None:
+        """A record within a chunk is about to be looked at.
+
+        Raises:
+            BagCorrupt: it does not belong there, or with all before there are too many.
+        """
+        if opcode not in _IN_CHUNKS and opcode < _FIRST_PRIVATE:
+            raise BagCorrupt(f'record of kind {opcode} within a chunk')
+        # What a channel or a definition says is gone through word by word.
+        self._records -= 1 if opcode == Opcode.MESSAGE else 1 + length // _TEXT_OF_A_RECORD
+        if self._records < 0:
+            raise BagCorrupt(f'{self._file_bytes} bytes hold more records than a recording')
 
 
-def open_chunk(chunk: Chunk) -> bytes:
-    """What a chunk holds, if its size and its checksum hold."""
+def open_chunk(chunk: Chunk, work: Work) -> bytes:
+    """What a chunk holds, if its size and its checksum hold, and the file's budget."""
+    work.unpack(chunk.uncompressed_size if chunk.compression else 0)
     raw = _decompress(chunk)
     if len(raw) != chunk.uncompressed_size:
         raise BagCorrupt(f'chunk declares {chunk.uncompressed_size} bytes but holds {len(raw)}')
@@ -147,18 +187,20 @@ def open_chunk(chunk: Chunk) -> bytes:
     return raw
 
 
-def chunk_records(raw: bytes) -> Iterator[McapRecord]:
+def chunk_records(raw: bytes, work: Work) -> Iterator[McapRecord]:
     """Schemas, channels and messages out of an opened chunk, one at a time."""
-    for _, record in placed_records(raw):
-        if isinstance(record, Schema | Channel | Message):
-            yield record
+    for _, record in placed_records(raw, work):
+        yield record
 
 
-def placed_records(raw: bytes) -> Iterator[tuple[int, McapRecord | None]]:
-    """Offset within an opened chunk, and record."""
+def placed_records(raw: bytes, work: Work) -> Iterator[tuple[int, McapRecord]]:
+    """Offset within an opened chunk, and schema, channel or message there."""
     position = 0
     for opcode, body in split_records(memoryview(raw)):
-        yield position, parse_record(opcode, body)
+        work.record(opcode, len(body))
+        record = parse_record(opcode, body) if opcode in _IN_CHUNKS else None
+        if record is not None:
+            yield position, record
         position += HEAD.size + len(body)
 
 

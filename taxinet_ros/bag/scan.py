@@ -35,7 +35,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, B
 from taxinet_ros.bag.parse import (
     HEAD,
     MAX_RECORD_BYTES,
-    check_message_count,
+    Work,
     check_message_index,
     chunk_records,
     open_chunk,
@@ -141,6 +141,7 @@ class _Scanner:
         self._path = path
         self._on_damage = on_damage
         self._size = path.stat().st_size
+        self.work = Work(self._size)
         self._offset = 0
         self._crc = 0
         self._schemas: dict[int, Schema] = {}
@@ -224,7 +225,7 @@ class _Scanner:
             raise BagCorrupt(f'record of kind {opcode}, with what a chunk holds')
         record = parse_record(opcode, body)
         if isinstance(record, Chunk):
-            return self.within(open_chunk(record), offset)
+            return self.within(open_chunk(record, self.work), offset)
         if isinstance(record, Message) and self.chunks:
             raise BagCorrupt('message outside the chunks')
         if record is None:
@@ -237,22 +238,22 @@ class _Scanner:
         # Of a chunk that is wrong anywhere nothing is believed. All messages of a large one at
         # once may be many times its size, so it is gone through twice.
         small = len(raw) <= _SMALL_BYTES
-        inner = tuple(chunk_records(raw)) if small else chunk_records(raw)
-        before = count = self._messages
+        records = chunk_records(raw, self.work)
+        inner = tuple(records) if small else records
+        count = 0
         for one in inner:
             self.check(one)
             count += isinstance(one, Message)
-            check_message_count(count, self._size)
         self.chunks += 1
         # No recorder writes the same messages, stamps and numbers twice; a broken disk may.
         first = self._places.setdefault(hashlib.sha256(raw).digest(), offset)
-        if first != offset and count > before:
+        if first != offset and count:
             if offset not in self._repeats:
                 self._repeats.add(offset)
-                text = f'the chunk at byte {first} once more, {count - before} messages; left out'
+                text = f'the chunk at byte {first} once more, {count} messages; left out'
                 self.damage(BagCorrupt(text), offset)
             return ()
-        return inner if small else chunk_records(raw)
+        return inner if small else chunk_records(raw, Work(len(raw)))
 
     def counted(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
         for record in records:
@@ -389,7 +390,7 @@ class _Salvage:
             if chunk is None or not chunk.uncompressed_crc or self._vain_bytes <= 0:
                 continue
             try:
-                records = self._scanner.within(open_chunk(chunk), place)
+                records = self._scanner.within(open_chunk(chunk, self._scanner.work), place)
             except BagForeign:
                 raise
             except BagError:

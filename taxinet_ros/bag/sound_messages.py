@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError
-from taxinet_ros.bag.parse import HEAD, check_message_count, open_chunk, parse_record
+from taxinet_ros.bag.parse import HEAD, Work, open_chunk, parse_record
 from taxinet_ros.bag.reader import StoredMessage, Wanted
 from taxinet_ros.bag.storage import MAGIC
 from taxinet_ros.bag.summary import check_summary
@@ -54,6 +54,7 @@ class _File:
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, TopicInfo] = {}
         self._count = 0
+        self._work = Work(len(data))
 
     def messages(self, wanted: Wanted) -> Iterator[StoredMessage]:
         data, offset = self._data, len(MAGIC)
@@ -66,7 +67,7 @@ class _File:
                 raise BagCorrupt('message outside the chunks, or a torn record')
             record = None if opcode == Opcode.MESSAGE_INDEX else parse_record(opcode, body)
             if isinstance(record, Chunk):
-                yield from self._chunk_messages(open_chunk(record), wanted)
+                yield from self._chunk_messages(open_chunk(record, self._work), wanted)
             elif isinstance(record, DataEnd):
                 self._finish(record, offset, offset + HEAD.size + length)
                 return
@@ -78,19 +79,17 @@ class _File:
         start = 0
         while start < len(raw):
             opcode, length = HEAD.unpack_from(raw, start)
+            self._work.record(opcode, length)
             start += HEAD.size
             end = start + length
             if opcode == Opcode.MESSAGE:
                 channel, _, stamp_ns, _ = _MESSAGE.unpack_from(raw, start)
                 topic = self._topics[channel]
                 self._count += 1
-                check_message_count(self._count, len(self._data))
                 if wanted(topic.name):
                     yield StoredMessage(topic, stamp_ns, raw[start + _MESSAGE.size:end])
-            elif opcode:
-                self._note(parse_record(opcode, raw[start:end]))
             else:
-                raise BagCorrupt('record of kind 0')
+                self._note(parse_record(opcode, raw[start:end]))
             start = end
         if start != len(raw):
             raise BagCorrupt('records do not fill their chunk')

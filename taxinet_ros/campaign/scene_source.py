@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
 import select
 import signal
 import subprocess
@@ -15,7 +16,6 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
-from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.overrides import (
     WEATHER,
     Contradiction,
@@ -28,7 +28,8 @@ from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.search_space import SearchSpace
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.child_process import child_environment, fill_standard_descriptors
+from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 from taxinet_ros.core.world import last_step
@@ -50,6 +51,12 @@ _PROBED_SCENES = 64
 
 _FIRST_SCENES = 8
 """Scenes looked at for how long a run is; each that is rejected may take seconds."""
+
+_FROM_OUTSIDE = (
+    signal.SIGHUP, signal.SIGINT, signal.SIGKILL, signal.SIGQUIT, signal.SIGTERM,
+)
+"""Signals that people, and a system short of memory, send to end a process; no limit of ours does.
+"""
 
 _NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
 
@@ -129,11 +136,12 @@ class SceneSource:
 
         Raises:
             UsageError: ``file:line: message`` of what is wrong with the program.
+            InfraError: somebody else has killed the child; any later request may raise it, too.
         """
         self._start()
         try:
             self._meanwhile()
-            self._receive(START_TIMEOUT_S)
+            self._receive('', START_TIMEOUT_S)
             self._ask({'op': 'compile', 'program': str(self.program)})
             self._read_asked(**self._ask({'op': 'asked'}))
             self._probe_weather()
@@ -249,6 +257,7 @@ class SceneSource:
                 continue  # another matter
 
     def _start(self) -> None:
+        fill_standard_descriptors()
         request_read, request_write = os.pipe()
         response_read, response_write = os.pipe()
         arguments = {
@@ -282,17 +291,20 @@ class SceneSource:
     def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self._child is None:
             raise RuntimeError('SceneSource: not running; use it in a with statement')
+        # What a program writes to the pipe itself must not pass for an answer, nor an answer that
+        # comes late for one to the next request.
+        ticket = secrets.token_hex(8)
         with contextlib.suppress(BrokenPipeError):  # then the answer says how it died
-            os.write(self._fds[1], json.dumps(request).encode() + b'\n')
+            os.write(self._fds[1], json.dumps({**request, 'ticket': ticket}).encode() + b'\n')
         try:
-            return self._receive(self._timeout_s + GRACE_S)
-        except UsageError:
+            return self._receive(ticket, self._timeout_s + GRACE_S)
+        except (UsageError, InfraError):
             raise
         except BaseException:
             self._stop()  # interrupted: its late answer must not pass for the next scene's
             raise
 
-    def _receive(self, allowed_s: float) -> dict[str, Any]:
+    def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:
         deadline = time.monotonic() + allowed_s
         while b'\n' not in self._unread:
             left_s = deadline - time.monotonic()
@@ -301,32 +313,40 @@ class SceneSource:
                 raise UsageError(f'{_shown(self.program)}: Scenic hung for {allowed_s:g} s')
             part = os.read(self._fds[0], 65536)
             if not part:
-                how = self._how_it_died()
-                raise UsageError(f'{_shown(self.program)}: the Scenic process {how}')
+                raise self._lost()
             self._unread += part
             if len(self._unread) > MAX_ANSWER_BYTES:
                 self._stop()
                 raise UsageError(f'{_shown(self.program)}: the Scenic process says too much')
         line, _, self._unread = self._unread.partition(b'\n')
         try:
-            answer = load_json(line)
+            answer = dict(load_json(line))
+            if answer.pop('ticket') != ticket:
+                raise ValueError('not an answer to this request')
             if 'error' in answer:
                 raise UsageError(self._error_line(**answer['error']))
-            return dict(answer)
-        except (ValueError, TypeError):
+            return answer
+        except (KeyError, ValueError, TypeError):
             self._stop()
             text = f'{_shown(self.program)}: the program has meddled with the Scenic process'
             raise UsageError(text) from None
 
-    def _how_it_died(self) -> str:
+    def _lost(self) -> UsageError | InfraError:
+        """What to raise about a child that is gone."""
         assert self._child is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._child.wait(GRACE_S)  # its pipe closes a moment before it is gone
         status = self._child.poll() or 0
         self._stop()
+        program = _shown(self.program)
+        if -status in _FROM_OUTSIDE:
+            how = f'killed by {signal.Signals(-status).name}'
+            return InfraError('died', f'the Scenic process of {program}', -1, how)
         if status < 0:
-            return f'was ended by {signal.Signals(-status).name}'
-        return f'ended with status {status}; a program must not end it'
+            how = f'was ended by {signal.Signals(-status).name}'
+        else:
+            how = f'ended with status {status}; a program must not end it'
+        return UsageError(f'{program}: the Scenic process {how}')
 
     def _error_line(self, *, file: str, line: int, message: str) -> str:
         return f'{_at(file or str(self.program), line)}: {message}'

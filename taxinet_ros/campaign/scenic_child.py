@@ -6,7 +6,7 @@ limits guard against accidents, not against malice.
 
 Requests come in and answers go out as JSON lines over two pipes that are not stdin and stdout, so
 a program may print what it likes (it appears on stderr). The first line out says that Scenic is
-imported. Then each request has one answer:
+imported. Then each request, which has a ticket, has one answer, with the same ticket:
 
 ==========================================  ============================================
 ``{"op": "compile", "program": ...}``        ``{}``
@@ -46,6 +46,7 @@ import numpy as np
 from taxinet_ros.campaign.old_scenic import hint
 from taxinet_ros.campaign.programs import MODEL
 from taxinet_ros.campaign.scene_values import ProgramError, scene_values
+from taxinet_ros.core.child_process import limit_cpu, limit_memory
 
 MAX_ITERATIONS = 2000
 """Draws that may break a program's requirements before a scene counts as rejected."""
@@ -235,13 +236,8 @@ def _allow(seconds: float) -> None:
     """Let the next request take ``seconds``: an alarm that names the line, else a CPU limit."""
     spent = resource.getrusage(resource.RUSAGE_SELF)
     cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
-    _lower(resource.RLIMIT_CPU, cpu_s)
+    limit_cpu(cpu_s)
     signal.setitimer(signal.ITIMER_REAL, seconds)
-
-
-def _lower(limit: int, value: int) -> None:
-    _, hard = resource.getrlimit(limit)
-    resource.setrlimit(limit, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
 def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
@@ -277,7 +273,7 @@ def _serve(
     while True:
         request = json.loads(requests.get())
         program = request.get('program', program)
-        operation = operations[request.pop('op')]
+        operation, ticket = operations[request.pop('op')], request.pop('ticket')
         try:
             _allow(args.timeout_s)
             answer = operation(**request)
@@ -285,7 +281,7 @@ def _serve(
         except BaseException as error:  # whatever user code raises, exit() included
             signal.setitimer(signal.ITIMER_REAL, 0)
             answer = {'error': describe(error, program, args.timeout_s)}
-        _answer(args.response_fd, answer)
+        _answer(args.response_fd, {**answer, 'ticket': ticket})
 
 
 def main() -> None:
@@ -302,14 +298,15 @@ def main() -> None:
         target=_follow_parent, args=(args.request_fd, requests), daemon=True
     ).start()
     signal.signal(signal.SIGALRM, _alarm)
-    _lower(resource.RLIMIT_AS, args.memory_bytes)
+    limit_memory(args.memory_bytes)
     try:
         programs = Programs(args.seed, args.shipped)
     except ImportError as error:
         message = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
-        _answer(args.response_fd, {'error': {'file': '', 'line': 0, 'message': message}})
+        error_at_start = {'file': '', 'line': 0, 'message': message}
+        _answer(args.response_fd, {'error': error_at_start, 'ticket': ''})
         return
-    _answer(args.response_fd, {})
+    _answer(args.response_fd, {'ticket': ''})
     _serve(programs, requests, args)
 
 

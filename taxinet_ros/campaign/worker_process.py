@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.child_environment import child_environment
 from taxinet_ros.campaign.wire import line_of, request_to_json
+from taxinet_ros.core.child_process import child_environment, fill_standard_descriptors
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
@@ -48,6 +48,7 @@ class WorkerProcess:
         self.silent_since = time.monotonic()
         self._log = log
         self._unread = b''
+        fill_standard_descriptors()
         self.answers, answers_write = os.pipe()
         own = [f'--parent={os.getpid()}', f'--answers={answers_write}']
         try:

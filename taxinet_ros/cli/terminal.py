@@ -14,6 +14,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any, TextIO
 
+from taxinet_ros.core.child_process import fill_standard_descriptors
+
 
 class OutputUnreadError(Exception):
     """Nobody reads stdout any more. No OSError, which libraries take for their own to handle."""
@@ -56,7 +58,7 @@ def standard_streams() -> Iterator[bool]:
         Whether stdout was closed from the start, so that nobody would get an answer.
     """
     closed = sys.stdout is None
-    _fill_descriptors()
+    fill_standard_descriptors()
     before = sys.stdin, sys.stdout, sys.stderr
     sys.stdin = sys.stdin or os.fdopen(0, closefd=False)
     sys.stdout = _through(_Output, sys.stdout or os.fdopen(1, 'w', closefd=False))
@@ -82,13 +84,6 @@ def flush_output() -> None:
         os.dup2(null, sys.stdout.fileno())
         os.close(null)
         raise
-
-
-def _fill_descriptors() -> None:
-    """Have 0, 1 and 2 be open, so that no file or pipe of ours becomes a standard stream."""
-    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(descriptor, True)
-    os.close(descriptor)
 
 
 def _through(kind: type[io.FileIO], stream: TextIO) -> TextIO:

@@ -58,7 +58,7 @@ class InfraError(Exception):
     """
 
     def __init__(self, kind: str, who: str, step: int, detail: str) -> None:
-        super().__init__(f'{kind}: {who} at step {step}: {detail}')
+        super().__init__(f'{kind}: {who}{f" at step {step}" if step >= 0 else ""}: {detail}')
         self.kind = kind
         self.who = who
         self.step = step

@@ -1,7 +1,8 @@
 """A third party's network in an ONNX file, run by onnxruntime as its sidecar says.
 
-The file comes from elsewhere, so it is tried before anything relies on it. Nothing but the two
-files is read: a model whose weights lie in further files is refused.
+The file comes from elsewhere, so it is tried before anything relies on it, in a process that may
+be lost: see :mod:`taxinet_ros.core.onnx_trial`. Nothing but the two files is read: a model whose
+weights lie in further files is refused.
 
 onnxruntime is imported by the function that needs it, so that nobody else waits for it.
 """
@@ -11,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import math
 import reprlib
-import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import IMAGE_SHAPE
 from taxinet_ros.core.onnx_picture import prepare
-from taxinet_ros.core.onnx_session import FATAL, open_session
+from taxinet_ros.core.onnx_session import open_session
 from taxinet_ros.core.onnx_sidecar import MAX_SIDECAR_BYTES, parse_sidecar, sidecar_path
 from taxinet_ros.core.onnx_yaml import bad
 
@@ -32,13 +32,53 @@ ONNX_SUFFIX = '.onnx'
 MAX_BYTES = 256 << 20
 """Largest model that is read."""
 
-TRIAL_LIMIT_S = 30.0
-"""Longest time that the first look may take; a control step has a small part of it."""
+MEMORY_BYTES = 2 << 30
+"""Address space of the process that tries a network; Python and the runtime take a quarter."""
 
-_GREY = 128
 _DTYPES: dict[str, type[np.floating[Any]]] = {
     'tensor(float)': np.float32, 'tensor(double)': np.float64, 'tensor(float16)': np.float16,
 }
+
+
+def trial_frames() -> dict[str, NDArray[np.uint8]]:
+    """What a network is tried on: camera frames, by what they are called in a complaint."""
+    noise = np.random.default_rng(0).integers(0, 256, IMAGE_SHAPE, np.uint8)
+    plain = {'grey': 128, 'dark': 0, 'bright': 255}
+    return {name: np.full(IMAGE_SHAPE, level, np.uint8) for name, level in plain.items()} | {
+        'noisy': noise,
+    }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NetworkFiles:
+    """A network as it was read, so that what is tried and what is used are the same bytes.
+
+    Attributes:
+        path: of the model, ``NAME.onnx``.
+        model: its bytes.
+        description: those of ``NAME.yaml``.
+    """
+
+    path: Path
+    model: bytes
+    description: bytes
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """The two files of a network.
+
+        Raises:
+            UsageError: one is not there, cannot be read, or is too large.
+        """
+        return cls(
+            path=path, model=_read(path, MAX_BYTES),
+            description=_read(sidecar_path(path), MAX_SIDECAR_BYTES),
+        )
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the model's bytes with the description's after them."""
+        return hashlib.sha256(self.model + self.description).hexdigest()
 
 
 class OnnxNetwork:
@@ -46,30 +86,25 @@ class OnnxNetwork:
 
     It runs on one thread of the processor: on one machine the same frame gives the same answer to
     the bit, in any process.
-
-    Attributes:
-        fingerprint: SHA-256 of the model's bytes with the sidecar's after them.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Read ``NAME.onnx`` and ``NAME.yaml``, check that they agree, and try the network.
+    def __init__(self, files: NetworkFiles) -> None:
+        """Open the model and see that the two files agree.
+
+        Opening runs part of the model, for onnxruntime computes what is constant in it; so it
+        takes what time and memory the model wants.
 
         Raises:
             UsageError: one line on the first thing that is wrong.
         """
-        self._path = path
-        data = _read(path, MAX_BYTES)
-        described = sidecar_path(path)
-        text = _read(described, MAX_SIDECAR_BYTES)
-        self.fingerprint = hashlib.sha256(data + text).hexdigest()
-        self._sidecar = parse_sidecar(described, text)
-        self._model = _open(path, data)
+        path = self._path = files.path
+        self._sidecar = parse_sidecar(sidecar_path(path), files.description)
+        self._model = _open(path, files.model)
         self._name, self._dtype = self._input()
         for output in self._model.outputs:
             if output.kind not in _DTYPES:
                 raise bad(path, f'output {output} is {output.kind}; export the network with '
                                 'outputs of floating point')
-        self._try()
 
     def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
         """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8.
@@ -102,21 +137,31 @@ class OnnxNetwork:
                                   f"the model's input {given} is ({sides[:80]})")
         return given.name, _DTYPES[given.kind]
 
-    def _try(self) -> None:
-        """Look at a grey frame, twice, before a run relies on the network."""
-        frame = np.full(IMAGE_SHAPE, _GREY, np.uint8)
-        options = self._model.runtime.RunOptions()
-        options.log_severity_level = FATAL
-        limit = threading.Timer(TRIAL_LIMIT_S, lambda: setattr(options, 'terminate', True))
-        limit.daemon = True
-        limit.start()
+    def trial(self) -> bytes:
+        """Look at each of :func:`trial_frames`; every number that came out, to be compared.
+
+        Raises:
+            UsageError: it needs too much memory; or it fails on the grey frame, or does not answer
+                it as described. Where it fails on others, it has no answer there in a run, either.
+        """
+        return b'\n'.join(self._tried(*named) for named in trial_frames().items())
+
+    def _tried(self, name: str, frame: NDArray[np.uint8]) -> bytes:
         try:
-            numbers, again = self._run(frame, options), self._run(frame, options)
+            numbers = self._run(frame)
         except Exception as error:  # onnxruntime's have no other base
+            if short_of_memory(error):
+                raise too_large(self._path) from None
+            if name != 'grey':
+                return b'none'
             raise bad(self._path, f'fails on a grey frame ({_reason(error)}); try it with '
                                   'onnxruntime alone, and export it again') from None
-        finally:
-            limit.cancel()
+        if name == 'grey':
+            self._check(numbers)
+        return numbers.tobytes()
+
+    def _check(self, numbers: NDArray[np.float64]) -> None:
+        """See that these numbers are as many as are described, and finite."""
         entries = len(self._sidecar.outputs)
         if len(numbers) != entries:
             raise self._disagrees(f'outputs has {entries} entries',
@@ -124,15 +169,12 @@ class OnnxNetwork:
         if not all(map(math.isfinite, self._meaning(numbers))):
             raise bad(self._path, 'answers a grey frame with numbers that are not finite; look at '
                                   'its weights, and at the scaling in the description')
-        if not np.array_equal(numbers, again, equal_nan=True):
-            raise bad(self._path, 'answers the same frame differently each time; export it for '
-                                  'inference, without random layers')
 
-    def _run(self, image: NDArray[np.uint8], options: Any = None) -> NDArray[np.float64]:
+    def _run(self, image: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Every number that comes out, in order."""
         with np.errstate(over='ignore', invalid='ignore'):
             inputs = prepare(image, self._sidecar).astype(self._dtype)
-        arrays = self._model.session.run(None, {self._name: inputs}, options)
+        arrays = self._model.session.run(None, {self._name: inputs})
         return np.concatenate([np.asarray(array, np.float64).ravel() for array in arrays])
 
     def _meaning(self, numbers: NDArray[np.float64]) -> tuple[float, float]:
@@ -171,9 +213,8 @@ class _Tensor:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Model:
-    """The runtime, and its session with a model."""
+    """onnxruntime's session with a model."""
 
-    runtime: Any
     session: Any
     inputs: tuple[_Tensor, ...]
     outputs: tuple[_Tensor, ...]
@@ -185,7 +226,7 @@ def _open(path: Path, data: bytes) -> _Model:
     try:
         session = open_session(data)
         return _Model(
-            runtime=onnxruntime, session=session,
+            session=session,
             inputs=_Tensor.all_of(session.get_inputs()),
             outputs=_Tensor.all_of(session.get_outputs()),
         )
@@ -193,6 +234,8 @@ def _open(path: Path, data: bytes) -> _Model:
         if 'external data' in str(error).lower():
             raise bad(path, 'keeps weights in further files, which are not read; export it in one '
                             'file') from None
+        if short_of_memory(error):
+            raise too_large(path) from None
         raise bad(path, f'is no model that onnxruntime {onnxruntime.__version__} can run '
                         f'({_reason(error)}); copy or export it again') from None
 
@@ -215,6 +258,17 @@ def _read(path: Path, most: int) -> bytes:
     if data.startswith(b'version https://git-lfs'):
         raise bad(path, 'is only the pointer to a Git LFS file; get the file with: git lfs pull')
     return data
+
+
+def short_of_memory(error: Exception) -> bool:
+    """Whether an error, be it onnxruntime's, says that there was no more memory."""
+    return isinstance(error, MemoryError) or 'alloc' in str(error).lower()
+
+
+def too_large(path: Path) -> UsageError:
+    """An error about a network that needs too much memory."""
+    return bad(path, f'needs more memory than a network may have, {MEMORY_BYTES >> 30} GiB; make '
+                     'it smaller')
 
 
 def _reason(error: Exception) -> str:

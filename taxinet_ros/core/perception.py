@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES, TaxiNet, is_frame
-from taxinet_ros.core.onnx_network import ONNX_SUFFIX, OnnxNetwork
+from taxinet_ros.core.onnx_network import ONNX_SUFFIX
+from taxinet_ros.core.onnx_trial import tried_network
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.weights import SHIPPED, SUFFIX, Model, load_model
 
@@ -103,8 +104,9 @@ def _taxinet(word: str, model: Model) -> Perception:
 
 
 def _onnx(path: Path) -> Perception:
-    network = OnnxNetwork(path)
-    return NetworkPerception(network, word='onnx', fingerprint=network.fingerprint)
+    """A third party's network, once it has been tried."""
+    network, fingerprint = tried_network(path)
+    return NetworkPerception(network, word='onnx', fingerprint=fingerprint)
 
 
 PERCEPTION = ('truth', *SHIPPED)

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.interrupts import (
     leave_with,
     told_apart,
 )
-from taxinet_ros.core.errors import RecordError, UsageError
+from taxinet_ros.core.errors import InfraError, RecordError, UsageError
 from taxinet_ros.nodes.spinning import spin_for
 
 _BAD_ARGUMENTS = (
@@ -53,7 +53,8 @@ def run_node(
     129 after two.
 
     Args:
-        build: makes the node; may raise :class:`UsageError`, which exits 2 with one line.
+        build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
+            :class:`InfraError`, which exits 4.
         work: given the node and its executor, spins until the work is done and returns the exit
             code, after an interrupt too, which is its own to handle; where None the node spins
             until it is stopped, or until its future ``ended`` is done, if it has one.
@@ -76,7 +77,7 @@ def run_node(
         code = stopped
     except UsageError as error:
         code = complain(str(error), 2)
-    except RecordError as error:
+    except (InfraError, RecordError) as error:
         code = complain(str(error), 4)
     except ParameterException as error:
         # Of a parameter that rclpy declares itself, as use_sim_time.

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from taxinet_ros.campaign.child_environment import child_environment
+from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.parent_death import die_with_parent
 
 _LAST_GRACE_S = 10.0

@@ -75,7 +75,7 @@ def opened(
     """Open a page and see to it that it neither complains nor asks for anything."""
     context = browser.new_context(viewport=size, color_scheme=colours, offline=True)
     page = Opened(context.new_page())
-    page.tab.set_default_timeout(10_000)
+    page.tab.set_default_timeout(0)  # the suite has one
     page.tab.on('console', lambda message: page.complaints.append(message.text))
     page.tab.on('pageerror', lambda error: page.complaints.append(str(error)))
     page.tab.on('request', lambda request: page.requests.append(request.url))

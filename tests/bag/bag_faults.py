@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, McapRecord, Message, Schema
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.parse import chunk_records, open_chunk, parse_record
+from taxinet_ros.bag.parse import Work, chunk_records, open_chunk, parse_record
 from taxinet_ros.bag.reader import read_messages
 from taxinet_ros.bag.scan import scan
 from taxinet_ros.bag.storage import MAGIC, encode
@@ -63,7 +63,9 @@ def messages_by_chunk(data: bytes) -> list[tuple[int, int, list[tuple[int, int, 
     for start, end in chunks_of(data):
         chunk = parse_record(Opcode.CHUNK, data[start + 9:end])
         assert isinstance(chunk, Chunk)
-        found.append((start, end, _messages(chunk_records(open_chunk(chunk)))))
+        work = Work(len(data))
+        records = chunk_records(open_chunk(chunk, work), work)
+        found.append((start, end, _messages(records)))
     return found
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import pytest
+from waiting import PATIENT_S
 
 from taxinet_ros.campaign.programs import shipped_folder
 
@@ -23,11 +24,13 @@ class Client:
 
     def __init__(self, requests: TextIO, answers: TextIO) -> None:
         self._requests, self._answers = requests, answers
-        assert json.loads(answers.readline()) == {}, 'the first line says that Scenic is there'
+        first = {'ticket': ''}
+        assert json.loads(answers.readline()) == first, 'the first line says that Scenic is there'
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        print(json.dumps(request), file=self._requests, flush=True)
+        print(json.dumps({**request, 'ticket': 'one'}), file=self._requests, flush=True)
         answer: dict[str, Any] = json.loads(self._answers.readline())
+        assert answer.pop('ticket') == 'one'
         return answer
 
 
@@ -38,7 +41,7 @@ def scenic_child() -> Callable[..., AbstractContextManager[Client]]:
 
 
 @contextmanager
-def start(*, timeout_s: float) -> Iterator[Client]:
+def start(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
     request_read, request_write = os.pipe()
     answer_read, answer_write = os.pipe()
     arguments = {'request-fd': request_read, 'response-fd': answer_write, 'seed': 1,
@@ -53,4 +56,4 @@ def start(*, timeout_s: float) -> Iterator[Client]:
     with child, open(request_write, 'w') as requests, open(answer_read) as answers:
         yield Client(requests, answers)
         requests.close()
-        assert child.wait(30) == 0, 'the child has to end when its parent hangs up'
+        assert child.wait() == 0, 'the child has to end when its parent hangs up'

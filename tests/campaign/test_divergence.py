@@ -18,8 +18,6 @@ _DRAWS = 150
 PROGRAMS = ('hard, on two', 'soft, two', 'nested, shared', 'normal, random mean',
             'region, required', 'partly marked')
 
-pytestmark = pytest.mark.timeout(900)
-
 
 @pytest.fixture(scope='module')
 def found() -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,8 +46,7 @@ def crew(tmp_path: Path) -> Iterator[Crew]:
 
 def answers(crew: Crew, number: int) -> list[Answer]:
     found: list[Answer] = []
-    deadline = time.monotonic() + 60
-    while len(found) < number and time.monotonic() < deadline:
+    while len(found) < number:
         found += crew.answers(1.0)
     assert len(found) == number
     return found

@@ -24,7 +24,7 @@ Learn = Callable[..., str]
 
 @pytest.fixture(scope='module')
 def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child(timeout_s=30) as started:
+    with scenic_child() as started:
         yield started
 
 

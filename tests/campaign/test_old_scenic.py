@@ -45,7 +45,7 @@ ego = Plane at (-8, 8) @ rd
 
 @pytest.fixture(scope='module')
 def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child(timeout_s=20) as started:
+    with scenic_child() as started:
         yield started
 
 

@@ -147,7 +147,7 @@ def test_s4_an_option_that_the_programs_sampler_lacks_is_refused_before_anything
 
 @pytest.fixture(scope='module')
 def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child(timeout_s=20) as started:
+    with scenic_child() as started:
         yield started
 
 

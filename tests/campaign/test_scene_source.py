@@ -18,7 +18,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.overrides import apply_overrides, check_overrides
 from taxinet_ros.campaign.requests import rejected_row
 from taxinet_ros.campaign.scene_source import Rejected, SceneSource, sample_scenarios
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import InfraError, UsageError
 
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
 
@@ -71,6 +71,61 @@ def test_given_a_loop_that_swallows_everything_when_compiled_then_it_is_killed(
         pass
 
 
+@pytest.mark.parametrize(('when', 'line'), [
+    ('compiled', '{}'), ('compiled', '{"error": {"file": "x", "line": 1, "message": "y"}}'),
+    ('drawn', '{"rejected": 1, "ticket": ""}'), ('drawn', '{"values": '),
+])
+def test_f7_given_a_program_that_writes_answers_itself_then_one_line_says_so(
+    when: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    forge = (
+        'import os\nfrom scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef forge(x):\n'
+        '    for fd in range(3, 32):\n        try:\n'
+        f'            os.write(fd, {(line + chr(10)).encode()!r})\n'
+        '        except OSError:\n            pass\n    return x\n'
+    )
+    value = 'forge(Range(0, 1))' if when == 'drawn' else 'forge(0.5)'
+    path = write(tmp_path, f'{forge}{PLANE}param rain = {value}\nparam clouds = "broken"\n')
+    with pytest.raises(UsageError) as caught, SceneSource(path, seed=1) as source:
+        source.scene(0)
+    assert str(caught.value) == 'mine.scenic: the program has meddled with the Scenic process'
+
+
+def test_f10_given_a_child_that_somebody_kills_then_the_bench_is_broken_and_not_the_program() -> (
+    None
+):
+    with SceneSource('nominal', seed=1) as source:
+        source.scene(0)
+        assert source._child is not None
+        source._child.kill()
+        source._child.wait()
+        with pytest.raises(InfraError, match='killed by SIGKILL'):
+            source.scene(1)
+
+
+def test_f10_given_a_program_that_takes_its_process_down_then_it_is_the_programs_fault(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, 'import os\nos.abort()\n')
+    with pytest.raises(UsageError, match='was ended by SIGABRT'), SceneSource(path, seed=1):
+        pass
+
+
+def test_f6_given_closed_standard_streams_then_scenes_are_drawn_all_the_same(
+    tmp_path: Path,
+) -> None:
+    script = (
+        'import os\nos.closerange(0, 3)\n'
+        'from taxinet_ros.campaign.scene_source import sample_scenarios\n'
+        f'open({str(tmp_path / "drawn")!r}, "w").write(str(sample_scenarios("nominal", 3, 2)))\n'
+    )
+    done = subprocess.run([sys.executable, '-c', script])
+    assert done.returncode == 0
+    assert (tmp_path / 'drawn').read_text() == str(sample_scenarios('nominal', 3, 2))
+
+
 def test_given_a_requirement_that_cannot_hold_when_drawn_then_it_is_rejected_not_an_error(
     tmp_path: Path,
 ) -> None:
@@ -107,7 +162,7 @@ def test_given_a_parent_that_is_killed_when_its_child_is_in_a_loop_then_the_chil
         child = os.pidfd_open(int(parent.stderr.readline()))
         assert not select.select([child], [], [], 0)[0], 'the child has to be alive first'
         parent.kill()
-        ended = select.select([child], [], [], 30)[0]
+        ended = select.select([child], [], [])[0]
     os.close(child)
     assert ended
 

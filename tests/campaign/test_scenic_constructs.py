@@ -21,7 +21,7 @@ Ask = Callable[..., dict[str, Any]]
 @pytest.fixture(scope='module')
 def client(scenic_child: Any) -> Iterator[Any]:
     """One child for all: importing Scenic takes a second."""
-    with scenic_child(timeout_s=20) as started:
+    with scenic_child() as started:
         yield started
 
 

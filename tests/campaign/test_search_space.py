@@ -30,7 +30,7 @@ S_FALSIF = ['time_of_day', 'weather', 'weather[0].clouds', 'weather[1].clouds', 
 
 @pytest.fixture(scope='module')
 def client(scenic_child: Any) -> Iterator[Any]:
-    with scenic_child(timeout_s=30) as started:
+    with scenic_child() as started:
         yield started
 
 

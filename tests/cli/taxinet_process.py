@@ -12,14 +12,11 @@ from pathlib import Path
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 
 
-def taxinet(
-    *words: str, cwd: Path, longest_s: float = 110.0
-) -> subprocess.CompletedProcess[str]:
+def taxinet(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     environment = {**os.environ, 'COLUMNS': '80'}
     return subprocess.run(
-        [*TAXINET, *words], capture_output=True, text=True, timeout=longest_s, cwd=cwd,
-        env=environment,
+        [*TAXINET, *words], capture_output=True, text=True, cwd=cwd, env=environment,
     )
 
 
@@ -28,11 +25,10 @@ def begun(
     *words: str, cwd: Path, stderr: int | None = None
 ) -> Iterator[subprocess.Popen[str]]:
     """A command under way, which does not outlive the test."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [*TAXINET, *words], stdout=subprocess.PIPE, stderr=stderr, text=True, cwd=cwd
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()

@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from process_table import children, gone
 from taxinet_process import TAXINET
+from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.learned_result import LearnedResult
@@ -33,26 +34,19 @@ pytestmark = pytest.mark.ros
 def falsify(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'COLUMNS': '80'}
     return subprocess.run(
-        [*TAXINET, *WORDS, *words], capture_output=True, text=True, timeout=110, cwd=cwd,
+        [*TAXINET, *WORDS, *words], capture_output=True, text=True, cwd=cwd,
         env=environment,
     )
 
 
 @contextlib.contextmanager
-def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
-    search = subprocess.Popen([*TAXINET, *WORDS, *words], stdout=subprocess.PIPE, text=True)
-    try:
-        yield search
-    finally:
-        search.kill()
-        search.communicate()
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 60
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert condition()
+def begun(*words: str, stderr: int | None = None) -> Iterator[subprocess.Popen[str]]:
+    command = [*TAXINET, *WORDS, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as search:
+        try:
+            yield search
+        finally:
+            search.kill()
 
 
 def results(out: Path) -> int:
@@ -106,7 +100,7 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
 
 
 def learned(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*TAXINET, 'learned', *words], capture_output=True, text=True, timeout=60)
+    return subprocess.run([*TAXINET, 'learned', *words], capture_output=True, text=True)
 
 
 def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_path):
@@ -133,10 +127,24 @@ def test_given_two_workers_one_of_which_is_killed_then_the_runs_are_the_same(who
         pids = children(search.pid, 'taxinet_ros.nodes.worker')
         assert len(pids) == 2
         os.kill(min(pids), signal.SIGKILL)
-        stdout, _ = search.communicate(timeout=60)
+        stdout, _ = search.communicate()
     assert search.returncode in (0, 1), stdout
     same_runs(whole, out, 'retries')
     assert read_table(out)['retries'].sum() <= 1
+
+
+def test_f10_given_a_killed_scenic_process_then_the_bench_broke_and_resume_goes_on(whole, tmp_path):
+    out = tmp_path / 'c'
+    with begun('--out', str(out), stderr=subprocess.PIPE) as search:
+        wait_for(lambda: results(out) >= 2)
+        (pid,) = children(search.pid, 'scenic_child')
+        os.kill(pid, signal.SIGKILL)
+        _, complaint = search.communicate()
+    assert search.returncode == 4
+    assert re.fullmatch(r'taxinet: error: died: the Scenic process of \S*nominal.scenic: killed by '
+                        r'SIGKILL\n', complaint)
+    assert falsify('--out', str(out), '--resume').returncode in (0, 1)
+    same_runs(whole, out, 'run_id', 'bag', 'retries')
 
 
 def test_given_a_killed_campaign_then_no_process_outlives_it_and_resumed_it_is_as_if_not(
@@ -166,7 +174,7 @@ def test_given_an_interrupt_then_the_runs_end_in_order_and_the_rest_can_be_resum
     with begun(*words) as search:
         wait_for(lambda: len([bag for bag in out.glob('nominal-*') if frames(bag) > 60_000]) == 2)
         search.send_signal(signal.SIGINT)
-        stdout, _ = search.communicate(timeout=60)
+        stdout, _ = search.communicate()
     assert search.returncode == 130
     assert '2 INTERRUPTED' in stdout
     assert '--resume continues it' in stdout

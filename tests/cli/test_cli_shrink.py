@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import shlex
 import signal
-import time
 from pathlib import Path
 
 import pytest
 from taxinet_process import begun, taxinet
+from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.table import read_table
@@ -77,13 +77,9 @@ def test_given_an_interrupt_when_resumed_then_it_ends_as_if_there_had_been_none(
     words = ('shrink', 'c/nominal-s0-00000', '--workers', '2', '--out', 'i')
     ledger = folder / 'i' / 'ledger.jsonl'
     with begun(*words, cwd=folder) as process:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and (
-            not ledger.exists() or ledger.read_text().count('"result"') < 3
-        ):
-            time.sleep(0.02)
+        wait_for(lambda: ledger.exists() and ledger.read_text().count('"result"') >= 3)
         process.send_signal(signal.SIGINT)
-        stdout, _ = process.communicate(timeout=60)
+        stdout, _ = process.communicate()
     assert process.returncode == 130
     assert 'ended before it was minimal; --resume goes on' in stdout
     done = taxinet(*words, '--resume', '--quiet', cwd=folder)

@@ -148,7 +148,6 @@ def test_given_the_same_scenario_when_run_in_two_processes_then_no_bit_no_word_n
             env=environment,
             capture_output=True,
             text=True,
-            timeout=60,
             check=True,
         )
         for _ in range(2)

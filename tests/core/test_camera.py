@@ -189,7 +189,6 @@ def test_given_equal_inputs_when_rendered_in_two_processes_then_the_bytes_are_eq
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
         cwd=Path(__file__).parents[2],
     )
     here = hashlib.sha256(b''.join(p.tobytes() for p in golden_shots())).hexdigest()

@@ -23,7 +23,7 @@ from taxinet_ros.core.network import (
     INPUT_SHAPE,
     TaxiNet,
 )
-from taxinet_ros.core.onnx_network import OnnxNetwork
+from taxinet_ros.core.onnx_network import NetworkFiles, OnnxNetwork
 from taxinet_ros.core.perception import NO_ESTIMATE, make_perception
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.types import TrackingError
@@ -32,6 +32,10 @@ from taxinet_ros.core.world import World
 Node = helper.make_node
 FLOAT, INT64 = TensorProto.FLOAT, TensorProto.INT64
 GREY, WHITE = (np.full((200, 360, 3), level, np.uint8) for level in (128, 255))
+
+
+def opened(path: Path) -> OnnxNetwork:
+    return OnnxNetwork(NetworkFiles.read(path))
 
 
 def exported() -> tuple[onnx.ModelProto, TaxiNet]:
@@ -79,7 +83,7 @@ def test_given_a_linear_network_when_asked_then_scale_offset_unit_and_sign_count
     })
     weights, bias = (onnx.numpy_helper.to_array(t) for t in linear().graph.initializer)
     first, second = np.full(24, 128 / 255) @ weights + bias
-    cte_m, he_rad = OnnxNetwork(path).look(GREY)
+    cte_m, he_rad = opened(path).look(GREY)
     assert cte_m == pytest.approx(10 * first + 0.5, rel=1e-5)
     assert he_rad == pytest.approx(-math.radians(3 * second), rel=1e-5)
 
@@ -98,7 +102,7 @@ def test_given_several_outputs_and_some_ignored_when_asked_then_they_are_taken_i
     rad = {'quantity': 'heading_error', 'unit': 'rad', 'positive': 'left', 'scale': 1}
     metres = {'quantity': 'cte', 'unit': 'm', 'positive': 'left', 'scale': 1}
     path = save(tmp_path, network, {'outputs': [rad, {'quantity': 'ignore'}, metres]})
-    assert OnnxNetwork(path).look(WHITE) == pytest.approx((3, 1))
+    assert opened(path).look(WHITE) == pytest.approx((3, 1))
 
 
 @pytest.mark.parametrize('shape', [('N', 1, 4, 6), (1, 1, 4, 6), (None,) * 4, ('n', 1, 'h', 'w')])
@@ -113,8 +117,8 @@ def test_given_a_batch_of_one_or_any_when_asked_then_there_is_an_estimate(
 def test_given_a_network_of_other_precision_when_asked_then_it_agrees_roughly(
     dtype: Any, tmp_path: Path
 ) -> None:
-    plain = OnnxNetwork(save(tmp_path)).look(frame())
-    other = OnnxNetwork(save(tmp_path, linear(dtype=dtype))).look(frame())
+    plain = opened(save(tmp_path)).look(frame())
+    other = opened(save(tmp_path, linear(dtype=dtype))).look(frame())
     assert other == pytest.approx(plain, rel=0.05, abs=0.05)
     assert other != plain
 
@@ -124,7 +128,7 @@ def test_given_initial_values_among_the_inputs_when_loaded_then_the_picture_is_t
 ) -> None:
     network = linear()
     network.graph.input.append(helper.make_tensor_value_info('bias', FLOAT, [2]))
-    assert OnnxNetwork(save(tmp_path, network, {'input.name': 'picture'})).look(GREY)
+    assert opened(save(tmp_path, network, {'input.name': 'picture'})).look(GREY)
 
 
 def test_given_both_files_when_made_then_word_and_digest_tell_them_apart(tmp_path: Path) -> None:
@@ -220,6 +224,6 @@ def test_given_a_check_when_it_ends_then_torch_was_not_needed_nor_onnx_for_other
 
 def test_given_a_description_in_json_when_loaded_then_it_is_yaml_too(tmp_path: Path) -> None:
     path = save(tmp_path)
-    plain = OnnxNetwork(path).look(GREY)
+    plain = opened(path).look(GREY)
     path.with_suffix('.yaml').write_text(json.dumps(described()))
-    assert OnnxNetwork(path).look(GREY) == plain
+    assert opened(path).look(GREY) == plain

@@ -19,15 +19,14 @@ COMMAND = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()'
 @contextlib.contextmanager
 def taxinet(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
     """A command under way, which does not outlive the test."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
         env={**os.environ, 'COLUMNS': '200'},
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 class Terminal:
@@ -92,5 +91,5 @@ def on_terminal(
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Exit code, output and complaints of a command that comes to its end."""
-    out, err = process.communicate(timeout=250)
+    out, err = process.communicate()
     return process.returncode, out, err

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,13 +32,6 @@ def run(graph: Any, *asked: RunRequest) -> list[RunResult]:
     results: list[RunResult] = []
     graph.run(asked, lambda request, result: results.append(result) or True)
     return results
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 250
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert condition()
 
 
 def grown(bag: Path) -> bool:

@@ -12,14 +12,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from command_process import ended, taxinet
-from fault_runs import wait_for
 from process_table import children, gone
+from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.nodes.domain import own_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
 
@@ -83,7 +83,8 @@ class Standing:
         for process in self.started:
             process.terminate()
         for process in self.started:
-            process.communicate(timeout=60)
+            with process:  # its pipe is closed, and its end waited for
+                pass
 
 
 def results(out: Path) -> int:
@@ -94,7 +95,7 @@ def results(out: Path) -> int:
 def test_given_a_sampler_that_is_killed_when_resumed_then_the_table_is_as_if_not(tmp_path):
     with own_domain() as domain, Standing(domain, tmp_path / 'bags') as graph:
         whole = graph.sampler(f'out:={tmp_path / "whole"}', 'seed:=4')
-        _, err = whole.communicate(timeout=250)
+        _, err = whole.communicate()
         assert whole.returncode == 1, err
         out = tmp_path / 'killed'
         killed = graph.sampler(f'out:={out}')
@@ -113,11 +114,10 @@ def test_given_a_sampler_that_is_killed_when_resumed_then_the_table_is_as_if_not
 def resumed(graph: Standing, out: Path) -> subprocess.Popen[str]:
     """A sampler that goes on, once the killed one is forgotten, which takes some 20 s."""
     pause = threading.Event()
-    for _ in range(12):
+    while True:
         again = graph.sampler(f'out:={out}', 'resume:=true')
-        _, err = again.communicate(timeout=250)
+        _, err = again.communicate()
         if again.returncode != 4:
-            break
+            return again
         assert 'another sampler drives this graph' in err or 'is busy' in err, err
         pause.wait(4.0)
-    return again

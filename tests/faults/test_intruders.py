@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import once, request, run, steps_in, wait_for
+from fault_runs import once, request, run, steps_in
 from rclpy.context import Context
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
+from waiting import wait_for
 
 from taxinet_ros.bag.facts import read_facts
 from taxinet_ros.bag.reader import read_info

@@ -8,6 +8,7 @@ import threading
 
 import pytest
 from fault_runs import request, run, steps_in
+from waiting import PATIENT_S
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.outcome import Outcome
@@ -15,7 +16,7 @@ from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PERCEPTION
 from taxinet_ros.nodes.processes import process_graph
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 LATE_S = 10.0
 
@@ -30,7 +31,9 @@ def start_late(graph, name: str) -> threading.Timer:
 
 
 def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_whole(tmp_path):
-    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': PATIENT_S},
+    )
     with process_graph(options, tmp_path / 'logs') as graph:
         timer = start_late(graph, PERCEPTION)
         (result,) = run(graph, request(duration=2.0))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from command_process import ended, taxinet
-from fault_runs import wait_for
+from waiting import wait_for
 
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table

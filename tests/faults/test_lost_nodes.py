@@ -21,7 +21,7 @@ from taxinet_ros.nodes.graph import GraphOptions
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER, SIMULATOR
 from taxinet_ros.nodes.processes import process_graph
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 FUTEX, *OTHER_WAITS = {
     'x86_64': ('202', '219', '45'), 'aarch64': ('98', '128', '207'),

@@ -9,8 +9,9 @@ import threading
 
 import pytest
 from command_process import COMMAND, ended, on_terminal, taxinet
-from fault_runs import grown, steps_in, wait_for
+from fault_runs import grown, steps_in
 from process_table import children, gone
+from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.interrupts import (
@@ -24,7 +25,7 @@ from taxinet_ros.campaign.interrupts import (
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.table import read_table
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 RUN = ('run', 'nominal', '--runs', '3', '--perception', 'truth', '--images', 'none',
        '--set', 'duration=600', '--out', 'c')
@@ -102,7 +103,7 @@ def test_given_a_terminal_that_is_closed_amid_a_run_then_its_bag_is_closed(tmp_p
         wait_for(lambda: grown(tmp_path / BAG))
         pids = [*children(terminal.process.pid, '')]
         terminal.close()
-        assert terminal.process.wait(250) == 129
+        assert terminal.process.wait() == 129
     wait_for(lambda: all(map(gone, pids)))
     table = read_table(tmp_path / 'c')
     assert set(table['outcome']) == {'INTERRUPTED'}
@@ -130,7 +131,7 @@ def test_given_a_signal_in_a_callback_that_may_not_raise_then_it_comes_again(num
 
     def forget() -> None:
         Forgotten()
-        threading.Event().wait(60)
+        threading.Event().wait()
 
     with handled(end_now), heard_again(), pytest.raises(KeyboardInterrupt):
         forget()

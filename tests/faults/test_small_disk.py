@@ -16,7 +16,7 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import RECORDER
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+pytestmark = pytest.mark.ros
 
 
 class NothingKeptFree(GraphOptions):

@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import pytest
 from command_process import COMMAND, Terminal, on_terminal
-from fault_runs import grown, once, request, run, steps_in, wait_for
+from fault_runs import grown, once, request, run, steps_in
 from process_table import children, gone
+from waiting import wait_for
 
 from taxinet_ros.bag.checkup import check_bag
 from taxinet_ros.bag.reader import read_info

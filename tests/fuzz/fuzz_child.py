@@ -21,7 +21,8 @@ import planted_runs
 from fuzz_mutations import mutants
 
 from taxinet_ros.analysis.campaign_runs import read_runs
-from taxinet_ros.core.onnx_network import OnnxNetwork
+from taxinet_ros.core.onnx_network import NetworkFiles, OnnxNetwork
+from taxinet_ros.core.onnx_trial import inspect
 
 MEMORY_BYTES = 4 << 30
 """Address space of a child: pyarrow reserves a gigabyte that it never touches."""
@@ -35,7 +36,9 @@ def onnx(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
 
     def use(data: bytes) -> object:
         path.write_bytes(data)
-        return OnnxNetwork(path).look(frame)
+        files = NetworkFiles.read(path)
+        inspect(files)
+        return OnnxNetwork(files).look(frame)
     return corpus, use
 
 

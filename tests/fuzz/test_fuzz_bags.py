@@ -20,7 +20,7 @@ from whole_runs import run_messages, write_run
 from taxinet_ros.bag.checkup import check_bag
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.facts import read_facts
-from taxinet_ros.bag.parse import open_chunk, parse_record, split_records
+from taxinet_ros.bag.parse import Work, open_chunk, parse_record, split_records
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.recover import recover
 from taxinet_ros.bag.storage import MAGIC, encode
@@ -38,7 +38,8 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def opened(data: bytes) -> bytes:
     """What the chunks of a file hold."""
     records = (parse_record(code, body) for code, body in split_records(data[len(MAGIC):-8]))
-    return b''.join(open_chunk(record) for record in records if isinstance(record, Chunk))
+    work = Work(len(data))
+    return b''.join(open_chunk(record, work) for record in records if isinstance(record, Chunk))
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:

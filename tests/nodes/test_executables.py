@@ -40,11 +40,11 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
             start('simulator', domain),
         ]
         try:
-            _, errors = sampler.communicate(timeout=90)
+            _, errors = sampler.communicate()
         finally:
             for node in nodes:
                 node.terminate()
-            ends = [node.communicate(timeout=20) for node in nodes]
+            ends = [node.communicate() for node in nodes]
             sampler.kill()
     assert sampler.returncode == 0, errors
     assert [node.returncode for node in nodes] == [0] * 5, ends
@@ -81,7 +81,7 @@ def test_given_a_bad_parameter_then_the_node_says_so_in_one_line_and_leaves(
 ):
     with own_domain() as domain:
         node = start(name, domain, parameter, cwd=tmp_path)
-        _, errors = node.communicate(timeout=60)
+        _, errors = node.communicate()
     assert node.returncode == 2, errors
     (line,) = errors.strip().splitlines()
     assert line.startswith('error: ')

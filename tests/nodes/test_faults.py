@@ -2,9 +2,9 @@
 
 import contextlib
 import threading
-import time
 
 import pytest
+from waiting import wait_for
 
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
@@ -56,9 +56,7 @@ def after_steps(graph, steps: int, act) -> None:
     recorder = node_of(graph, interface.RECORDER)
 
     def wait() -> None:
-        deadline = time.monotonic() + 60
-        while getattr(recorder, '_written', 0) < steps and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_for(lambda: getattr(recorder, '_written', 0) >= steps)
         act()
 
     threading.Thread(target=wait, daemon=True).start()

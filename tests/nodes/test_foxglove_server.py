@@ -143,7 +143,7 @@ def test_given_a_taken_port_on_the_command_line_then_nothing_is_begun(tmp_path):
         code = 'from taxinet_ros.cli.main import main; main()'
         done = subprocess.run(
             [sys.executable, '-c', code, 'run', 'nominal', '--foxglove', port], cwd=tmp_path,
-            capture_output=True, text=True, timeout=100,
+            capture_output=True, text=True,
         )
     assert done.returncode == 2
     assert done.stderr.splitlines() == [

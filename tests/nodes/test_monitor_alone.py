@@ -311,7 +311,7 @@ def test_given_a_process_of_its_own_then_it_judges_or_leaves_with_one_line(robot
             times = iter(range(10**6))
             robot.until(lambda: odom.publish(odometry(next(times) / 50, 2.0)) or verdicts)
             process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate()
     finally:
         process.kill()
     if field.endswith('y'):

@@ -1,5 +1,8 @@
 """A third party's network in the graph gives what it gives without ROS."""
 
+import subprocess
+import sys
+
 import numpy as np
 import onnx
 import pytest
@@ -66,3 +69,32 @@ def test_given_an_onnx_network_when_run_in_the_graph_then_its_trace_is_the_loops
     assert expected.shape == (11, 2)
     assert np.ptp(expected, axis=0).min() > 1e-6, 'the network looks'
     assert np.array_equal(np.stack([trace['est_cte_m'], trace['est_he_rad']], axis=1), expected)
+
+
+@pytest.mark.parametrize('words', [
+    ('run', 'nominal', '--runs', '1', '--perception'), ('up', '--perception'),
+    ('node', 'taxinet_perception', '--ros-args', '-p'),
+], ids=lambda words: words[0])
+def test_f8_given_a_network_that_asks_for_gigabytes_when_used_then_one_line_and_code_2(
+    words, tmp_path
+):
+    path = save_network(tmp_path)
+    model = onnx.load(path)
+    model.graph.node[0].output[0] = 'sure'
+    model.graph.initializer.append(numpy_helper.from_array(np.array([1_630_000_000]), 'side'))
+    model.graph.node.extend([
+        helper.make_node('ConstantOfShape', ['side'], ['zeros']),
+        helper.make_node('ReduceMax', ['zeros'], ['most'], keepdims=0),
+        helper.make_node('Add', ['sure', 'most'], ['answer']),
+    ])
+    onnx.save(model, path)
+    before = {path.name for path in tmp_path.iterdir()}
+    done = subprocess.run(
+        [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()', *words,
+         f'weights:={path}' if words[0] == 'node' else str(path)],
+        capture_output=True, text=True, cwd=tmp_path,
+    )
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert 'net.onnx: needs more memory than a network may have, 2 GiB; make it smaller' in line
+    assert {path.name for path in tmp_path.iterdir()} == before

@@ -9,8 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
+from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.options import make_options
@@ -80,7 +80,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
         finally:
             for node in running.nodes:
                 node.terminate()
-            ends = [node.communicate(timeout=60)[1] for node in running.nodes]
+            ends = [node.communicate()[1] for node in running.nodes]
     assert [node.returncode for node in running.nodes] == [0] * 5, ends
 
 
@@ -103,7 +103,7 @@ def composed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ended(sampler: subprocess.Popen[str]) -> tuple[int, list[str]]:
     """Exit code and printed lines."""
     with killing(sampler):
-        _, errors = sampler.communicate(timeout=100)
+        _, errors = sampler.communicate()
     return sampler.returncode, errors.splitlines()
 
 
@@ -113,13 +113,6 @@ def killing(process: subprocess.Popen[str]) -> Iterator[None]:
         yield
     finally:
         process.kill()
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 100
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert condition()
 
 
 def results(out: Path) -> int:

@@ -121,23 +121,20 @@ def test_given_a_simulator_that_counts_its_listeners_then_an_onlooker_comes_afte
         )
         onlooker = SceneMarkers(context=context)
 
-        def spin(until) -> bool:
-            for _ in range(200):
-                if until():
-                    return True
+        def spin(until) -> None:
+            while not until():
                 executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
-            return until()
 
         try:
             executor.add_node(simulator)
             executor.add_node(onlooker)
-            assert spin(lambda: status.get_subscription_count() == 1)
+            spin(lambda: status.get_subscription_count() == 1)
             looks = iter(range(10))
-            assert spin(lambda: next(looks, None) is None)
+            spin(lambda: next(looks, None) is None)
             assert odometry.get_subscription_count() == 0
             status.publish(RunStatus(state=RunStatus.PREPARING))
             status.publish(RunStatus(state=RunStatus.RUNNING))
-            assert spin(lambda: odometry.get_subscription_count() == 1)
+            spin(lambda: odometry.get_subscription_count() == 1)
         finally:
             onlooker.close()
             for node in (simulator, onlooker):
@@ -169,9 +166,7 @@ def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
             for node in nodes:
                 executor.add_node(node)
             assert player.play(executor) == 0
-            for _ in range(200):
-                if len(heard['scene/aircraft']) == len(heard['scene/base_link']) == STEPS:
-                    break
+            while not len(heard['scene/aircraft']) == len(heard['scene/base_link']) == STEPS:
                 executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
         finally:
             for node in nodes:

@@ -187,7 +187,7 @@ def test_given_a_study_when_interrupted_then_its_stage_ends_in_order_and_is_resu
         assert study.stdout is not None
         assert study.stdout.readline() == 'waiting\n'
         study.send_signal(number)
-        printed, _ = study.communicate(timeout=60)
+        printed, _ = study.communicate()
     assert study.returncode == 130
     assert printed.splitlines()[-1] == 'interrupted in evaluate-generic; --resume goes on'
     records = read_records(out)

@@ -8,16 +8,15 @@ import re
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from process_table import children
+from waiting import wait_for
 
 from taxinet_ros.nodes.domain import DISCOVERY_RANGE, LOCALHOST
 
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
-_LONGEST_S = 90.0
 
 
 def environment(domain: int | None = None) -> dict[str, str]:
@@ -28,13 +27,6 @@ def environment(domain: int | None = None) -> dict[str, str]:
     }
     kept |= {DISCOVERY_RANGE: LOCALHOST, 'COLUMNS': '100'}
     return kept if domain is None else {**kept, 'ROS_DOMAIN_ID': str(domain)}
-
-
-def wait_for(condition: Callable[[], object], what: Callable[[], str] = lambda: '') -> None:
-    deadline = time.monotonic() + _LONGEST_S
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert condition(), what()
 
 
 def taxinet(*words: str, cwd: Path, domain: int | None = None, **more: str) -> (
@@ -50,7 +42,7 @@ def taxinet(*words: str, cwd: Path, domain: int | None = None, **more: str) -> (
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Exit code, output and errors of a command, at its end."""
     try:
-        output, errors = process.communicate(timeout=_LONGEST_S)
+        output, errors = process.communicate()
     finally:
         process.kill()
     return process.returncode, output, errors
@@ -114,7 +106,7 @@ class Standing:
 
     def ask_to_end(self, number: int = signal.SIGINT) -> int:
         self.process.send_signal(number)
-        return self.process.wait(_LONGEST_S)
+        return self.process.wait()
 
 
 @contextlib.contextmanager

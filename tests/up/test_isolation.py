@@ -21,7 +21,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import BY_HAND, own_domain
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.ros
 
 SEEDS = {'first': 5, 'second': 6}
 

@@ -20,7 +20,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.processes import process_graph
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.ros
 
 ROUNDS, BUSY = 3, 3
 REQUEST = RunRequest(
