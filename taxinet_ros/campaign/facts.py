@@ -11,6 +11,7 @@ from taxinet_ros import __version__
 from taxinet_ros.bag.layout import write_atomically
 from taxinet_ros.campaign.options import CampaignOptions, check_new
 from taxinet_ros.campaign.programs import program_digest, program_text
+from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.plain_values import load_json
@@ -40,6 +41,8 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'runs': options.runs,
         'seed': options.seed,
         'perception': options.perception,
+        'controller': options.controller,
+        'controller_sha256': _controller_sha256(options),
         'overrides': dict(options.overrides),
         'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
@@ -50,6 +53,11 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'processes': options.processes,
         'images': options.images,
     }
+
+
+def _controller_sha256(options: CampaignOptions) -> str:
+    """Of somebody's Python file; '' for the law, and where only a node can tell."""
+    return check_controller(options.controller, options.gains, graph=True)
 
 
 def this_stack() -> str:

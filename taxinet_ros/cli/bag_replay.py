@@ -17,9 +17,10 @@ from taxinet_ros.bag.recorded_run import RecordedRun, read_run
 from taxinet_ros.bag.trace import Column, read_trace
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag_compare import DIFFERENT, EQUAL
-from taxinet_ros.cli.bag_input import perception_of, perception_words, readable_bags
+from taxinet_ros.cli.bag_input import controller_of, perception_of, perception_words, readable_bags
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import short_word
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.replay import replay
 
@@ -90,6 +91,8 @@ def run_replay(options: ReplayOptions) -> int:
             word, fingerprint = perception_of(run, options.perception)
         out = options.out or new_folder(_folder(run, options.target, word))
         check_new(out)
+        if options.target == interface.STEERING_CONTROLLER:
+            controller_of(run, None)
         answers = replay(options.bag, run, target=options.target, perception=word)
     names = _names(run, options.target, word, fingerprint)
     found = [
@@ -113,7 +116,7 @@ def run_replay(options: ReplayOptions) -> int:
 
 
 def _folder(run: RecordedRun, target: str, word: str) -> Path:
-    what = Path(word).stem if target == interface.PERCEPTION else target
+    what = short_word(word) if target == interface.PERCEPTION else target
     return DEFAULT_ROOT / f'replay-{run.request.run_id}-{what}'
 
 
@@ -122,7 +125,7 @@ def _names(run: RecordedRun, target: str, word: str, fingerprint: str) -> tuple[
     if target != interface.PERCEPTION:
         return 'recorded', 'now'
     before = perception_words(run.perception, run.fingerprint)
-    return f'recorded: {before}', f'now: {perception_words(Path(word).stem, fingerprint)}'
+    return f'recorded: {before}', f'now: {perception_words(short_word(word), fingerprint)}'
 
 
 def _print(console: Console, found: Sequence[Difference], options: ReplayOptions) -> None:

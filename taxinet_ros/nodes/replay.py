@@ -22,6 +22,7 @@ from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import make_perception
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message
 from taxinet_ros.nodes.domain import own_domain
@@ -85,7 +86,8 @@ def replay(bag: Path, run: RecordedRun, *, target: str, perception: str) -> Colu
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
     """The topics that steer a node from step to step."""
-    unused = interface.IMAGE if perception == 'truth' else interface.TRUTH
+    looks = target != interface.PERCEPTION or make_perception(perception).needs_image
+    unused = interface.TRUTH if looks else interface.IMAGE
     return tuple(
         topic for topic in interface.TOPICS
         if target in topic.subscribers and topic.recorded == interface.PER_STEP
