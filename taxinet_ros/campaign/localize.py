@@ -26,6 +26,7 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.plain_values import load_json
 from taxinet_ros.core.provenance import Provenance, known, provenance
@@ -170,7 +171,8 @@ def _network(failed: FailedRuns, given: str | None) -> str:
         UsageError: it cannot be found, or is another one now.
     """
     recorded = failed.rows[0].perception_fingerprint
-    word = given or failed.rows[0].perception or failed.facts.get('perception', '')
+    asked = str(failed.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
     mend = f'name the file that {failed.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)

@@ -100,18 +100,19 @@ def perception_of(
     return word, check_perception(word, graph=graph)
 
 
-def controller_of(run: RecordedRun, asked: str | None) -> str:
+def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -> str:
     """Word of the controller to use.
 
     Args:
         run: the recorded run.
         asked: what the user wants instead of the run's own, or None.
+        graph: it is for a graph, so a node elsewhere does too.
 
     Raises:
         UsageError: the run's own is somebody's, which nobody knows where to find; or a bad word.
     """
     if asked:
-        check_controller(asked, graph=True)
+        check_controller(asked, graph=graph)
         return asked
     if run.controller:
         of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''

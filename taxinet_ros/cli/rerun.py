@@ -75,7 +75,7 @@ def run_again(
     with readable_bags():
         run, info = read_run(bag), read_info(bag)
         word, fingerprint = perception_of(run, perception, graph=True)
-        steers = controller_of(run, controller)
+        steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')

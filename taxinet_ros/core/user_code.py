@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import is_node_elsewhere
 
 IMPLEMENTATION = 'python'
 """What a node says of itself that runs such code; the hash beside it says which."""
@@ -163,7 +164,7 @@ def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
 
 def names_user_code(word: str) -> bool:
     """Whether a word is meant as a function in a Python file."""
-    return bool(_WORD.fullmatch(word) or _ALONE.fullmatch(word))
+    return not is_node_elsewhere(word) and bool(_ALONE.fullmatch(word) or _WORD.fullmatch(word))
 
 
 def find_user_code(word: str, role: str) -> UserCode:
