@@ -25,7 +25,7 @@ SHORT = ('--images', 'none', '--set', 'duration=1')
 
 pytestmark = pytest.mark.ros
 
-MINE = '''
+MINE = """
 class Guess:
     def __init__(self):
         self.frames = 0
@@ -41,7 +41,7 @@ def steer(estimate):
 
 def fails(estimate):
     return 1 / 0
-'''
+"""
 
 
 @pytest.fixture(scope='module')
