@@ -25,6 +25,11 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
     yield from attention_sentences(worst)
     yield from _nearness(found)
     yield recomputed_sentence(found)
+    if found.run.controller:
+        yield (
+            f'Another controller than the steering law drove this run: {found.run.controller}. '
+            'What an estimate does is told as the law would follow it.'
+        )
 
 
 def moment_words(moment: Moment) -> str:

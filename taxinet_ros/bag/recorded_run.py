@@ -28,12 +28,16 @@ class RecordedRun:
         perception: the word of the perception that took part, e.g. ``taxinet``; '' if untold.
         fingerprint: sha256 of its weights, or ''.
         gains: steering gains that differed from the law's defaults.
+        controller: what another controller than the steering law said of itself; '' for the law.
+        controller_fingerprint: the sha256 that it told, or ''.
     """
 
     request: RunRequest
     perception: str
     fingerprint: str
     gains: Mapping[str, float]
+    controller: str = ''
+    controller_fingerprint: str = ''
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -59,11 +63,15 @@ def read_run(path: Path) -> RecordedRun:
         raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
     try:
         eyes, law = kinds.get('perception'), kinds.get('steering_controller')
+        words = law.implementation if law else ''
+        ours = is_steering_law(words)
         return RecordedRun(
             request=_request(scenario),
             perception=eyes.implementation if eyes else '',
             fingerprint=eyes.fingerprint if eyes else '',
-            gains=gains_of_words(law.implementation) if law else {},
+            gains=gains_of_words(words) if ours else {},
+            controller='' if ours else words,
+            controller_fingerprint=law.fingerprint if law else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error
@@ -74,6 +82,12 @@ def read_run(path: Path) -> RecordedRun:
 def words_of_gains(gains: Mapping[str, float]) -> str:
     """Steering gains as a controller reports them; the inverse of :func:`gains_of_words`."""
     return ' '.join(f'{name}={value!r}' for name, value in gains.items())
+
+
+def is_steering_law(words: str) -> bool:
+    """Whether what a controller said of itself is what the steering law says: its tuned gains."""
+    known = SteeringGains.__dataclass_fields__
+    return all(word.partition('=')[0] in known for word in words.split())
 
 
 def gains_of_words(words: str) -> dict[str, float]:

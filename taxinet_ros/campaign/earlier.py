@@ -13,6 +13,7 @@ from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.samplers.lagged import LAG
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.stop_on import StopOn
@@ -26,6 +27,7 @@ may warn of more than another, and another machine or version is warned of."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
+    'controller': STEERING, 'controller_sha256': '',
 }
 """What a fact was before there was a choice, and so was not written down."""
 

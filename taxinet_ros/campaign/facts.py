@@ -15,6 +15,7 @@ from taxinet_ros.bag.layout import disk_error, write_atomically
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.programs import program_digest, program_text
 from taxinet_ros.campaign.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
+from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.provenance import differences, known, provenance, stack_id
@@ -43,6 +44,8 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'runs': options.runs,
         'seed': options.seed,
         'perception': options.perception,
+        'controller': options.controller,
+        'controller_sha256': _controller_sha256(options),
         'overrides': dict(options.overrides),
         'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
@@ -53,6 +56,11 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'processes': options.processes,
         'images': options.images,
     }
+
+
+def _controller_sha256(options: CampaignOptions) -> str:
+    """Of somebody's Python file; '' for the law, and where only a node can tell."""
+    return check_controller(options.controller, options.gains, graph=True)
 
 
 def this_stack() -> str:

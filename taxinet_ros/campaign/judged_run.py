@@ -19,6 +19,7 @@ from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome
@@ -39,6 +40,8 @@ class JudgedRun:
         rho: robustness by the formula's name, as far as it is known.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
+        controller, controller_fingerprint: the word of what steers, or what an unknown one said of
+            itself; and the hash that it told.
     """
 
     run_id: str
@@ -50,6 +53,8 @@ class JudgedRun:
     perception: str
     fingerprint: str
     gains: Mapping[str, float]
+    controller: str
+    controller_fingerprint: str
 
     @property
     def headline(self) -> str:
@@ -100,7 +105,15 @@ def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
+        controller=_controller(facts, run.controller),
+        controller_fingerprint=run.controller_fingerprint,
     )
+
+
+def _controller(facts: Mapping[str, Any], said: str) -> str:
+    """Its word, where the campaign has one; else what it said of itself."""
+    word = str(facts.get('controller', STEERING))
+    return said if said and word == STEERING else word
 
 
 def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
@@ -113,6 +126,8 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
         outcome=row.outcome, rho=row.rho, perception=row.perception,
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
+        controller=_controller(facts, ''),
+        controller_fingerprint=str(facts.get('controller_sha256', '')),
     )
 
 

@@ -12,6 +12,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.spec_check import SpecCheck
@@ -35,11 +36,17 @@ def heading(options: CampaignOptions) -> str:
     """What is about to run."""
     runs = 'run' if options.runs == 1 else 'runs'
     layout = 'separate processes' if options.processes else 'one process'
-    graph = f'perception {options.perception}, {layout}'
+    graph = f'{who_takes_part(options)}, {layout}'
     return (
         f'{options.runs} {runs} of {options.program}, seed {options.seed}, '
         f'{GRAPH_OF_OTHERS if options.standing_graph else graph} -> {options.out}'
     )
+
+
+def who_takes_part(options: CampaignOptions) -> str:
+    """Perception and controller in words; the steering law goes without saying."""
+    steers = '' if options.controller == STEERING else f', controller {options.controller}'
+    return f'perception {options.perception}{steers}'
 
 
 def check_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:

@@ -24,7 +24,9 @@ from taxinet_ros.campaign.journal import Journal, damaged_line
 from taxinet_ros.campaign.options import DEFAULT_ROOT
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.trials import Bench, Task, Trial, run_trials
+from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.substituted_perception import (
@@ -52,6 +54,7 @@ class LocalizeOptions:
         rows: those of them to look into.
         words: of the substitutions, the control first.
         perception: word or file of the network.
+        controller: word of what steers.
         workers: processes.
         out: folder.
     """
@@ -60,6 +63,7 @@ class LocalizeOptions:
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
+    controller: str
     workers: int
     out: Path
 
@@ -97,7 +101,7 @@ def make_localize_options(
     return LocalizeOptions(
         failed=failed, rows=spread(failed.rows, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
-        perception=_network(failed, perception), workers=workers,
+        perception=_network(failed, perception), controller=_controller(failed), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
     )
 
@@ -129,7 +133,8 @@ def localize(
         facts = options.failed.facts
         bench = Bench(
             perception=options.perception, specs=options.failed.specs,
-            gains=dict(options.failed.gains), stop_on=options.failed.stop_on,
+            gains=dict(options.failed.gains), controller=options.controller,
+            stop_on=options.failed.stop_on,
             bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
         )
         for trial in run_trials(tasks, bench, options.workers):
@@ -165,7 +170,8 @@ def _network(failed: FailedRuns, given: str | None) -> str:
         UsageError: it cannot be found, or is another one now.
     """
     recorded = failed.rows[0].perception_fingerprint
-    word = given or failed.rows[0].perception or failed.facts.get('perception', '')
+    asked = str(failed.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
     mend = f'name the file that {failed.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)
@@ -178,6 +184,22 @@ def _network(failed: FailedRuns, given: str | None) -> str:
     return str(word)
 
 
+def _controller(failed: FailedRuns) -> str:
+    """What steered in the campaign.
+
+    Raises:
+        UsageError: it cannot be called here, or is another one now.
+    """
+    word = str(failed.facts.get('controller', STEERING))
+    found = check_controller(word, failed.gains)
+    if found != (before := failed.facts.get('controller_sha256', '')):
+        raise UsageError(
+            f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
+            'back as it was'
+        )
+    return word
+
+
 def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
     failed = options.failed
@@ -186,6 +208,9 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **{name: failed.facts.get(name) for name in names},
         **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
         'stop_on': failed.stop_on.value,
+        **({} if options.controller == STEERING else {
+            'controller_sha256': failed.facts.get('controller_sha256')
+        }),
         'perception_sha256': failed.rows[0].perception_fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))

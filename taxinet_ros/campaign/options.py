@@ -10,8 +10,10 @@ from pathlib import Path
 from taxinet_ros.bag.layout import FULL_DISK
 from taxinet_ros.campaign.overrides import check_overrides, doubtful_values
 from taxinet_ros.campaign.spec_files import read_specs
+from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions, parse_spec
+from taxinet_ros.core.node_words import short_word
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.spec_check import SpecCheck, check_specs
 from taxinet_ros.core.steering import SteeringGains
@@ -33,8 +35,8 @@ class CampaignOptions:
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: ``truth``, ``taxinet`` or a network's file; '' where a graph that runs already
-            decides it.
+        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
+            :mod:`taxinet_ros.core.node_words`; '' where a graph that runs already decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
         specs: formulas as text that needs no file; the first is the headline.
@@ -43,6 +45,8 @@ class CampaignOptions:
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
         images: whose camera frames go into the bags, of :data:`IMAGES`.
+        controller: ``steering``, ``FILE.py:NAME``, or a word of
+            :mod:`taxinet_ros.core.node_words`.
         laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
             They leave the choice alone, where ``overrides`` take what they fix out of the search;
             so campaigns that differ in them only have otherwise equal scenes.
@@ -62,6 +66,7 @@ class CampaignOptions:
     processes: bool = False
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
+    controller: str = STEERING
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.
@@ -72,7 +77,8 @@ class CampaignOptions:
         Raises:
             UsageError: a requirement that no run of this length can be judged by.
         """
-        gains = None if self.standing_graph else SteeringGains(**self.gains)
+        known = self.controller == STEERING and not self.standing_graph
+        gains = SteeringGains(**self.gains) if known else None
         found = check_specs([parse_spec(text) for text in self.specs], duration_s, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
@@ -87,7 +93,7 @@ def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
-    rates: Iterable[str] = (),
+    rates: Iterable[str] = (), controller: str = STEERING,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -95,7 +101,7 @@ def make_options(
         program: word of a shipped Scenic program or path of one.
         runs: number of scenes.
         seed: of the scenes.
-        perception: ``truth``, ``taxinet`` or a network's file.
+        perception: as of :class:`CampaignOptions`.
         settings: ``key=value`` of the scenario, or ``steering.<gain>=value``.
         specs: formulas as text, or files of them; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.
@@ -105,25 +111,26 @@ def make_options(
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
         rates: of their change per second, such as ``cte=3``.
+        controller: as of :class:`CampaignOptions`.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
     """
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
-    SteeringGains(**gains)
+    check_controller(controller, gains, graph=True)
     chosen = read_specs(specs) or DEFAULT_SPECS
     rule = parse_stop_on(stop_on)
     bounds, rates = tuple(bounds), tuple(rates)
     check_assumptions(bounds, rates)
     if perception:
-        check_perception(perception)
+        check_perception(perception, graph=True)
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
     if resume and out is None:
         raise UsageError('--resume: say with --out which campaign to continue')
     if out is None:
-        words = (Path(program).stem, Path(perception).stem, f'seed{seed}')
+        words = (Path(program).stem, short_word(perception), f'seed{seed}')
         stem = '-'.join(word for word in words if word)
         out = new_folder(DEFAULT_ROOT / stem)
     if not resume:
@@ -132,6 +139,7 @@ def make_options(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
         rates=rates, processes=processes, images=images,
+        controller=controller,
     )
 
 

@@ -10,6 +10,7 @@ from taxinet_ros.campaign.facts import this_stack
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
@@ -45,7 +46,9 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
     """The row of a run that the graph has answered."""
     bag = request.run_id if (options.out / request.run_id).is_dir() else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
-    perception = options.perception or result.perception
+    perception = options.perception
+    if not perception or is_node_elsewhere(perception):
+        perception = result.perception or perception
     return RunRow.of_run(
         request, result, perception=perception, sim_s=sim_s, bag=bag, stack=this_stack()
     )

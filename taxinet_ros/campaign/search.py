@@ -345,7 +345,9 @@ class Search:
             **campaign_facts(campaign, self._source.program),
             'first_runs': campaign.runs,
             'warnings': list(self.check.warnings),
-            'perception_sha256': '' if campaign.standing_graph else check_perception(word),
+            'perception_sha256': (
+                '' if campaign.standing_graph else check_perception(word, graph=True)
+            ),
             'sampler': self.options.sampler,
             'sampler_options': dict(self.options.sampler_options),
             'sampler_lag': LAG,

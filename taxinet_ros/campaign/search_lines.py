@@ -14,6 +14,7 @@ from taxinet_ros.campaign.lines import (
     scene_words,
     stopped_words,
     table_line,
+    who_takes_part,
 )
 from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
@@ -31,7 +32,7 @@ def search_heading(options: SearchOptions) -> str:
     campaign = options.campaign
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     verb = 'resuming' if options.resume else 'searching'
-    graph = f'perception {campaign.perception}, {workers}'
+    graph = f'{who_takes_part(campaign)}, {workers}'
     return (
         f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
         f'{options.sampler}, seed {campaign.seed}, '

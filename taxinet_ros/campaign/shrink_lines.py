@@ -8,11 +8,12 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from taxinet_ros.campaign.lines import scene_words
+from taxinet_ros.campaign.lines import scene_words, who_takes_part
 from taxinet_ros.campaign.options import DEFAULT_SPECS
 from taxinet_ros.campaign.shrink import End
 from taxinet_ros.campaign.shrink_options import ShrinkOptions
 from taxinet_ros.campaign.shrink_report import Finding, Report
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.mtl import parse_spec
 
 _UNITS = {
@@ -29,7 +30,7 @@ def shrink_heading(options: ShrinkOptions) -> str:
     verb = 'resuming to shrink' if options.resume else 'shrinking'
     rho = f', rho {run.rho[options.headline]:+.2f}' if options.headline in run.rho else ''
     return (
-        f'{verb} {run.run_id} ({options.headline}{rho}), perception {campaign.perception}, '
+        f'{verb} {run.run_id} ({options.headline}{rho}), {who_takes_part(campaign)}, '
         f'{workers} -> {campaign.out}'
     )
 
@@ -99,6 +100,8 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     """What to type to run the shrunk scenario."""
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
+    if campaign.controller != STEERING:
+        words += ['--controller', campaign.controller]
     specs = [parse_spec(text) for text in campaign.specs]
     if specs != [parse_spec(text) for text in DEFAULT_SPECS]:
         words += [word for text in campaign.specs for word in ('--spec', text)]

@@ -12,8 +12,10 @@ from taxinet_ros.campaign.options import DEFAULT_ROOT, CampaignOptions, make_opt
 from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.shrink import LEAST_ASKED
 from taxinet_ros.campaign.shrink_space import ShrinkSpace, make_space
+from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.perception import check_perception
 
 PROGRAM = 'shrink'
@@ -47,7 +49,7 @@ class ShrinkOptions:
 
 def make_shrink_options(
     path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
-    workers: int, out: Path | None, resume: bool, images: str,
+    workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
 ) -> ShrinkOptions:
     """Check what a person typed.
 
@@ -61,6 +63,7 @@ def make_shrink_options(
         out: folder; where None, a new one below ``bags/`` that says what it holds.
         resume: ``out`` holds a shrinking that is to be continued.
         images: ``all`` or ``none`` of the camera frames go into the bags.
+        controller: where not that of the run.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -76,11 +79,12 @@ def make_shrink_options(
         out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
-        settings=(), specs=specs or run.specs, out=out, processes=False, images=images,
-        resume=resume,
+        controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
+        processes=False, images=images, resume=resume,
     )
+    gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
-        run=run, space=space, campaign=dataclasses.replace(campaign, gains=dict(run.gains)),
+        run=run, space=space, campaign=dataclasses.replace(campaign, gains=gains),
         workers=workers, resume=resume,
     )
 
@@ -103,9 +107,11 @@ def _perception(run: JudgedRun, asked: str | None) -> str:
     if asked is not None:
         return asked
     try:
-        now = check_perception(run.perception)
+        now = check_perception(run.perception, graph=True)
     except UsageError as error:
         raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
+    if is_node_elsewhere(run.perception):
+        return run.perception
     if now != run.fingerprint:
         raise UsageError(
             f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
@@ -113,3 +119,19 @@ def _perception(run: JudgedRun, asked: str | None) -> str:
             'it as it is'
         )
     return run.perception
+
+
+def _controller(run: JudgedRun) -> str:
+    """What steered when it failed."""
+    try:
+        now = check_controller(run.controller, graph=True)
+    except UsageError as error:
+        raise UsageError(
+            f'{run.run_id}: {error}; say with --controller what to steer with'
+        ) from error
+    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
+        raise UsageError(
+            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
+            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
+        )
+    return run.controller

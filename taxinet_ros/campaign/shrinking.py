@@ -29,6 +29,7 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.shrink import Point, Shrink
 from taxinet_ros.campaign.shrink_options import PROGRAM, ShrinkOptions
 from taxinet_ros.campaign.shrink_space import STEPS
+from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
@@ -223,7 +224,11 @@ class Shrinking:
             'runs': campaign.runs,
             'seed': campaign.seed,
             'perception': campaign.perception,
-            'perception_sha256': check_perception(campaign.perception),
+            'perception_sha256': check_perception(campaign.perception, graph=True),
+            'controller': campaign.controller,
+            'controller_sha256': check_controller(
+                campaign.controller, campaign.gains, graph=True
+            ),
             'overrides': {},
             'gains': dict(campaign.gains),
             'specs': {spec.name: str(spec.formula) for spec in specs},

@@ -14,6 +14,7 @@ from typing import Any, Self
 import cv2
 from threadpoolctl import threadpool_limits
 
+from taxinet_ros.core.controller import STEERING, Controller, make_controller
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import run_closed_loop
@@ -24,6 +25,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.core.substituted_perception import parse_substitution, substituted
+from taxinet_ros.core.user_code import UserCodeError
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,6 +36,7 @@ class Bench:
         perception: word or file of the network.
         specs: formulas as text, the headline first.
         gains: steering gains that differ from the defaults.
+        controller: word of what steers.
         stop_on: what ends a run before its end.
         bounds, rates: what is vouched for of the signals, as text.
     """
@@ -41,6 +44,7 @@ class Bench:
     perception: str
     specs: tuple[str, ...]
     gains: Mapping[str, float]
+    controller: str = STEERING
     stop_on: StopOn = StopOn.NEVER
     bounds: tuple[str, ...] = ()
     rates: tuple[str, ...] = ()
@@ -134,32 +138,35 @@ def run_trials(tasks: Iterable[Task], bench: Bench, workers: int) -> Iterator[Tr
             pool.shutdown(cancel_futures=True)
 
 
-_worker: list[tuple[Bench, Perception]] = []
-"""In a worker process: what it was started with, and its network."""
+_worker: list[tuple[Bench, Perception, Controller]] = []
+"""In a worker process: what it was started with, its network, and what steers."""
 
 
 def _start_worker(bench: Bench) -> None:
     end_with_parent()
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
-    _worker.append((bench, make_perception(bench.perception)))
+    controller = make_controller(bench.controller, SteeringGains(**bench.gains))
+    _worker.append((bench, make_perception(bench.perception), controller))
 
 
 def _trial(task: Task) -> Trial:
-    bench, network = _worker[0]
-    return make_trial(task, bench, network)
+    return make_trial(task, *_worker[0])
 
 
-def make_trial(task: Task, bench: Bench, network: Perception) -> Trial:
-    """Run one scene in this process."""
+def make_trial(
+    task: Task, bench: Bench, network: Perception, controller: Controller | None = None
+) -> Trial:
+    """Run one scene in this process; the bench's controller is loaded where none is given."""
+    controller = controller or make_controller(bench.controller, SteeringGains(**bench.gains))
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
         judged = run_closed_loop(
             task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
-            gains=SteeringGains(**bench.gains), stop_on=bench.stop_on,
+            controller=controller, stop_on=bench.stop_on,
             assumptions=parse_assumptions(bench.bounds, bench.rates),
         )
-    except InfraError as error:
+    except (InfraError, UserCodeError) as error:
         return _unjudged(task, str(error))
     return _judged(task, judged)
 

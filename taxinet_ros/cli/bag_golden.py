@@ -19,7 +19,7 @@ from taxinet_ros.bag.golden import (
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
 from taxinet_ros.bag.recorded_run import RecordedRun, read_run
 from taxinet_ros.cli.bag_compare import DIFFERENT, EQUAL, print_comparison
-from taxinet_ros.cli.bag_input import perception_of, perception_words, readable_bags
+from taxinet_ros.cli.bag_input import controller_of, perception_of, perception_words, readable_bags
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes.rerun import rerun
@@ -45,7 +45,9 @@ def run_golden(folder: Path, *, update: bool) -> int:
     if other := stack_differences(folder):
         console.print(f'another stack than theirs: {other}', soft_wrap=True, markup=False)
     with tempfile.TemporaryDirectory(prefix='taxinet-golden-') as scratch:
-        words = [(run, perception_of(run, None)[0]) for run in runs.values()]
+        words = [
+            (run, perception_of(run, None)[0], controller_of(run, None)) for run in runs.values()
+        ]
         _check(rerun(words, Path(scratch), images='none'), runs)
         results = [
             compare_golden(

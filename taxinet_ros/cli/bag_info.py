@@ -11,9 +11,10 @@ from typing import Any
 
 from rich.console import Console
 
-from taxinet_ros.bag.facts import Judged, RunFacts, made_on, read_all_facts, read_facts
+from taxinet_ros.bag.facts import Judged, NodeFacts, RunFacts, made_on, read_all_facts, read_facts
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.recorded_run import is_steering_law
 from taxinet_ros.bag.runs import Recording, read_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
@@ -72,15 +73,21 @@ def _run_lines(
     yield 'scene', scene_words(facts.scene)
     perception = facts.nodes.get('perception')
     if perception is not None:
-        weights = perception.fingerprint
-        yield 'perception', perception.implementation + (f', weights {weights}' if weights else '')
+        yield 'perception', _who(perception)
     law = facts.nodes.get('steering_controller')
-    if law is not None:
+    if law is not None and is_steering_law(law.implementation):
         yield 'gains', law.implementation or 'as shipped'
+    elif law is not None:
+        yield 'controller', _who(law)
     if facts.figures:
         yield 'figures', ', '.join(_figures(facts.figures))
     if not words:
         yield 'made on', stack_words(made_on(info)) or 'not told'
+
+
+def _who(node: NodeFacts) -> str:
+    hashed = f', weights {node.fingerprint}' if node.fingerprint else ''
+    return (node.implementation or 'unnamed') + hashed
 
 
 def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:

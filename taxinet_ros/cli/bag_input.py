@@ -12,6 +12,7 @@ from rich.console import Console
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.bag.runs import read_recording, write_runs
+from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import PERCEPTION, check_perception
 from taxinet_ros.core.provenance import Provenance, differences
@@ -76,23 +77,50 @@ def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
     console.print(f'warning: {line}', soft_wrap=True, markup=False)
 
 
-def perception_of(run: RecordedRun, asked: str | None) -> tuple[str, str]:
+def perception_of(
+    run: RecordedRun, asked: str | None, *, graph: bool = False
+) -> tuple[str, str]:
     """Word or file of the perception to use, and its fingerprint.
 
     Args:
         run: the recorded run.
         asked: what the user wants instead of the run's own, or None.
+        graph: it is for a graph, so a node elsewhere does too.
 
     Raises:
         UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
     """
     word = asked or run.perception
     if not asked and word not in PERCEPTION:
-        kind = f'a {word} file of sha256 {run.fingerprint[:12]}…' if word else 'not told'
+        of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
+        kind = f'{word!r}{of}, not one of ours' if word else 'not told'
         raise UsageError(
             f"{run.request.run_id}: the run's own perception is {kind}; name one with --perception"
         )
-    return word, check_perception(word)
+    return word, check_perception(word, graph=graph)
+
+
+def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -> str:
+    """Word of the controller to use.
+
+    Args:
+        run: the recorded run.
+        asked: what the user wants instead of the run's own, or None.
+        graph: it is for a graph, so a node elsewhere does too.
+
+    Raises:
+        UsageError: the run's own is somebody's, which nobody knows where to find; or a bad word.
+    """
+    if asked:
+        check_controller(asked, graph=graph)
+        return asked
+    if run.controller:
+        of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''
+        raise UsageError(
+            f"{run.request.run_id}: the run's own controller is {run.controller!r}{of}; name one "
+            'with --controller'
+        )
+    return STEERING
 
 
 def perception_words(word: str, fingerprint: str) -> str:

@@ -17,9 +17,11 @@ from taxinet_ros.bag.recorded_run import RecordedRun, read_run
 from taxinet_ros.bag.trace import Column, read_trace
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag_compare import DIFFERENT, EQUAL
-from taxinet_ros.cli.bag_input import perception_of, perception_words, readable_bags
+from taxinet_ros.cli.bag_input import controller_of, perception_of, perception_words, readable_bags
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import short_word
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.replay import replay
 
@@ -38,6 +40,7 @@ class ReplayOptions:
         bag: a run folder or an ``.mcap`` file.
         target: node to replay into.
         perception: word or file; the run's own where None.
+        controller: word; the run's own where None.
         out: new folder for picture and table; where None, one below ``bags/``.
         tolerance_cte_m, tolerance_he_deg: how far estimates may lie from those recorded.
     """
@@ -45,6 +48,7 @@ class ReplayOptions:
     bag: Path
     target: str
     perception: str | None
+    controller: str | None
     out: Path | None
     tolerance_cte_m: float
     tolerance_he_deg: float
@@ -59,6 +63,8 @@ class ReplayOptions:
                 f'--into {self.target}: takes neither --perception nor a tolerance, its answers '
                 'follow exactly from what it hears'
             )
+        if self.target != interface.STEERING_CONTROLLER and self.controller:
+            raise UsageError(f'--into {self.target}: takes no --controller')
 
     def tolerance(self, column: str) -> float:
         """How far a quantity may be off, in the unit for people."""
@@ -90,7 +96,12 @@ def run_replay(options: ReplayOptions) -> int:
             word, fingerprint = perception_of(run, options.perception)
         out = options.out or new_folder(_folder(run, options.target, word))
         check_new(out)
-        answers = replay(options.bag, run, target=options.target, perception=word)
+        controller = STEERING
+        if options.target == interface.STEERING_CONTROLLER:
+            controller = controller_of(run, options.controller)
+        answers = replay(
+            options.bag, run, target=options.target, perception=word, controller=controller
+        )
     names = _names(run, options.target, word, fingerprint)
     found = [
         difference(quantity, trace, answers)
@@ -113,7 +124,7 @@ def run_replay(options: ReplayOptions) -> int:
 
 
 def _folder(run: RecordedRun, target: str, word: str) -> Path:
-    what = Path(word).stem if target == interface.PERCEPTION else target
+    what = short_word(word) if target == interface.PERCEPTION else target
     return DEFAULT_ROOT / f'replay-{run.request.run_id}-{what}'
 
 
@@ -122,7 +133,7 @@ def _names(run: RecordedRun, target: str, word: str, fingerprint: str) -> tuple[
     if target != interface.PERCEPTION:
         return 'recorded', 'now'
     before = perception_words(run.perception, run.fingerprint)
-    return f'recorded: {before}', f'now: {perception_words(Path(word).stem, fingerprint)}'
+    return f'recorded: {before}', f'now: {perception_words(short_word(word), fingerprint)}'
 
 
 def _print(console: Console, found: Sequence[Difference], options: ReplayOptions) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.cli.option_types import RunOption
+from taxinet_ros.cli.option_types import OwnControllerOption, RunOption
 
 BagArgument = Annotated[
     Path, typer.Argument(metavar='BAG', help='folder of a run, or an .mcap file')
@@ -42,8 +42,12 @@ def replay(
     run_id: RunOption = None,
     perception: Annotated[
         str | None,
-        typer.Option(help="another one than the run's: a word, a weights file or an .onnx network"),
+        typer.Option(
+            help="another one than the run's: a word, a weights file, an .onnx network or "
+            'FILE.py:NAME'
+        ),
     ] = None,
+    controller: OwnControllerOption = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar='DIR', help='new folder for picture and table, else below bags/'),
@@ -71,8 +75,8 @@ def replay(
 
     with readable_run(bag, run_id) as whole:
         options = ReplayOptions(
-            bag=whole, target=into, perception=perception, out=out, tolerance_cte_m=tolerance_cte,
-            tolerance_he_deg=tolerance_he,
+            bag=whole, target=into, perception=perception, controller=controller, out=out,
+            tolerance_cte_m=tolerance_cte, tolerance_he_deg=tolerance_he,
         )
         code = run_replay(options)
     raise typer.Exit(code)

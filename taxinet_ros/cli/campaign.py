@@ -16,6 +16,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.core import camera
+from taxinet_ros.core.node_words import command_of
 from taxinet_ros.core.perception import GroundTruth
 from taxinet_ros.nodes.names import PARTICIPANTS
 
@@ -125,7 +126,8 @@ class _Graphs:
 
         domain_by_hand()
         options = self._options
-        if options.processes:
+        commands = [options.perception, options.controller]
+        if options.processes or any(map(command_of, commands)):
             return  # It would leave its logs in a folder that is not there yet.
         if options.perception != GroundTruth.word or options.images == 'all':
             camera.prepare()
@@ -149,7 +151,7 @@ class _Graphs:
         options = self._options
         graph = GraphOptions(
             perception=options.perception, out=options.out, make_out=False,
-            images=options.images, gains=options.gains,
+            images=options.images, gains=options.gains, controller=options.controller,
         )
         if options.processes:
             return process_graph(graph, options.out / 'logs')

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import COMMAND
 
 
 def given_options(context: typer.Context) -> dict[str, Any]:
@@ -37,3 +38,21 @@ def asks_for(word: str, words: Sequence[str], given: Collection[str]) -> bool:
     if wrong:
         raise UsageError(f'bench: --{min(wrong)}: not with {word}')
     return True
+
+
+def word_of(context: typer.Context, role: str) -> str:
+    """Who plays a role in the graph: the word of its option, or of the command for it.
+
+    Args:
+        context: of a command that has the options ``--ROLE`` and ``--ROLE-cmd``.
+        role: ``perception`` or ``controller``.
+
+    Raises:
+        UsageError: both are given.
+    """
+    command = context.params[f'{role}_cmd']
+    if command is None:
+        return str(context.params[role])
+    if role in given_options(context):
+        raise UsageError(f'--{role}: not with --{role}-cmd, which says who it is; leave one out')
+    return f'{COMMAND}{command}'

@@ -32,9 +32,28 @@ OutOption = Annotated[Path | None, typer.Option(help='folder for bags and table;
 PerceptionOption = Annotated[
     str,
     typer.Option(
-        help='truth; taxinet, original or another shipped network; a .safetensors weights file; or '
-        'an .onnx network'
+        help='truth; taxinet, original or another shipped network; a .safetensors weights file; an '
+        '.onnx network; a function in a Python file, FILE.py:NAME; or external, a node that you '
+        'start'
     ),
+]
+PerceptionCommandOption = Annotated[
+    str | None,
+    typer.Option(
+        '--perception-cmd', metavar='COMMAND',
+        help="start your own node, as in 'ros2 run my_pkg my_node', in every graph",
+    ),
+]
+ControllerOption = Annotated[
+    str,
+    typer.Option(
+        help='steering, the shipped law; a function in a Python file, FILE.py:NAME; or external, a '
+        'node that you start'
+    ),
+]
+ControllerCommandOption = Annotated[
+    str | None,
+    typer.Option('--controller-cmd', metavar='COMMAND', help='likewise for the controller'),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -131,6 +150,9 @@ FailedRunArgument = Annotated[
 ]
 OwnPerceptionOption = Annotated[
     str | None, typer.Option('--perception', help="another one than the run's")
+]
+OwnControllerOption = Annotated[
+    str | None, typer.Option('--controller', help="another one than the run's")
 ]
 OwnSpecOption = Annotated[
     list[str] | None,

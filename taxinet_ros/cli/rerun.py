@@ -17,6 +17,7 @@ from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_fo
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.bag_compare import DIFFERENT, EQUAL, print_comparison
 from taxinet_ros.cli.bag_input import (
+    controller_of,
     perception_of,
     perception_words,
     readable_bags,
@@ -28,7 +29,10 @@ from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.nodes.rerun import rerun
 
-_TAKEN = frozenset({'bag', 'run_id', 'perception', 'out', 'images', 'processes'})
+_TAKEN = frozenset({
+    'bag', 'run_id', 'perception', 'perception_cmd', 'controller', 'controller_cmd', 'out',
+    'images', 'processes',
+})
 """Options of ``taxinet run`` that mean something beside ``--from``."""
 
 
@@ -48,13 +52,15 @@ def check_options(given: Iterable[str]) -> None:
 
 
 def run_again(
-    bag: Path, *, perception: str | None, out: Path | None, images: str | None, processes: bool
+    bag: Path, *, perception: str | None, controller: str | None, out: Path | None,
+    images: str | None, processes: bool,
 ) -> int:
     """Run a bag's scenario through the graph again and print how the two runs compare.
 
     Args:
         bag: a run folder or an ``.mcap`` file.
         perception: word or file; the run's own where None.
+        controller: word; the run's own where None.
         out: new folder for the new bag; where None, one below ``bags/``.
         images: as of ``taxinet run``; where None, as the bag has it.
         processes: every node a process of its own.
@@ -68,7 +74,8 @@ def run_again(
     """
     with readable_bags():
         run, info = read_run(bag), read_info(bag)
-        word, fingerprint = perception_of(run, perception)
+        word, fingerprint = perception_of(run, perception, graph=True)
+        steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
@@ -82,7 +89,8 @@ def run_again(
         + (f', now {now}' if now != before else '') + f' -> {out}', soft_wrap=True,
     )
     warn_of_stacks(console, made_on(info), provenance())
-    result = rerun([(run, word)], out, images=images, processes=processes)[run.request.run_id]
+    results = rerun([(run, word, steers)], out, images=images, processes=processes)
+    result = results[run.request.run_id]
     new = out / run.request.run_id
     row = RunRow.of_run(
         run.request, result, perception=word, bag=new.name,

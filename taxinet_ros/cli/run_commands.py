@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from taxinet_ros.cli.given import given_options
+from taxinet_ros.cli.given import given_options, word_of
 from taxinet_ros.cli.option_types import (
     BoundOption,
     BudgetOption,
+    ControllerCommandOption,
+    ControllerOption,
     FailedRunArgument,
     FoxgloveOption,
     FromOption,
@@ -19,8 +21,10 @@ from taxinet_ros.cli.option_types import (
     NeededRunsOption,
     NominalOption,
     OutOption,
+    OwnControllerOption,
     OwnPerceptionOption,
     OwnSpecOption,
+    PerceptionCommandOption,
     PerceptionOption,
     ProcessesOption,
     QuietOption,
@@ -49,6 +53,9 @@ def run(
     runs: RunsOption = 1,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
     settings: SetOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
@@ -78,9 +85,10 @@ def run(
     if scenario is None:
         raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
     options = make_options(
-        program=scenario, runs=runs, seed=seed, perception=perception,
+        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+        controller=word_of(context, 'controller'),
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -93,12 +101,18 @@ def _run_from(context: typer.Context, bag: Path) -> int:
     check_options(given)
     with readable_run(bag, given.get('run_id')) as whole:
         return run_again(
-            whole, perception=given.get('perception'), out=given.get('out'),
+            whole, perception=_word(context, given, 'perception'),
+            controller=_word(context, given, 'controller'), out=given.get('out'),
             images=given.get('images'), processes=context.params['processes'],
         )
 
 
+def _word(context: typer.Context, given: dict[str, Any], role: str) -> str | None:
+    return word_of(context, role) if {role, f'{role}_cmd'} & given.keys() else None
+
+
 def falsify(
+    context: typer.Context,
     scenario: ScenarioArgument,
     runs: MostRunsOption = 100,
     sampler: SamplerOption = None,
@@ -108,6 +122,9 @@ def falsify(
     resume: ResumeOption = False,
     seed: SeedOption = 0,
     perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
     settings: SetOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
@@ -129,9 +146,10 @@ def falsify(
     from taxinet_ros.cli.falsify import run_falsify
 
     campaign = make_options(
-        program=scenario, runs=runs, seed=seed, perception=perception, settings=settings or (),
-        specs=spec or (), out=out, processes=False, images=images, resume=resume, stop_on=stop_on,
-        bounds=bound or (), rates=rate or (),
+        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
+        settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
+        resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+        controller=word_of(context, 'controller'),
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -166,6 +184,7 @@ def shrink(
     out: OutOption = None,
     resume: ResumeOption = False,
     perception: OwnPerceptionOption = None,
+    controller: OwnControllerOption = None,
     spec: OwnSpecOption = None,
     images: ImagesOption = 'none',
     quiet: QuietOption = False,
@@ -179,7 +198,7 @@ def shrink(
 
     options = make_shrink_options(
         run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
-        workers=workers, out=out, resume=resume, images=images,
+        workers=workers, out=out, resume=resume, images=images, controller=controller,
     )
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
@@ -199,7 +218,11 @@ def demo(
 
 
 def up(
+    context: typer.Context,
     perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -245,7 +268,8 @@ def up(
     from taxinet_ros.cli.up import make_up_options, run_up
 
     options = make_up_options(
-        perception=perception, out=out, record=record, images=images, settings=settings or (),
-        restart=restart, domain=domain, silent_s=silent_after,
+        perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
+        out=out, record=record, images=images, settings=settings or (), restart=restart,
+        domain=domain, silent_s=silent_after,
     )
     raise typer.Exit(run_up(options))

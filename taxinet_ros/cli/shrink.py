@@ -111,7 +111,7 @@ def _command(options: ShrinkOptions) -> list[str]:
     campaign = options.campaign
     return worker_command(GraphOptions(
         perception=campaign.perception, out=campaign.out, images=campaign.images,
-        gains=campaign.gains,
+        gains=campaign.gains, controller=campaign.controller,
     ))
 
 

@@ -18,6 +18,7 @@ from taxinet_ros.campaign.options import (
     split_settings,
 )
 from taxinet_ros.cli.up_view import UpView
+from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.nodes.domain import BY_HAND, domain_number
@@ -29,13 +30,14 @@ _INFRA = 4
 
 
 def make_up_options(
-    *, perception: str, out: Path | None, record: bool, images: str, settings: Iterable[str],
-    restart: str, domain: int | None, silent_s: float,
+    *, perception: str, controller: str, out: Path | None, record: bool, images: str,
+    settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
 ) -> UpOptions:
     """Check what a person typed.
 
     Args:
-        perception: ``truth``, ``taxinet`` or a network's file.
+        perception: as of :class:`.graph.GraphOptions`.
+        controller: likewise.
         out: folder of bags and logs, which must be new; where None, a new one below ``bags/``.
         record: whether there is a recorder.
         images: runs whose camera frames go into the bags.
@@ -47,7 +49,7 @@ def make_up_options(
     Raises:
         UsageError: one line on the first that is wrong.
     """
-    check_perception(perception)
+    check_perception(perception, graph=True)
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
     if restart not in list(Restart):
@@ -58,12 +60,15 @@ def make_up_options(
             f"--set {next(iter(overrides))}: a scenario value is the sampler's to set; here: "
             'steering.<gain>=value'
         )
+    check_controller(controller, gains, graph=True)
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
     check_new(out)
     return UpOptions(
-        graph=GraphOptions(perception=perception, out=out, images=images, gains=gains),
+        graph=GraphOptions(
+            perception=perception, out=out, images=images, gains=gains, controller=controller,
+        ),
         record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
     )
 

@@ -16,6 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from taxinet_ros.core.node_words import EXTERNAL
 from taxinet_ros.nodes.domain import DISCOVERY_RANGE, LOCALHOST
 from taxinet_ros.nodes.supervisor import Supervisor
 from taxinet_ros.nodes.up import UpOptions
@@ -59,6 +60,10 @@ class UpView:
         return [
             f'ROS domain {domain}, {where}; perception {self._options.graph.perception}; '
             f'{what} in {self._options.graph.out}',
+            *(
+                f'for you to start, in ROS domain {domain}: a node named {name}'
+                for name, word in self._options.graph.elsewhere.items() if word == EXTERNAL
+            ),
             'to run scenes, in another terminal:',
             f'  {self._invitation(domain)}',
         ]

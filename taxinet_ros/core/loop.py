@@ -1,7 +1,7 @@
 """The closed loop in one process, without ROS: the reference that the graph must match bit for bit.
 
 One control step, ten times a simulated second: the world is observed, the perception estimates,
-the steering law answers, the judge looks at the truth, the world moves on (paper, section 3.1).
+the controller answers, the judge looks at the truth, the world moves on (paper, section 3.1).
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import Controller, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.steering import SteeringGains, steer
+from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, World
@@ -58,7 +59,7 @@ def run_closed_loop(
     perception: Perception,
     *,
     specs: Sequence[Spec],
-    gains: SteeringGains | None = None,
+    controller: Controller | None = None,
     stop_on: StopOn = StopOn.NEVER,
     assumptions: Assumptions = NO_ASSUMPTIONS,
     on_step: Callable[[Step], None] | None = None,
@@ -69,7 +70,7 @@ def run_closed_loop(
         scenario: initial condition and environment.
         perception: turns a camera frame, or the truth, into an estimate.
         specs: formulas to judge the ground truth by.
-        gains: of the steering law; its defaults where None.
+        controller: answers the estimates; the steering law with its defaults where None.
         stop_on: what ends the run before its end; the deciding step is its last.
         assumptions: what is vouched for of the signals.
         on_step: called with every step, in order, before the world moves on.
@@ -77,14 +78,16 @@ def run_closed_loop(
     Returns:
         The judgement over the run.
     """
-    gains = gains or SteeringGains()
+    controller = controller or SteeringLaw(SteeringGains())
+    perception.begin()
+    controller.begin()
     world = World(scenario, pictures=perception.needs_image)
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:
         now = world.observe()
         estimate = perception.estimate(now.image, now.state.tracking_error)
-        command = steer(estimate, gains)
+        command = controller.command(estimate)
         truth = now.state.tracking_error
         sample = signals(
             cte_m=truth.cte_m,

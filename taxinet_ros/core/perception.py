@@ -1,8 +1,9 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
 One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, or a file:
-weights that ``taxinet train`` has written, or anybody's network in ONNX. A word that is not known
-is an error, for a test of the network that silently ran on the truth would prove nothing.
+weights that ``taxinet train`` has written, anybody's network in ONNX, or a function in a Python
+file (``FILE.py:NAME``). A word that is not known is an error, for a test of the network that
+silently ran on the truth would prove nothing.
 """
 
 from __future__ import annotations
@@ -15,9 +16,18 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.network import ARCHITECTURES, TaxiNet, is_frame
+from taxinet_ros.core.node_words import NO_NODE_HERE, command_of, is_node_elsewhere
 from taxinet_ros.core.onnx_network import ONNX_SUFFIX
 from taxinet_ros.core.onnx_trial import tried_network
 from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.user_code import (
+    IMPLEMENTATION,
+    RunCode,
+    UserCode,
+    find_user_code,
+    names_user_code,
+    pair_of_numbers,
+)
 from taxinet_ros.core.weights import SHIPPED, SUFFIX, Model, load_model
 
 NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
@@ -28,15 +38,20 @@ class Perception(Protocol):
     """Estimates the tracking error once per control step, from nothing but its arguments.
 
     Attributes:
-        word: ``truth`` or that of a shipped network; for a file ``weights`` or ``onnx``.
-        fingerprint: SHA-256 of the weights file, or of the ONNX file with its description after
-            it; empty for the truth.
+        word: ``truth`` or that of a shipped network; for a file ``weights``, ``onnx`` or
+            ``python``.
+        fingerprint: SHA-256 of the weights file, of the ONNX file with its description after it,
+            or of the Python file with those that it lists; empty for the truth.
         needs_image: whether it looks at camera frames.
     """
 
     word: str
     fingerprint: str
     needs_image: bool
+
+    def begin(self) -> None:
+        """Forget what came before; called before each run."""
+        return
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -48,12 +63,15 @@ class Perception(Protocol):
             truth: the true tracking error.
 
         Returns:
-            The estimate, :data:`NO_ESTIMATE` where none can be made. It never raises.
+            The estimate, :data:`NO_ESTIMATE` where none can be made.
+
+        Raises:
+            UserCodeError: somebody's function failed; no other raises.
         """
         ...
 
 
-class GroundTruth:
+class GroundTruth(Perception):
     """Always right: its estimate is the truth. The network's twin for finding whose fault it is."""
 
     word = 'truth'
@@ -75,7 +93,7 @@ class Network(Protocol):
         ...
 
 
-class NetworkPerception:
+class NetworkPerception(Perception):
     """A neural network looks at the camera frame, and never at the truth."""
 
     needs_image = True
@@ -95,6 +113,51 @@ class NetworkPerception:
         cte_m, he_rad = self._network.look(image)
         seen = TrackingError(cte_m=cte_m, he_rad=he_rad)
         return seen if seen.usable else NO_ESTIMATE
+
+
+class UserPerception(Perception):
+    """A function of somebody's: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
+
+    It answers a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None where it cannot tell.
+    One that has ``needs_image = False`` is given the true :class:`TrackingError` instead.
+    """
+
+    word = IMPLEMENTATION
+
+    def __init__(self, code: UserCode) -> None:
+        """Load it.
+
+        Raises:
+            UsageError: the file's code fails.
+        """
+        self.fingerprint = code.sha256
+        self._run = RunCode(code)
+        self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
+
+    def begin(self) -> None:
+        """Have it as it is when made."""
+        self._run.begin()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """What it answers; invalid without its input, or where a number is not finite."""
+        if self.needs_image:
+            if image is None or not is_frame(image):
+                return NO_ESTIMATE
+            answer = self._run.answer(image.copy())  # it may write on what is its own
+        elif truth is None:
+            return NO_ESTIMATE
+        else:
+            answer = self._run.answer(truth)
+        if answer is None:
+            return NO_ESTIMATE
+        if not isinstance(answer, TrackingError):
+            pair = pair_of_numbers(answer)
+            if pair is None:
+                raise self._run.misfit(answer, 'a pair (cte_m, he_rad), or None')
+            answer = TrackingError(cte_m=pair[0], he_rad=pair[1])
+        return answer if answer.usable else NO_ESTIMATE
 
 
 def _taxinet(word: str, model: Model) -> Perception:
@@ -117,31 +180,43 @@ def make_perception(word_or_file: str) -> Perception:
     """The perception of a word of :data:`PERCEPTION`, or the network in a file.
 
     Args:
-        word_or_file: the word; or a ``.safetensors`` file with its model card beside it, or an
-            ``.onnx`` file with its description (:mod:`taxinet_ros.core.onnx_sidecar`).
+        word_or_file: the word; or a ``.safetensors`` file with its model card beside it, an
+            ``.onnx`` file with its description (:mod:`taxinet_ros.core.onnx_sidecar`), or a
+            function in a Python file (:mod:`taxinet_ros.core.user_code`).
 
     Raises:
         UsageError: unknown word (the known ones are listed), or a file that cannot be used.
     """
     if word_or_file == 'truth':
         return GroundTruth()
+    if names_user_code(word_or_file):
+        return UserPerception(find_user_code(word_or_file, 'perception'))
     path = _network_file(word_or_file)
     if path.suffix == ONNX_SUFFIX:
         return _onnx(path)
     return _taxinet(word_or_file if word_or_file in SHIPPED else 'weights', load_model(path))
 
 
-def check_perception(word_or_file: str) -> str:
+def check_perception(word_or_file: str, *, graph: bool = False) -> str:
     """See that :func:`make_perception` will work, without building a network.
 
+    Args:
+        word_or_file: as there.
+        graph: it is for a graph, so a node elsewhere does too.
+
     Returns:
-        The fingerprint that the perception will have.
+        The fingerprint that the perception will have; '' where only its node will tell.
 
     Raises:
         UsageError: as :func:`make_perception`.
     """
+    if graph and is_node_elsewhere(word_or_file):
+        command_of(word_or_file)
+        return ''
     if word_or_file == 'truth':
         return GroundTruth.fingerprint
+    if names_user_code(word_or_file):
+        return find_user_code(word_or_file, 'perception').sha256
     path = _network_file(word_or_file)
     if path.suffix == ONNX_SUFFIX:
         return _onnx(path).fingerprint
@@ -151,9 +226,11 @@ def check_perception(word_or_file: str) -> str:
 def _network_file(text: str) -> Path:
     if text in SHIPPED:
         return SHIPPED[text]
+    if is_node_elsewhere(text):
+        raise UsageError(f'perception {text}: {NO_NODE_HERE}')
     path = Path(text)
     if path.suffix not in (SUFFIX, ONNX_SUFFIX):
         words = ', '.join(PERCEPTION)
-        raise UsageError(f'perception: {text!r} is unknown; known: {words}, or a {SUFFIX} or '
-                         f'{ONNX_SUFFIX} file')
+        raise UsageError(f'perception: {text!r} is unknown; known: {words}, a {SUFFIX} or '
+                         f'{ONNX_SUFFIX} file, or FILE.py:NAME')
     return path

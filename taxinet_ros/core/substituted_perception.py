@@ -119,7 +119,7 @@ def substituted(
     return Delayed(network if kind == _DELAYED else GroundTruth(), amount)
 
 
-class HalfTruth:
+class HalfTruth(Perception):
     """A network of whose two estimates one is replaced by the truth."""
 
     def __init__(self, network: Perception, *, cte: bool) -> None:
@@ -129,6 +129,10 @@ class HalfTruth:
         self.needs_image = network.needs_image
         self._network = network
         self._cte = cte
+
+    def begin(self) -> None:
+        """Have the network forget what came before."""
+        self._network.begin()
 
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
@@ -142,7 +146,7 @@ class HalfTruth:
         return TrackingError(cte_m=seen.cte_m, he_rad=truth.he_rad)
 
 
-class Delayed:
+class Delayed(Perception):
     """What another perception estimated some time ago; before that, its first estimate."""
 
     def __init__(self, perception: Perception, delay_s: float) -> None:
@@ -153,6 +157,11 @@ class Delayed:
         self._perception = perception
         self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
 
+    def begin(self) -> None:
+        """Forget what came before."""
+        self._perception.begin()
+        self._estimates.clear()
+
     def estimate(
         self, image: NDArray[np.uint8] | None, truth: TrackingError | None
     ) -> TrackingError:
@@ -161,7 +170,7 @@ class Delayed:
         return self._estimates[0]
 
 
-class NoisyTruth:
+class NoisyTruth(Perception):
     """The truth with a cross-track error that wanders about the true one; the heading is true.
 
     The noise is normal with mean 0, from the first step on with the standard deviation asked for,

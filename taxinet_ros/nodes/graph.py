@@ -6,22 +6,28 @@ Both start the same node classes on a ROS domain of their own, with discovery on
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import command_of, is_node_elsewhere
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+from taxinet_ros.nodes.node_process import NodeProcess, command_processes
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
 from taxinet_ros.nodes.simulator import Simulator
@@ -32,13 +38,16 @@ from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
+_POLL_S = 0.1
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraphOptions:
     """What a graph is made of.
 
     Attributes:
-        perception: ``truth``, ``taxinet``, or a network's file.
+        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
+            :mod:`taxinet_ros.core.node_words`.
         out: folder that takes one bag folder per run.
         make_out: whether that is made where it is missing. A campaign has made its own, so if it is
             missing then it was moved or deleted, and nothing is to be begun in its place.
@@ -46,6 +55,7 @@ class GraphOptions:
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
+        controller: ``steering``, ``FILE.py:NAME``, or a word of node_words.
     """
 
     perception: str
@@ -55,21 +65,43 @@ class GraphOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
+    controller: str = STEERING
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
-        """Class and parameters of every node but the sampler, by node name."""
+        """Class and parameters of every node of ours but the sampler, by node name."""
         if self.perception == 'truth':
             perception: tuple[NodeClass, dict[str, Any]] = (GroundTruthPerception, {})
         else:
             perception = (TaxinetPerception, {'weights': self.perception})
-        return {
+        steering = {} if self.controller == STEERING else {'controller': self.controller}
+        every: dict[str, tuple[NodeClass, dict[str, Any]]] = {
             interface.SIMULATOR: (Simulator, dict(self.timeouts)),
             interface.PERCEPTION: perception,
-            interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
+            interface.STEERING_CONTROLLER: (SteeringController, {**self.gains, **steering}),
             interface.MTL_MONITOR: (MtlMonitor, {}),
             interface.RECORDER: (Recorder, {
                 'out': str(self.out), 'make_out': self.make_out, 'images': self.images,
             }),
+        }
+        return {name: node for name, node in every.items() if name not in self.elsewhere}
+
+    @property
+    def elsewhere(self) -> dict[str, str]:
+        """Words of :mod:`taxinet_ros.core.node_words`, by the name of the node they stand for."""
+        words = {
+            interface.PERCEPTION: self.perception, interface.STEERING_CONTROLLER: self.controller,
+        }
+        return {name: word for name, word in words.items() if is_node_elsewhere(word)}
+
+    def commands(self) -> dict[str, list[str]]:
+        """Program and arguments of every node that somebody's command is, by node name.
+
+        The node is given the name that the graph knows it by.
+        """
+        found = {name: command_of(word) for name, word in self.elsewhere.items()}
+        return {
+            name: [*words, '--ros-args', '-r', f'__node:={name}']
+            for name, words in found.items() if words
         }
 
 
@@ -98,10 +130,13 @@ def composed_graph(
 
     ``executor`` makes another one, from the keyword ``context``.
     """
-    with own_domain() as domain:
+    with (
+        own_domain() as domain,
+        command_processes(options.commands(), domain, options.out / 'logs') as children,
+    ):
         context = Context()
         rclpy.init(context=context, domain_id=domain)
-        graph = SampledGraph(context, executor, options.patience)
+        graph = SampledGraph(context, executor, options.patience, children)
         try:
             for node, parameters in options.nodes().values():
                 graph.add(node(context=context, parameter_overrides=_overrides(parameters)))
@@ -121,11 +156,17 @@ class SampledGraph:
     def __init__(
         self, context: Context, executor: Callable[..., Any] = EventsExecutor,
         patience: Mapping[str, float] = MappingProxyType({}),
+        children: Sequence[NodeProcess] = (),
     ) -> None:
-        """Spin on ``context``, which is the caller's to shut down, with an executor of a kind.
+        """Spin on a context.
 
-        ``patience`` holds parameters of the sampler.
+        Args:
+            context: the caller's to shut down.
+            executor: makes one, from the keyword ``context``.
+            patience: parameters of the sampler.
+            children: processes that are nodes of the graph: where one dies, its run ends.
         """
+        self.children = children
         self._context = context
         self._patience = patience
         self._interrupted = False
@@ -148,9 +189,6 @@ class SampledGraph:
         self.nodes.append(node)
         self._executor.add_node(node)
 
-    def prepare(self, sampler: ScenarioSampler) -> None:
-        """Called with the sampler before a campaign begins."""
-
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
         """See :class:`Graph`."""
         overrides = _overrides(self._patience)
@@ -158,7 +196,9 @@ class SampledGraph:
         self._sampler = sampler
         if self._interrupted:
             sampler.interrupt()
-        self.prepare(sampler)
+        if self.children:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            sampler.create_timer(_POLL_S, functools.partial(self._watch, sampler), clock=steady)
         self.add(sampler)
         finished = sampler.start(self._executor, requests, on_result)
         spin_until(self._executor, finished)
@@ -172,6 +212,14 @@ class SampledGraph:
     def give_up(self) -> bool:
         """See :class:`Graph`."""
         return self._sampler is not None and self._sampler.give_up()
+
+    def _watch(self, sampler: ScenarioSampler) -> None:
+        for child in self.children:
+            if not child.dead:
+                continue
+            if child.ours and child.process.returncode == 2:
+                raise UsageError(child.complaint())
+            sampler.mourn(child.name, child.obituary())
 
     def close(self) -> None:
         """Take every node out of the graph."""

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
 from taxinet_ros.core.child_process import child_environment
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.parent_death import die_with_parent
+from taxinet_ros.nodes.keeper import keeper_command
 
 _LAST_GRACE_S = 10.0
 _LAST_BYTES = 4096
@@ -32,15 +36,54 @@ class NodeProcess:
 
     Attributes:
         name: of the node.
+        ours: whether it is a node of this package, whose exit code 2 is a mistake of the user's.
         process: the one that runs now, or ran last.
         log: file that takes what it prints, one start after the other.
     """
 
     def __init__(
-        self, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, logs: Path,
-        scratch: Path,
+        self, name: str, command: Sequence[str], *, domain: int, log: Path,
+        before: Callable[[], None] | None = None,
     ) -> None:
         """Start it.
+
+        Args:
+            name: of the node.
+            command: program and arguments.
+            domain: ROS domain that it joins.
+            log: file that takes what it prints.
+            before: called in the new process before the program.
+        """
+        self.name = name
+        self.log = log
+        self._command = list(command)
+        self._environment = {
+            **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
+        }
+        self._before = before
+        self.ours = before is not None
+        self.start()
+
+    @classmethod
+    def of_command(
+        cls, name: str, command: list[str], *, domain: int, log: Path
+    ) -> Self:
+        """Start somebody's command, which is to be a node, whatever it starts in turn.
+
+        Raises:
+            UsageError: there is no such program.
+        """
+        if shutil.which(command[0]) is None:
+            raise UsageError(f'{name}: {command[0]}: no such program')
+        words = keeper_command(command, os.getpid())
+        return cls(name, words, domain=domain, log=log)  # the keeper looks after its parent's death
+
+    @classmethod
+    def of_ours(
+        cls, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, logs: Path,
+        scratch: Path,
+    ) -> Self:
+        """Start a node of this package.
 
         Args:
             name: of the node.
@@ -50,29 +93,30 @@ class NodeProcess:
             logs: folder of its log.
             scratch: folder of its parameter file, which must last as long as the process.
         """
-        self.name = name
-        self.log = logs / f'{name}.log'
-        self._words = [kind.__module__]
+        # -P: a module in the user's folder must not stand in for one of ours.
+        words = [sys.executable, '-P', '-m', kind.__module__]
         if parameters:
             file = scratch / f'{name}.yaml'
             file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
-            self._words += ['--ros-args', '--params-file', str(file)]
-        self._environment = {
-            **child_environment(), 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
-        }
-        self.start()
+            words += ['--ros-args', '--params-file', str(file)]
+        return cls(
+            name, words, domain=domain, log=logs / f'{name}.log', before=dying_with_parent()
+        )
 
     def start(self) -> None:
         """Start it, or start it again."""
         with self.log.open('ab') as log:
             self.process = subprocess.Popen(
-                # -P: a module in the user's folder must not stand in for one of ours.
-                [sys.executable, '-P', '-m', *self._words],
-                env=self._environment, stdin=subprocess.DEVNULL, stdout=log,
+                self._command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log,
                 stderr=subprocess.STDOUT,
                 # Ctrl-C in the terminal is for the parent, which then ends its nodes in order.
-                start_new_session=True, preexec_fn=dying_with_parent(),
+                start_new_session=True, preexec_fn=self._before,
             )
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to it and to all that it has started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
 
     @property
     def dead(self) -> bool:
@@ -96,6 +140,31 @@ class NodeProcess:
     def complaint(self) -> str:
         """What it said before it left for a mistake of the user's, exit code 2."""
         return self.obituary().split('error: ', 1)[-1]
+
+
+@contextlib.contextmanager
+def command_processes(
+    commands: Mapping[str, list[str]], domain: int, logs: Path
+) -> Iterator[list[NodeProcess]]:
+    """Start somebody's commands as nodes of a graph; none of them outlasts the ``with``.
+
+    Args:
+        commands: program and arguments by the node's name.
+        domain: ROS domain that the nodes join.
+        logs: folder that takes what each of them prints.
+
+    Raises:
+        UsageError: there is no such program.
+    """
+    children: list[NodeProcess] = []
+    try:
+        for name, command in commands.items():
+            logs.mkdir(exist_ok=True)
+            log = logs / f'{name}-{domain}.log'
+            children.append(NodeProcess.of_command(name, command, domain=domain, log=log))
+        yield children
+    finally:
+        end_all(children)
 
 
 def dying_with_parent() -> functools.partial[None]:
@@ -128,11 +197,11 @@ def end_all(
     left = [node for node in nodes if not node.dead]
     for number, grace_s in ladder:
         for node in left:
-            node.process.send_signal(number)
-            node.process.send_signal(signal.SIGCONT)  # One that is stopped hears nothing else.
+            node.send(number)
+            node.send(signal.SIGCONT)  # One that is stopped hears nothing else.
         left = _outlasting(left, grace_s)
     for node in left:
-        node.process.kill()
+        node.send(signal.SIGKILL)
     _outlasting(left, _LAST_GRACE_S)
     return [node.name for node in left]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import abc
 from typing import Any
 
+from taxinet_msgs.msg import Scenario
+
 from taxinet_ros.bag.image_cdr import frame_of_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.network import IMAGE_SHAPE, is_frame
@@ -32,6 +34,10 @@ class PerceptionNode(Participant, abc.ABC):
             self.listen(interface.IMAGE, self._see, raw=True)
         else:
             self.listen(interface.TRUTH, self._know)
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Forget the previous run."""
+        self._perception.begin()
 
     @abc.abstractmethod
     def choose(self) -> Perception:

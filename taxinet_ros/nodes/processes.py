@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.graph import Graph, GraphOptions, SampledGraph
-from taxinet_ros.nodes.node_process import NodeProcess, end_all
-from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
-
-_POLL_S = 0.1
+from taxinet_ros.nodes.node_process import NodeProcess, command_processes, end_all
 
 
 @contextlib.contextmanager
@@ -27,7 +21,7 @@ def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
     with own_domain() as domain, node_processes(options, domain, logs) as children:
         context = Context()
         rclpy.init(context=context, domain_id=domain)
-        graph = _Processes(context, children, options.patience)
+        graph = SampledGraph(context, patience=options.patience, children=children)
         try:
             yield graph
         finally:
@@ -49,33 +43,16 @@ def node_processes(
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []
-    with tempfile.TemporaryDirectory(prefix='taxinet-') as scratch:
+    with (
+        tempfile.TemporaryDirectory(prefix='taxinet-') as scratch,
+        command_processes(options.commands(), domain, logs) as of_others,
+    ):
         try:
             for name, (kind, parameters) in options.nodes().items():
                 if name not in without:
-                    children.append(NodeProcess(
+                    children.append(NodeProcess.of_ours(
                         name, kind, parameters, domain=domain, logs=logs, scratch=Path(scratch),
                     ))
-            yield children
+            yield [*children, *of_others]
         finally:
             end_all(children)
-
-
-class _Processes(SampledGraph):
-    def __init__(
-        self, context: Context, children: list[NodeProcess], patience: Mapping[str, float]
-    ) -> None:
-        super().__init__(context, patience=patience)
-        self.children = children
-
-    def prepare(self, sampler: ScenarioSampler) -> None:
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        sampler.create_timer(_POLL_S, functools.partial(self._watch, sampler), clock=steady)
-
-    def _watch(self, sampler: ScenarioSampler) -> None:
-        for child in self.children:
-            if not child.dead:
-                continue
-            if child.process.returncode == 2:
-                raise UsageError(child.complaint())
-            sampler.mourn(child.name, child.obituary())

@@ -21,7 +21,9 @@ from taxinet_ros.bag.frames import frame_messages
 from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.perception import make_perception
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message
 from taxinet_ros.nodes.domain import own_domain
@@ -42,7 +44,9 @@ TARGETS = tuple(_ANSWERS)
 Columns = dict[str, NDArray[np.float64]]
 
 
-def replay(bag: Path, run: RecordedRun, *, target: str, perception: str) -> Columns:
+def replay(
+    bag: Path, run: RecordedRun, *, target: str, perception: str, controller: str = STEERING
+) -> Columns:
     """Feed a recorded run to one node over its topics.
 
     Camera frames that the bag lacks are rendered.
@@ -52,6 +56,7 @@ def replay(bag: Path, run: RecordedRun, *, target: str, perception: str) -> Colu
         run: what it holds.
         target: one of :data:`TARGETS`.
         perception: word or file of the perception, where that is the target.
+        controller: word of the controller, likewise.
 
     Returns:
         What the node answered, by the names of :func:`taxinet_ros.bag.trace.read_trace`: ``seq``
@@ -68,7 +73,10 @@ def replay(bag: Path, run: RecordedRun, *, target: str, perception: str) -> Colu
     answer = _ANSWERS[target]
     _check_types(bag, inputs)
     request = dataclasses.replace(run.request, participants=(target,))
-    options = GraphOptions(perception=perception, out=Path(), gains=run.gains)
+    options = GraphOptions(
+        perception=perception, out=Path(), controller=controller,
+        gains=run.gains if controller == STEERING else {},
+    )
     kind, parameters = options.nodes()[target]
     per_step = len(request.specs) if answer.recorded == interface.PER_SPEC else 1
     with _spinning() as (executor, context, add):
@@ -85,7 +93,8 @@ def replay(bag: Path, run: RecordedRun, *, target: str, perception: str) -> Colu
 
 def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
     """The topics that steer a node from step to step."""
-    unused = interface.IMAGE if perception == 'truth' else interface.TRUTH
+    looks = target != interface.PERCEPTION or make_perception(perception).needs_image
+    unused = interface.TRUTH if looks else interface.IMAGE
     return tuple(
         topic for topic in interface.TOPICS
         if target in topic.subscribers and topic.recorded == interface.PER_STEP

@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 
 from taxinet_ros.bag.recorded_run import RecordedRun, words_of_gains
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -15,12 +16,12 @@ from taxinet_ros.nodes.processes import process_graph
 
 
 def rerun(
-    runs: Sequence[tuple[RecordedRun, str]], out: Path, *, images: str, processes: bool = False
+    runs: Sequence[tuple[RecordedRun, str, str]], out: Path, *, images: str, processes: bool = False
 ) -> dict[str, RunResult]:
     """Run recorded runs again, each in a graph as it had one.
 
     Args:
-        runs: each with word or file of the perception to use.
+        runs: each with the words of the perception and the controller to use.
         out: folder that takes the new bags, one folder per run, by the same names.
         images: as in :class:`.graph.GraphOptions`.
         processes: every node a process of its own.
@@ -34,13 +35,14 @@ def rerun(
         results[request.run_id] = result
         return result.outcome.judged
 
-    def kind(run: tuple[RecordedRun, str]) -> tuple[str, str]:
-        return run[1], words_of_gains(run[0].gains)
+    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str]:
+        return run[1], run[2], words_of_gains(run[0].gains)
 
-    for (perception, _), group in groupby(sorted(runs, key=kind), kind):
-        alike = [run for run, _ in group]
+    for (perception, controller, _), group in groupby(sorted(runs, key=kind), kind):
+        alike = [run for run, *_ in group]
         options = GraphOptions(
-            perception=perception, out=out, images=images, gains=alike[0].gains
+            perception=perception, out=out, images=images, controller=controller,
+            gains=alike[0].gains if controller == STEERING else {},
         )
         requests = [
             dataclasses.replace(run.request, participants=PARTICIPANTS) for run in alike

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -23,6 +24,10 @@ from taxinet_ros.nodes.parameters import declare
 _WATCH_PERIOD_S = 0.1
 _SILENT_LOOKS = 20
 """After an interrupt so many looks without a word mean that the simulator has gone too."""
+_ASK_AGAIN_S = 2.0
+"""A simulator says several times a second how far it is; one that is silent for so long may have
+ended the run. Its answer can be lost (once in 3,900 tests on a busy machine), and is kept a while.
+"""
 
 
 class ScenarioSampler(Node):
@@ -50,7 +55,7 @@ class ScenarioSampler(Node):
         self.interrupted = False
         self._request: RunRequest | None = None
         self.seq = 0
-        self._last_heard = 0.0
+        self._last_heard = self._last_asked = 0.0
         self._silent_looks = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
@@ -156,7 +161,7 @@ class ScenarioSampler(Node):
 
     def _ask(self, request: RunRequest, answer: Future) -> None:
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
-        self._last_heard = time.monotonic()
+        self._last_heard = self._last_asked = time.monotonic()
         sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
         sent.add_done_callback(self._guarded(self._take_handle, answer))
 
@@ -170,15 +175,19 @@ class ScenarioSampler(Node):
         self._goal = handle
         if self.interrupted:
             handle.cancel_goal_async()
+        self._ask_result(handle, answer)
+
+    def _ask_result(self, handle: Any, answer: Future) -> None:
         handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
 
     def _take_result(self, answer: Future, response: Future) -> None:
-        if not answer.done():
-            answer.set_result(_result_of(response.result().result))
+        found = response.result()
+        if not answer.done() and found.status != GoalStatus.STATUS_UNKNOWN:
+            answer.set_result(_result_of(found.result))
 
     def _on_feedback(self, message: Any) -> None:
         self._silent_looks = 0
-        self._last_heard = time.monotonic()
+        self._last_heard = self._last_asked = time.monotonic()
         self.seq = message.feedback.seq
 
     def _watch(self) -> None:
@@ -195,6 +204,9 @@ class ScenarioSampler(Node):
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
                 self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
+            elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
+                self._last_asked = now
+                self._ask_result(self._goal, answer)
         elif self._client.server_is_ready():
             assert self._request is not None
             self._ask(self._request, answer)

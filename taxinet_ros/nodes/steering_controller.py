@@ -1,12 +1,16 @@
-"""The steering controller node: an estimate in, a taxi command out, by the handwritten law."""
+"""The steering controller node: an estimate in, a taxi command out."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from typing import Any
 
+from taxinet_msgs.msg import Scenario
+
 from taxinet_ros.bag.recorded_run import words_of_gains
-from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains, steer
+from taxinet_ros.core.controller import STEERING, check_controller, make_controller
+from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains
+from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
@@ -16,11 +20,17 @@ from taxinet_ros.nodes.step_cdr import command_cdr
 
 
 class SteeringController(Participant):
-    """Answers every estimate with a command. Its gains are parameters with ranges."""
+    """Answers every estimate with a command, by the handwritten law or a function of somebody's.
+
+    The law's gains are parameters with ranges.
+    """
 
     def __init__(self, **node: Any) -> None:
         """Declare the gains; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.STEERING_CONTROLLER, **node)
+        word = declare(
+            self, 'controller', STEERING, 'steering, the handwritten law; or FILE.py:NAME'
+        )
         self.gains = SteeringGains(**{
             name: declare(
                 self, name, getattr(SteeringGains(), name), f'{gain.description} [{gain.unit}]',
@@ -31,12 +41,19 @@ class SteeringController(Participant):
         refuse_unknown(self)
         usual = asdict(SteeringGains())
         tuned = {name: x for name, x in asdict(self.gains).items() if x != usual[name]}
-        self.implementation = words_of_gains(tuned)
+        check_controller(word, tuned)
+        self._controller = make_controller(word, self.gains)
+        self.implementation = words_of_gains(tuned) if word == STEERING else IMPLEMENTATION
+        self.fingerprint = self._controller.fingerprint
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer)
 
+    def prepare(self, scenario: Scenario) -> None:
+        """Forget the previous run."""
+        self._controller.begin()
+
     def _answer(self, estimate: Said) -> None:
-        command = steer(estimate.value, self.gains)
+        command = self._controller.command(estimate.value)
         self._commands.publish(
             command_cdr(command, estimate.run_id, estimate.seq, estimate.stamp_ns)
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -189,7 +190,7 @@ class Supervisor(Node):
             return
         detail = watched.process.obituary()
         watched.become(State.DEAD, now_s)
-        if watched.process.process.returncode == 2:
+        if watched.process.ours and watched.process.process.returncode == 2:
             raise UsageError(watched.process.complaint())
         self.runs.mourn(watched.name, detail)
         number = watched.limit.spend(now_s)
@@ -226,7 +227,7 @@ class Supervisor(Node):
             and silence_s > _KILL_AFTER * self._care.silent_s
         ):
             self._say(f'{watched.name} is killed: silent for {silence_s:.0f} s')
-            watched.process.process.kill()
+            watched.process.send(signal.SIGKILL)
 
     def _why_silent(self, watched: WatchedNode) -> str:
         pid = watched.process.process.pid

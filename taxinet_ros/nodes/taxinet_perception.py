@@ -13,7 +13,7 @@ class TaxinetPerception(PerceptionNode):
 
     def choose(self) -> Perception:
         """The network that the parameter ``weights`` names."""
-        text = 'network: taxinet for the shipped weights, or a .safetensors or .onnx file'
+        text = 'taxinet for the shipped network, a .safetensors or .onnx file, or FILE.py:NAME'
         return make_perception(declare(self, 'weights', 'taxinet', text))
 
 

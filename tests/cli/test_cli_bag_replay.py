@@ -30,7 +30,8 @@ def again(tmp_path_factory):
     scenario = dataclasses.replace(run.request.scenario, duration_s=1.0)
     request = dataclasses.replace(run.request, run_id='short', scenario=scenario)
     out = tmp_path_factory.mktemp('again')
-    rerun([(dataclasses.replace(run, request=request), 'truth')], out, images='none')
+    again = dataclasses.replace(run, request=request)
+    rerun([(again, 'truth', 'steering')], out, images='none')
     return out / 'short'
 
 

@@ -48,8 +48,13 @@ def bags(tmp_path_factory):
 
     out = tmp_path_factory.mktemp('bags')
     fingerprint = make_perception('original').fingerprint
-    rerun([(recorded('original', fingerprint), 'original'), (recorded('truth', ''), 'truth')],
-          out, images='none')
+    rerun(
+        [
+            (recorded('original', fingerprint), 'original', 'steering'),
+            (recorded('truth', ''), 'truth', 'steering'),
+        ],
+        out, images='none',
+    )
     return out
 
 

@@ -12,7 +12,7 @@ from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
 from taxinet_ros.core.mtl import SHIPPED, Verdict, parse_spec, verdict_of
 from taxinet_ros.core.mtl.lint import check_windows
-from taxinet_ros.core.perception import GroundTruth
+from taxinet_ros.core.perception import GroundTruth, Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.spec_check import check_specs, signal_ranges
 from taxinet_ros.core.steering import SteeringGains
@@ -293,7 +293,7 @@ def sample(cte_m: float, *, valid: bool = True, error_m: float = 0.0) -> dict[st
     )
 
 
-class BlindFrom:
+class BlindFrom(Perception):
     """The truth, and from some frame on nothing."""
 
     needs_image = False

@@ -62,6 +62,21 @@ def after_steps(graph, steps: int, act) -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
+def test_given_a_result_that_is_lost_on_its_way_then_the_sampler_asks_again(tmp_path, monkeypatch):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with composed_graph(options) as graph:
+        server = node_of(graph, interface.SIMULATOR)._server
+        sent = server._send_result_response
+        lost: list[object] = []
+        monkeypatch.setattr(
+            server, '_send_result_response',
+            lambda header, future: sent(header, future) if lost else lost.append(future),
+        )
+        (result,) = run(graph, request(duration=1.0))
+    assert lost
+    assert result.outcome.judged, result
+
+
 @pytest.mark.parametrize(
     ('who', 'method'),
     [

@@ -23,7 +23,8 @@ MOST_BYTES = 400_000
 def again(tmp_path_factory):
     out = tmp_path_factory.mktemp('golden')
     runs = {bag.name: read_run(bag) for bag in golden_bags(GOLDEN)}
-    results = rerun([(run, run.perception) for run in runs.values()], out, images='none')
+    wanted = [(run, run.perception, 'steering') for run in runs.values()]
+    results = rerun(wanted, out, images='none')
     return out, runs, results
 
 
@@ -58,7 +59,7 @@ def test_given_a_golden_bag_then_something_happens_in_it(name, again):
 def test_given_a_changed_controller_then_the_check_bites(again, tmp_path):
     _, runs, _ = again
     run = dataclasses.replace(runs['truth-nominal'], gains={'heading_gain': 1.5})
-    rerun([(run, 'truth')], tmp_path, images='none')
+    rerun([(run, 'truth', 'steering')], tmp_path, images='none')
     found = compare_golden(
         GOLDEN / 'truth-nominal', tmp_path / 'truth-nominal', perception='truth', to_the_bit=False
     )

@@ -21,7 +21,7 @@ import numpy as np
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.network import ARCHITECTURES, normalise, shrink, unscaled
-from taxinet_ros.core.perception import make_perception
+from taxinet_ros.core.perception import Perception, make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.weights import SHIPPED, load_model
@@ -52,7 +52,7 @@ STACKS: dict[str, dict[str, str]] = {
 SIGNALS = ('x_m', 'cte_m', 'he_rad', 'est_cte_m', 'est_he_rad')
 
 
-class InTorch:
+class InTorch(Perception):
     """The shipped network, run by torch; counts how far onnxruntime's answers are from its own."""
 
     word, fingerprint, needs_image = 'taxinet', '', True

@@ -19,7 +19,7 @@ class SlowedPerception(TaxinetPerception):
         return _Slowed(super().choose())
 
 
-class _Slowed:
+class _Slowed(Perception):
     def __init__(self, perception: Perception) -> None:
         self._perception, self._delay = perception, random.Random(7)
         self.word, self.fingerprint = perception.word, perception.fingerprint

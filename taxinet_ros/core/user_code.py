@@ -1,0 +1,248 @@
+"""A perception or a controller out of somebody's Python file: ``FILE.py:NAME``.
+
+``NAME`` is a function that answers (a frame, or an estimate, in; an answer out), or a class or
+function without arguments that makes such a thing. What is made is made anew for every run, unless
+it has a method ``reset()``, which is then called instead: so no run depends on those before it.
+
+The file is code and runs with the rights of whoever names it, like a Scenic program. Until a node
+needs it, it is only read.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import inspect
+import re
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.node_words import is_node_elsewhere
+
+IMPLEMENTATION = 'python'
+"""What a node says of itself that runs such code; the hash beside it says which."""
+
+_WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
+_ALONE = re.compile(r'.+\.py:?', re.DOTALL)
+_FILES = 'FILES'
+
+
+class UserCodeError(RuntimeError):
+    """Somebody's function failed amid a run; the message says where in the file."""
+
+
+@dataclass(frozen=True)
+class UserCode:
+    """Something callable in a file, which exists.
+
+    Attributes:
+        path: the file, as it was named.
+        name: of the function or class.
+        sha256: of the file, with those after it that it lists as ``FILES = [...]``, such as
+            weights, named from its own folder.
+    """
+
+    path: Path
+    name: str
+    sha256: str
+
+    def make(self) -> Callable[..., Any]:
+        """What answers, made anew if the file has a maker of such.
+
+        Raises:
+            UsageError: the file's code fails, or it makes nothing that can be called.
+        """
+        found = self._found
+        try:
+            made = found() if _is_maker(found) else found
+        except Exception as error:
+            raise UsageError(self.failure(error)) from error
+        if not callable(made):
+            raise UsageError(
+                f'{self.path}: {self.name}() gave {type(made).__name__}, which cannot be called; '
+                'expected a function of one argument'
+            )
+        return made
+
+    def failure(self, error: BaseException) -> str:
+        """What to say of an exception of the file's: the line in it, if it was there."""
+        trace, line = error.__traceback__, 0
+        while trace is not None:
+            if trace.tb_frame.f_code.co_filename == str(self.path):
+                line = trace.tb_lineno
+            trace = trace.tb_next
+        place = f'{self.path}:{line}' if line else f'{self.path}: {self.name}'
+        text = str(error).partition('\n')[0]
+        return f'{place}: {type(error).__name__}' + (f': {text}' if text else '')
+
+    @cached_property
+    def _found(self) -> Callable[..., Any]:
+        module = types.ModuleType(f'taxinet_user_{self.path.stem}')
+        module.__file__ = str(self.path)
+        sys.modules[module.__name__] = module  # dataclasses and pickle look there
+        folder = str(self.path.resolve().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
+        try:
+            exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
+            found = getattr(module, self.name)
+        except (Exception, SystemExit) as error:
+            raise UsageError(self.failure(error)) from error
+        if not callable(found):
+            raise UsageError(
+                f'{self.path}: {self.name} is {type(found).__name__}; expected a function or class'
+            )
+        return found  # type: ignore[no-any-return]
+
+
+class RunCode:
+    """A file's function, in the state in which each run is to find it."""
+
+    def __init__(self, code: UserCode) -> None:
+        """Load the file.
+
+        Raises:
+            UsageError: as :meth:`UserCode.make`.
+        """
+        self.code = code
+        self.function = code.make()
+        self._fresh = True
+
+    def begin(self) -> None:
+        """Forget what came before: called before each run.
+
+        Raises:
+            UserCodeError: the file's code fails.
+        """
+        if self._fresh:
+            return
+        reset = getattr(self.function, 'reset', None)
+        try:
+            if reset is None:
+                self.function = self.code.make()
+            else:
+                reset()
+        except UsageError as error:
+            raise UserCodeError(str(error)) from error
+        except Exception as error:
+            raise UserCodeError(self.code.failure(error)) from error
+
+    def answer(self, argument: Any) -> Any:
+        """Call it.
+
+        Raises:
+            UserCodeError: it fails.
+        """
+        self._fresh = False
+        try:
+            return self.function(argument)
+        except Exception as error:
+            raise UserCodeError(self.code.failure(error)) from error
+
+    def misfit(self, answer: object, expected: str) -> UserCodeError:
+        """What to raise where an answer is none."""
+        shown = f'{answer!r:.60}'
+        return UserCodeError(
+            f'{self.code.path}: {self.code.name} answered {shown}; expected {expected}'
+        )
+
+
+def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
+    """Two numbers out of a tuple, a list or an array; None where it is none."""
+    try:
+        first, second = answer
+        return float(first), float(second)
+    except (TypeError, ValueError):
+        return None
+
+
+def names_user_code(word: str) -> bool:
+    """Whether a word is meant as a function in a Python file."""
+    return not is_node_elsewhere(word) and bool(_ALONE.fullmatch(word) or _WORD.fullmatch(word))
+
+
+def find_user_code(word: str, role: str) -> UserCode:
+    """What a word names, read and not run.
+
+    Args:
+        word: ``FILE.py:NAME``.
+        role: ``perception`` or ``controller``, for the complaint.
+
+    Raises:
+        UsageError: no such file, it is no Python, or it has nothing of that name.
+    """
+    match = _WORD.fullmatch(word)
+    path = Path(match['file'] if match else word.removesuffix(':'))
+    source = _source(path, role)
+    try:
+        tree = ast.parse(source, str(path))
+    except (SyntaxError, ValueError) as error:
+        line = f':{error.lineno}' if isinstance(error, SyntaxError) and error.lineno else ''
+        said = error.msg if isinstance(error, SyntaxError) else str(error)
+        raise UsageError(f'{path}{line}: {said}') from error
+    names = _names(tree)
+    if match is None or match['name'] not in names:
+        what = 'say which function' if match is None else f'no {match["name"]} in it'
+        known = ', '.join(sorted(name for name in names if not name.startswith('_'))) or 'nothing'
+        raise UsageError(f'{role} {path}: {what}, as in {path}:NAME; it has: {known}')
+    return UserCode(path, match['name'], _digest(path, source, tree))
+
+
+def _source(path: Path, role: str = '') -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f'{role} {path}: {error.strerror}'.strip()) from error
+
+
+def _names(tree: ast.Module) -> set[str]:
+    """What a module binds by name, wherever at its top level."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            found |= {(one.asname or one.name).split('.')[0] for one in node.names}
+    return found
+
+
+def _digest(path: Path, source: bytes, tree: ast.Module) -> str:
+    digest = hashlib.sha256(source)
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and any(
+            isinstance(target, ast.Name) and target.id == _FILES for target in node.targets
+        ):
+            for name in _listed(path, node):
+                content = _source(path.parent / name, f'{path}: {_FILES}')
+                digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()
+
+
+def _listed(path: Path, node: ast.Assign) -> list[str]:
+    try:
+        names = ast.literal_eval(node.value)
+    except ValueError:
+        names = None
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        raise UsageError(
+            f"{path}:{node.lineno}: {_FILES}: expected a list of file names, as in ['net.pt']"
+        )
+    return list(names)
+
+
+def _is_maker(found: Callable[..., Any]) -> bool:
+    """Whether it wants no argument; a class whose objects cannot be looked into counts as one."""
+    try:
+        parameters = inspect.signature(found).parameters.values()
+    except (TypeError, ValueError):
+        return inspect.isclass(found)
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return not any(one.kind in kinds and one.default is one.empty for one in parameters)

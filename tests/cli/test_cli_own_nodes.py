@@ -1,0 +1,184 @@
+"""Perceptions and controllers of one's own, in every layout, and what bags of them are good for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from taxinet_process import begun, taxinet
+
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.campaign.table import read_table
+
+EXAMPLES = Path(__file__).parents[2] / 'examples'
+PERCEPTION, CONTROLLER = (
+    shlex.join([sys.executable, str(EXAMPLES / f'own_{name}.py')])
+    for name in ('perception', 'controller')
+)
+SHORT = ('--images', 'none', '--set', 'duration=1')
+
+pytestmark = pytest.mark.ros
+
+MINE = """
+class Guess:
+    def __init__(self):
+        self.frames = 0
+
+    def __call__(self, image):
+        self.frames += 1
+        return self.frames / 100, 0.0
+
+
+def steer(estimate):
+    return -0.05 * estimate.cte_m - 1.2 * estimate.he_rad, 4.0
+
+
+def fails(estimate):
+    return 1 / 0
+"""
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory) -> Path:
+    """Campaigns of two runs: ``p`` with functions of a Python file, ``n`` with nodes."""
+    folder = tmp_path_factory.mktemp('own')
+    (folder / 'mine.py').write_text(MINE)
+    for out, words in {
+        'p': ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer'),
+        'n': ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER),
+    }.items():
+        done = taxinet('run', 'nominal', *words, *SHORT, '--runs', '2', '--out', out, cwd=folder)
+        assert done.returncode in (0, 1), done.stdout + done.stderr
+    return folder
+
+
+def of_example(name: str) -> list[int]:
+    """Processes of an example of this very tree."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            if str(EXAMPLES / name) in process.cmdline():
+                found.append(process.pid)
+    return found
+
+
+def rows(folder: Path):
+    return read_table(folder).set_index('run_id')[['outcome', 'rho']]
+
+
+def test_given_functions_of_a_file_then_bags_and_facts_say_which(folder):
+    facts = json.loads((folder / 'p' / 'campaign.json').read_text())
+    run = read_run(folder / 'p' / 'nominal-s0-00001')
+    assert (run.perception, run.controller, run.gains) == ('python', 'python', {})
+    assert run.fingerprint == run.controller_fingerprint == facts['controller_sha256']
+    assert (facts['perception'], facts['controller']) == ('mine.py:Guess', 'mine.py:steer')
+
+
+def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
+    words = ('nominal', '--perception', 'mine.py:Guess', '--controller', 'mine.py:steer', *SHORT)
+    done = taxinet('run', *words, '--runs', '2', '--processes', '--out', 'pp', cwd=folder)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    assert rows(folder / 'pp').equals(rows(folder / 'p'))
+
+
+def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
+    run = read_run(folder / 'n' / 'nominal-s0-00000')
+    assert (run.perception, run.controller) == ('bright paint', 'proportional')
+    assert set(read_table(folder / 'n')['perception']) == {'bright paint'}
+
+
+@pytest.mark.parametrize(('campaign', 'words'), [
+    ('p', ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer')),
+    ('n', ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER, '--processes')),
+])
+def test_given_bags_of_ones_own_when_run_again_then_they_are_the_same(folder, campaign, words):
+    bag = f'{campaign}/nominal-s0-00000'
+    done = taxinet('run', '--from', bag, *words, '--out', f'again-{campaign}', cwd=folder)
+    assert (done.returncode, done.stdout.splitlines()[-1][:9]) == (0, 'the same:'), done.stderr
+
+
+@pytest.mark.parametrize(('words', 'says'), [
+    (('run', '--from', 'n/nominal-s0-00000'), "own perception is 'bright paint', not one of ours"),
+    (('run', '--from', 'n/nominal-s0-00000', '--perception', 'truth'),
+     "own controller is 'proportional'; name one with --controller"),
+    (('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller'),
+     "own controller is 'python' of sha256"),
+    (('explain', 'n/nominal-s0-00000'), "own perception is 'bright paint', not one of ours"),
+    (('evaluate', 'nominal', '--perception', 'external'), 'is a node in a graph'),
+    (('run', 'nominal', '--perception', 'truth', '--perception-cmd', 'x'),
+     '--perception: not with --perception-cmd'),
+    (('run', 'nominal', '--perception-cmd', 'no_such_program'),
+     'perception: no_such_program: no such program'),
+    (('run', 'nominal', '--controller', 'mine.py:steer', '--set', 'steering.heading_gain=1'),
+     '--set steering.heading_gain: a gain of the steering law'),
+])
+def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
+    folder, words, says,
+):
+    done = taxinet(*words, cwd=folder)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
+    assert says in done.stderr
+
+
+def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(folder):
+    words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
+    done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert 'the same to the bit' in done.stdout
+
+
+def test_given_failures_of_a_file_when_localized_then_it_steers_the_trials(folder):
+    spec = 'never=always(cte_estimate < -100)'  # what no run satisfies, whoever steers
+    words = ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer', '--spec', spec)
+    assert taxinet('run', 'nominal', *words, *SHORT, '--out', 'f', cwd=folder).returncode == 1
+    done = taxinet('localize', 'f', '--out', 'l', '--workers', '1', cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert 'did not come out as recorded' not in done.stdout
+    (folder / 'mine.py').write_text(MINE + '\n')
+    done = taxinet('localize', 'f', '--out', 'l2', cwd=folder)
+    (folder / 'mine.py').write_text(MINE)
+    assert (done.returncode, 'mine.py' in done.stderr) == (2, True)
+
+
+def test_given_a_function_that_fails_then_its_line_is_named_and_the_bench_broke(folder):
+    words = ('nominal', '--perception', 'truth', '--controller', 'mine.py:fails', *SHORT)
+    done = taxinet('run', *words, '--out', 'b', cwd=folder)
+    assert done.returncode == 4
+    assert 'node_error steering_controller: UserCodeError: mine.py:16: ZeroDivisionError' \
+        in done.stdout
+
+
+def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left(folder):
+    words = ('s_falsif', '--controller-cmd', CONTROLLER, '--perception', 'mine.py:Guess', *SHORT)
+    done = taxinet(
+        'falsify', *words, '--runs', '3', '--sampler', 'random', '--workers', '2', '--out', 'w',
+        cwd=folder,
+    )
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    assert len(rows(folder / 'w')) == 3
+    assert not of_example('own_controller.py')
+
+
+def test_given_a_killed_campaign_then_its_nodes_end_too(folder):
+    command = shlex.join(['sh', '-c', f'{CONTROLLER} "$@"; true', 'sh'])  # has a child, as ros2 run
+    words = ('run', 'nominal', '--perception', 'truth', '--controller-cmd', command)
+    with begun(*words, '--out', 'k', cwd=folder) as process:
+        while not of_example('own_controller.py'):
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.kill()
+    while of_example('own_controller.py'):
+        time.sleep(0.05)
+
+
+def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder):
+    command = shlex.join([sys.executable, '-c', "raise SystemExit('out of paint')"])
+    done = taxinet('run', 'nominal', '--perception-cmd', command, *SHORT, '--out', 'd', cwd=folder)
+    assert done.returncode == 4
+    assert 'died perception: exit code 1: out of paint' in done.stdout

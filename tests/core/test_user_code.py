@@ -1,0 +1,196 @@
+"""A perception or controller out of somebody's Python file: what is read, run, and refused."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import numpy as np
+import pytest
+
+from taxinet_ros.core.controller import check_controller, make_controller
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.node_words import command_of, short_word
+from taxinet_ros.core.perception import (
+    NO_ESTIMATE,
+    GroundTruth,
+    check_perception,
+    make_perception,
+)
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.steering import SteeringGains
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.user_code import UserCodeError
+
+FRAME = np.full((200, 360, 3), 7, np.uint8)
+SEEN = TrackingError(cte_m=1.0, he_rad=0.1)
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Write a Python file; its word with a function's name."""
+    def write(text: str, name: str = 'make') -> str:
+        path = tmp_path / 'mine.py'
+        path.write_text(text)
+        return f'{path}:{name}'
+
+    return write
+
+
+def steering(word: str):
+    return make_controller(word, SteeringGains())
+
+
+@pytest.mark.parametrize('text', [
+    'def make(image): return image.mean(), 0.5',
+    'def make(): return lambda image: (image.mean(), 0.5)',
+    'class make:\n    def __call__(self, image): return [image.mean(), 0.5]',
+    'import numpy as np\ndef make(image): return np.array([image.mean(), 0.5], np.float32)',
+    'from taxinet_ros.core.types import TrackingError\n'
+    'make = lambda image: TrackingError(cte_m=7.0, he_rad=0.5)',
+])
+def test_given_a_function_or_what_makes_one_then_it_sees_the_frame(file, text):
+    perception = make_perception(file(text))
+    assert perception.estimate(FRAME, None) == TrackingError(cte_m=7.0, he_rad=0.5)
+    assert (perception.word, perception.needs_image) == ('python', True)
+
+
+@pytest.mark.parametrize('answer', ['None', '(float("nan"), 0.0)', '(0.0, float("inf"))'])
+def test_given_no_number_then_there_is_no_estimate(file, answer):
+    perception = make_perception(file(f'def make(image): return {answer}'))
+    assert perception.estimate(FRAME, None) == NO_ESTIMATE
+    assert perception.estimate(None, SEEN) == NO_ESTIMATE
+
+
+def test_given_one_that_needs_no_image_then_it_is_told_the_truth(file):
+    text = 'def make(truth): return truth.cte_m + 1, truth.he_rad\nmake.needs_image = False'
+    perception = make_perception(file(text))
+    assert not perception.needs_image
+    assert perception.estimate(None, SEEN) == TrackingError(cte_m=2.0, he_rad=0.1)
+
+
+def test_given_one_that_writes_on_its_frame_then_nobody_else_sees_it(file):
+    perception = make_perception(file('def make(image):\n    image[:] = 0\n    return 0.0, 0.0'))
+    frame = FRAME.copy()
+    frame.flags.writeable = False
+    assert perception.estimate(frame, None).usable
+    assert frame.min() == 7
+
+
+@pytest.mark.parametrize('answer', [
+    '(estimate.cte_m / 10, 4.0)', '[0.1, 4]', 'TaxiCommand(steering_rad=0.1, speed_mps=4.0)'
+])
+def test_given_a_controller_then_its_answer_is_the_command(file, answer):
+    text = f'from taxinet_ros.core.types import TaxiCommand\ndef make(estimate): return {answer}'
+    assert steering(file(text)).command(SEEN) == TaxiCommand(steering_rad=0.1, speed_mps=4.0)
+
+
+COUNTS = 'class make:\n    n = 0\n    def __call__(self, x):\n        self.n += 1\n' \
+    '        return self.n, 1.0\n'
+
+
+@pytest.mark.parametrize('text', [COUNTS, f'{COUNTS}    def reset(self): self.n = 0\n'])
+def test_given_a_memory_then_each_run_begins_without_it(file, text):
+    controller = steering(file(text))
+    for _ in range(2):
+        controller.begin()
+        assert [controller.command(SEEN).steering_rad for _ in range(3)] == [1, 2, 3]
+
+
+def test_given_a_file_then_its_hash_is_its_own_and_that_of_what_it_lists(file, tmp_path):
+    text = 'def make(x): return 0.0, 0.0\n'
+    alone = check_perception(file(text))
+    assert alone == hashlib.sha256(text.encode()).hexdigest()
+    (tmp_path / 'net.bin').write_bytes(b'1')
+    first = check_controller(file(f"FILES = ['net.bin']\n{text}"))
+    (tmp_path / 'net.bin').write_bytes(b'2')
+    assert check_controller(file(f"FILES = ['net.bin']\n{text}")) != first
+    (tmp_path / 'net.bin').unlink()
+    with pytest.raises(UsageError, match=r'mine\.py: FILES .*net\.bin: No such file'):
+        check_controller(file(f"FILES = ['net.bin']\n{text}"))
+
+
+def test_given_a_file_when_checked_then_it_is_not_run(file, tmp_path):
+    text = f"import pathlib\npathlib.Path('{tmp_path}/ran').touch()\n"
+    word = file(f'{text}def make(x): return 0.0, 0.0')
+    check_perception(word)
+    check_controller(word)
+    assert not (tmp_path / 'ran').exists()
+    make_perception(word)
+    assert (tmp_path / 'ran').exists()
+
+
+@pytest.mark.parametrize(('text', 'name', 'complaint'), [
+    ('def make(x: return', 'make', r'mine\.py:1: '),
+    ('def steer(x): return 0', 'make', r'mine\.py: no make in it, as in .*:NAME; it has: steer$'),
+    ('FILES = 3\ndef make(x): pass', 'make', r'mine\.py:1: FILES: expected a list of file names'),
+])
+def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(file, text, name, complaint):
+    with pytest.raises(UsageError, match=complaint):
+        check_perception(file(text, name))
+
+
+def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
+    word = file('def look(x): pass\ndef _own(x): pass').removesuffix(':make')
+    for text in (word, f'{word}:'):
+        with pytest.raises(UsageError, match=r'say which function, as in .*:NAME; it has: look$'):
+            check_perception(text)
+
+
+@pytest.mark.parametrize(('text', 'complaint'), [
+    ('import nosuchmodule\ndef make(x): pass', r'mine\.py:1: ModuleNotFoundError: No module'),
+    ('def make():\n    return 1 / 0', r'mine\.py:2: ZeroDivisionError: division by zero'),
+    ('def make(): return 3', r'mine\.py: make\(\) gave int, which cannot be called'),
+    ('make = 3', r'mine\.py: make is int; expected a function or class'),
+    ('raise SystemExit(0)\ndef make(x): pass', r'mine\.py:1: SystemExit: 0'),
+])
+def test_given_a_file_that_fails_when_loaded_then_one_line(file, text, complaint):
+    with pytest.raises(UsageError, match=complaint):
+        make_perception(file(text))
+
+
+@pytest.mark.parametrize(('text', 'complaint'), [
+    ('def make(x):\n    return x.nothing', r'mine\.py:2: AttributeError: '),
+    ('def make(x): return 3', r'mine\.py: make answered 3; expected a pair \(steering_rad, '),
+    ('def make(x): return "left", 1', r"make answered \('left', 1\); expected a pair"),
+    ('def make(x): return None', r'make answered None; expected a pair'),
+])
+def test_given_an_answer_that_is_none_then_it_says_where(file, text, complaint):
+    with pytest.raises(UserCodeError, match=complaint):
+        steering(file(text)).command(SEEN)
+
+
+@pytest.mark.parametrize('check', [check_perception, check_controller])
+def test_given_a_node_elsewhere_then_it_is_for_graphs_only(check):
+    for word in ('external', 'cmd:ros2 run my_pkg my_node', 'cmd:python3 my_node.py'):
+        assert check(word, graph=True) == ''
+        with pytest.raises(UsageError, match='is a node in a graph, and this needs none'):
+            check(word)
+    for word in ('cmd:', "cmd:ros2 'run"):
+        with pytest.raises(UsageError, match=r'names no program|No closing quotation'):
+            check(word, graph=True)
+
+
+def test_given_another_controller_then_gains_of_the_law_are_refused():
+    with pytest.raises(UsageError, match=r'steering\.heading_gain: .*--controller external takes'):
+        check_controller('external', {'heading_gain': 1.0}, graph=True)
+    with pytest.raises(UsageError, match="controller: 'pid' is unknown; known: steering, or FILE"):
+        check_controller('pid')
+
+
+def test_given_a_command_then_it_is_split_as_a_shell_does():
+    words = ['ros2', 'run', 'my pkg', 'node', '--x=1']
+    assert command_of("cmd:ros2 run 'my pkg' node --x=1") == words
+    assert [short_word(word) for word in ('cmd:a/b.py', 'x/my.py:look', 'x/net.onnx', 'truth')] \
+        == ['cmd', 'my', 'net', 'truth']
+
+
+def test_given_a_controller_of_ones_own_then_the_loop_without_ros_uses_it(file):
+    word = file('def make(e): return -0.05 * e.cte_m - 1.2 * e.he_rad, 5.0')
+    scene, specs = Scenario(cross_track_m=2.0, duration_s=2.0), [parse_spec('phi_always')]
+    steps: list = []
+    run_closed_loop(scene, GroundTruth(), specs=specs, controller=steering(word),
+                    on_step=steps.append)
+    assert math.isclose(steps[0].command.steering_rad, -0.05 * steps[0].estimate.cte_m)
