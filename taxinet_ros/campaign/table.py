@@ -237,6 +237,9 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     refuse(~frame['run_id'].map(lambda name: is_run_name(str(name))), 'run_id is no plain name')
     refuse((frame['index'] < 0) | frame['index'].duplicated(), 'its index is negative or not alone')
     refuse(frame['run_id'].duplicated(), 'its run_id is not alone')
+    if 'bag' in frame.columns:
+        plain = frame['bag'].fillna('').map(lambda name: not name or is_run_name(str(name)))
+        refuse(~plain, 'its bag is no plain name')
     refuse(~frame['outcome'].isin([*Outcome]), 'its outcome is none')
     known('clouds', ('', *CLOUDS))
     known('aircraft', ('', *AIRCRAFT))

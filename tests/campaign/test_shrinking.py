@@ -190,7 +190,8 @@ def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
         lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
-            outcome=Outcome.PASS, rho={NAME: 0.5}, statistics=RunStatistics(max_cross_track_m=1.0), last_seq=10),
+            outcome=Outcome.PASS, rho={NAME: 0.5}, last_seq=10,
+            statistics=RunStatistics(max_cross_track_m=1.0)),
     )
     assert report(shrinking).state.end is End.NOT_REPRODUCED
     assert len(shrinking.rows) == 2
