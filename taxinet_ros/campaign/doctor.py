@@ -178,9 +178,8 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
     names = [name for name in (CSV_NAME, PARQUET_NAME) if not (folder / name).is_file()]
     if names or not (folder / FACTS_NAME).is_file():
         names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
-        why = 'not there; the campaign has not ended in good order' if not content.finished else (
-            'not there')
-        found.wrong(folder, f'{", ".join(names)}: {why}', MEND)
+        why = '' if content.finished else ' (the campaign has not ended in good order)'
+        found.wrong(folder, f'{", ".join(names)} not there{why}', MEND)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
