@@ -1,8 +1,12 @@
-"""Records of a real campaign, damaged and forged: refused or named, never a changed number."""
+"""Records of a real campaign, damaged and forged: refused or named, never a changed number.
+
+``TAXINET_FUZZ=300`` in the environment flips every bit of its files, not some of them.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import shutil
 from collections.abc import Callable, Iterator
@@ -21,6 +25,7 @@ from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, writ
 from taxinet_ros.campaign.journal import parse_journal, read_journal
 from taxinet_ros.campaign.judged_run import find_run
 from taxinet_ros.campaign.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.campaign.table import (
     CSV_NAME,
     PARQUET_NAME,
@@ -34,6 +39,7 @@ from taxinet_ros.core.errors import UsageError
 
 pytestmark = pytest.mark.ros
 RUNS = 4
+FUZZ = int(os.environ.get('TAXINET_FUZZ', '1'))
 FILES = (LEDGER_NAME, FACTS_NAME, CSV_NAME, PARQUET_NAME)
 
 
@@ -74,7 +80,7 @@ def what_readers_say(folder: Path) -> tuple[object, object, pd.DataFrame]:
 
 def damaged(data: bytes, most: int) -> Iterator[bytes]:
     """The data with one bit flipped, for so many of its bits."""
-    bits = random.Random(2).sample(range(8 * len(data)), min(most, 8 * len(data)))
+    bits = random.Random(2).sample(range(8 * len(data)), min(most * FUZZ, 8 * len(data)))
     for bit in bits:
         changed = bytearray(data)
         changed[bit // 8] ^= 1 << bit % 8
@@ -98,7 +104,7 @@ def test_f2_given_any_flipped_bit_of_a_record_then_every_reader_of_it_refuses(
         assert 'taxinet doctor' in said
         assert '\n' not in said
         count += 1
-    assert count == most
+    assert count >= most
 
 
 def test_f2_given_any_flipped_bit_of_the_ledger_then_no_line_of_it_is_taken_for_another(campaign):
@@ -106,7 +112,7 @@ def test_f2_given_any_flipped_bit_of_the_ledger_then_no_line_of_it_is_taken_for_
     data = (campaign / LEDGER_NAME).read_bytes()
     assert not parse_journal(data).troubles
     tried = list(damaged(data, 6000))
-    assert len(tried) == 6000
+    assert len(tried) >= 6000
     assert all(parse_journal(changed).troubles for changed in tried)
 
 
@@ -206,6 +212,46 @@ def test_f2_given_a_table_alone_then_it_is_said_to_be_unverified(campaign, capsy
     assert len(read_runs(tmp_path / 'alone').frame) == RUNS
     said = 'its tables are unverified, for campaign.json is not there'
     assert capsys.readouterr().err == f'taxinet: warning: {tmp_path / "alone"}: {said}\n'
+
+
+def test_f2_given_any_flipped_bit_of_a_sealed_index_then_it_is_refused(tmp_path):
+    """As of an experiment, an analysis, a dataset, what a search has learned."""
+    path, table = tmp_path / 'experiment.json', tmp_path / 'pairs.parquet'
+    table.write_bytes(b'pairs')
+    values = {'name': 'e', 'arms': {'a': {'failures': 3}}, 'share': 0.25, 'none': None}
+    write_sealed(path, values, [table])
+    assert read_sealed(path).values == values
+    data = path.read_bytes()
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises(UsageError, match='damaged or edited') as caught:
+            read_sealed(path)
+        assert '\n' not in str(caught.value)
+    path.write_bytes(data)
+    assert not examine(tmp_path).findings
+    table.write_bytes(b'qairs')
+    (found,) = examine(tmp_path).findings
+    assert found.what == 'is not the file that experiment.json tells of'
+    with pytest.raises(UsageError, match='do it again'):
+        read_sealed(path).check_file(table, 'do it again')
+
+
+@pytest.mark.parametrize('name', ['stages.jsonl', 'rounds.jsonl', 'trials.jsonl'])
+def test_doctor_given_another_journal_then_its_damage_is_found_and_mended(tmp_path, name):
+    path = tmp_path / 'inner' / name
+    path.parent.mkdir()
+    events = [{'event': 'end', 'stage': f's{number}', 'wall_s': 1.5} for number in range(3)]
+    write_events(path, events)
+    assert not examine(tmp_path).findings
+    path.write_bytes(path.read_bytes().replace(b'"s1"', b'"s9"'))
+    (found,) = examine(tmp_path).findings
+    assert (found.where, found.what) == (f'{path}:2', 'its checksum is another')
+    (done,) = mend(tmp_path)
+    assert done.endswith('lost: line 2')
+    assert not examine(tmp_path).findings
+    assert read_journal(path) == [events[0], events[2]]
 
 
 # Semantics -------------------------------------------------------------------------------------
@@ -358,8 +404,9 @@ def test_doctor_given_no_campaign_then_one_line_says_so(taxinet, tmp_path):
         assert (code, err.count('\n')) == (2, 1)
 
 
-@pytest.mark.parametrize('name', [FACTS_NAME, CSV_NAME, PARQUET_NAME])
-@pytest.mark.parametrize('how', ['flipped', 'gone'])
+@pytest.mark.parametrize(('name', 'how'), [
+    (FACTS_NAME, 'flipped'), (CSV_NAME, 'flipped'), (PARQUET_NAME, 'flipped'), (FACTS_NAME, 'gone'),
+    (PARQUET_NAME, 'gone')])
 def test_doctor_given_a_damaged_table_or_index_then_it_is_written_anew_from_the_ledger(
     campaign, taxinet, name, how
 ):
