@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +11,9 @@ import pandas as pd
 
 from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.findings import Findings
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.facts import read_facts
+from taxinet_ros.core.errors import UsageError
 
 CAUSE, GROUP = 'cause', 'group'
 _NONE = 0
@@ -56,6 +60,9 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
         runs: of the campaign.
         failures: in the order in which to look at them.
         most: how many.
+
+    Raises:
+        UsageError: a bag is of another run.
     """
     found: dict[str, Path] = {}
     for run_id, bag in zip(failures['run_id'], failures['bag'], strict=True):
@@ -63,5 +70,16 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
             break
         folder = runs.folder / bag
         if bag and any(folder.glob('*.mcap')):
+            _check_run(str(run_id), folder)
             found[str(run_id)] = folder
     return found
+
+
+def _check_run(run_id: str, bag: Path) -> None:
+    with contextlib.suppress(BagError):  # the page says of a damaged one that it is
+        told = read_facts(bag)
+        if told is not None and told.run_id != run_id:
+            raise UsageError(
+                f'{bag}: is of run {told.run_id}, not of {run_id}; was the folder moved here? '
+                f'taxinet doctor {bag.parent} checks all of them'
+            )

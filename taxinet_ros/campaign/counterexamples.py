@@ -10,6 +10,7 @@ from typing import Any
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.judged_run import check_same_run
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
@@ -88,11 +89,12 @@ def scenario_of_row(row: RunRow, folder: Path) -> tuple[Scenario, bool]:
     enough to repeat a run: a picture differs by a code here and there, and the loop carries it on.
 
     Raises:
-        UsageError: the ledger has no scene of it.
+        UsageError: the ledger has no scene of it, or the bag is of another run.
     """
     bag = folder / row.run_id
     if any(bag.glob('*.mcap')):
         try:
+            check_same_run(row, bag)
             return read_run(bag).request.scenario, True
         except BagError:
             pass  # a damaged bag says less than the ledger does

@@ -27,6 +27,7 @@ from taxinet_ros.bag.findings import Finding, ranges
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID, write_bytes_atomically
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.journal import JournalContent, chained_line, lost_end, parse_journal
+from taxinet_ros.campaign.judged_run import bag_differences
 from taxinet_ros.campaign.ledger import (
     LedgerContent,
     ledger_content,
@@ -177,9 +178,8 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
     names = [name for name in (CSV_NAME, PARQUET_NAME) if not (folder / name).is_file()]
     if names or not (folder / FACTS_NAME).is_file():
         names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
-        why = 'not there; the campaign has not ended in good order' if not content.finished else (
-            'not there')
-        found.wrong(folder, f'{", ".join(names)}: {why}', MEND)
+        why = '' if content.finished else ' (the campaign has not ended in good order)'
+        found.wrong(folder, f'{", ".join(names)} not there{why}', MEND)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
@@ -227,39 +227,6 @@ def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
     except (BagError, UsageError) as error:
         if row.outcome.judged:  # of a run that broke nobody expects more
             found.wrong(bag, error, command)
-
-
-def bag_differences(row: RunRow, bag: Path) -> list[str]:
-    """In what a bag tells of another run than its row does.
-
-    Raises:
-        BagError, UsageError: it cannot be read.
-    """
-    told = read_run(bag)
-    if told is None:
-        return ['is of no run of ours']
-    pairs: dict[str, tuple[Any, Any]] = {
-        'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
-        'seed': (told.seed, row.seed),
-    }
-    if row.outcome.judged:
-        pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
-        pairs |= {
-            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
-            for name, one in told.judged.items()
-        }
-        prints = {node.fingerprint for node in told.nodes.values()} - {''}
-        pairs['network'] = (prints, {row.perception_fingerprint} - {''})
-    return [
-        f'its {name} is {_short(here)}, the row has {_short(there)}'
-        for name, (here, there) in pairs.items() if here != there
-    ]
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, set):
-        return next(iter(value), 'the truth')[:12]
-    return f'{value}'
 
 
 def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:

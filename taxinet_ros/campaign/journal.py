@@ -183,7 +183,7 @@ def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     if len(content.lines) < ended.lines:
         lost = ended.lines - len(content.lines)
         return f'{lost} of the {ended.lines} lines that it had are missing at its end'
-    if content.links[ended.lines] != ended.link:
+    if content.links[ended.lines] not in ('', ended.link):
         return f'its first {ended.lines} lines are not those that it had'
     return ''
 

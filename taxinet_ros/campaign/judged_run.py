@@ -13,6 +13,7 @@ from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.facts import read_facts
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.runs import read_recording
@@ -76,6 +77,9 @@ def find_run(path: Path) -> JudgedRun:
     facts = content.campaign if content else _NO_FACTS
     if any(whole.glob('*.mcap')):
         try:
+            for row in content.rows if content else ():
+                if row.bag == whole.name:
+                    check_same_run(row, whole)
             return _of_bag(path, facts)
         except BagError as error:
             raise UsageError(str(error)) from error
@@ -139,3 +143,50 @@ def _example(campaign: Path) -> str:
         return ', and none of its runs failed'
     worst = min(failed, key=lambda row: min(row.rho.values(), default=0.0))
     return f'; name one of its {len(failed)} failed runs, as in {campaign / worst.run_id}'
+
+
+def bag_differences(row: RunRow, bag: Path) -> list[str]:
+    """In what a bag tells of another run than its row does.
+
+    Raises:
+        BagError, UsageError: it cannot be read.
+    """
+    told = read_facts(bag)
+    if told is None:
+        return ['is of no run of ours']
+    pairs: dict[str, tuple[Any, Any]] = {
+        'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
+        'seed': (told.seed, row.seed),
+    }
+    if row.outcome.judged:
+        pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
+        pairs |= {
+            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
+            for name, one in told.judged.items()
+        }
+        prints = {node.fingerprint for node in told.nodes.values()} - {''}
+        pairs['network'] = (prints, {row.perception_fingerprint} - {''})
+    return [
+        f'its {name} is {_short(here)}, the row has {_short(there)}'
+        for name, (here, there) in pairs.items() if here != there
+    ]
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, set):
+        return next(iter(value), 'the truth')[:12]
+    return f'{value}'
+
+
+def check_same_run(row: RunRow, bag: Path) -> None:
+    """See that a bag is that of a row, before what it holds is taken for the row's run.
+
+    Raises:
+        UsageError: it is of another run.
+        BagError: it cannot be read.
+    """
+    for what in bag_differences(row, bag):
+        raise UsageError(
+            f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
+            f'campaign? taxinet doctor {bag.parent} checks all of them'
+        )

@@ -8,6 +8,7 @@ from pathlib import Path
 from taxinet_ros.bag.judged_bag import JudgedBag
 from taxinet_ros.bag.layout import STORAGE_ID
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.judged_run import check_same_run
 from taxinet_ros.campaign.ledger import Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.table import write_tables
@@ -68,10 +69,13 @@ def add_requirements(
         none.
 
     Raises:
-        UsageError: the campaign is under way, or its record is damaged.
+        UsageError: the campaign is under way, its record is damaged, or a bag is of another run.
     """
     with Ledger(folder / LEDGER_NAME) as ledger:
         content = read_ledger(folder / LEDGER_NAME)
+        for row in content.rows:
+            if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
+                check_same_run(row, bag.path)
         counts = {}
         for spec in specs:
             intervals = {

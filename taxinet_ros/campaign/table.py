@@ -6,9 +6,7 @@ several campaigns can be put together.
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -221,43 +219,54 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     Args:
         path: of the table, for messages.
         frame: the table; what it has no columns for is not checked.
-        own: names of the formulas that made the outcomes, where they are known. Else the first of
-            the table's is one; further ones may have been added when the outcomes stood.
+        own: names of the formulas that made the outcomes, where they are known.
     """
-    def refuse(wrong: Any, what: str) -> None:
-        for row in wrong.to_numpy(dtype=bool, na_value=True).nonzero()[0][:1]:
-            raise UsageError(f'{path}: row {row + 1}: {what}; a damaged or edited table')
-
-    def known(name: str, words: Iterable[str]) -> None:
-        if name in frame.columns:
-            refuse(~frame[name].fillna('').isin([*words]), f'an unknown word for {name}')
-
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
-    refuse(~frame['run_id'].map(lambda name: is_run_name(str(name))), 'run_id is no plain name')
-    refuse((frame['index'] < 0) | frame['index'].duplicated(), 'its index is negative or not alone')
-    refuse(frame['run_id'].duplicated(), 'its run_id is not alone')
-    refuse(~frame['outcome'].isin([*Outcome]), 'its outcome is none')
-    known('clouds', ('', *CLOUDS))
-    known('aircraft', ('', *AIRCRAFT))
+    known = {'outcome': [*Outcome], 'clouds': ['', *CLOUDS], 'aircraft': ['', *AIRCRAFT]}
+    for name, words in known.items():
+        if name in frame.columns:
+            _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
+    for name in {'run_id', 'bag'} & set(frame.columns):
+        plain = frame[name].fillna('').map(lambda word: not word or is_run_name(str(word)))
+        _refuse(path, ~plain, f'its {name} is no plain name')
+    for name in ('run_id', 'index'):
+        _refuse(path, frame[name].duplicated(), f'its {name} is there twice')
+    _refuse(path, frame['index'] < 0, 'its index is negative')
     for name in frame.select_dtypes('float64').columns:
-        if not str(name).startswith(('rho', _POINT)):
-            refuse(frame[name].abs() == math.inf, f'{name} is not finite')
+        if not str(name).startswith('rho'):
+            _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
+    if specs := _specs_of(frame):
+        _check_robustness(path, frame, [name for name in own if name in specs], specs)
+
+
+def _check_robustness(
+    path: Path, frame: pd.DataFrame, own: Sequence[str], specs: Sequence[str]
+) -> None:
+    """PASS: every formula is above zero. FAIL: one of them is not. Else: there is none.
+
+    Where the formulas that made the outcomes are not known, the first of the table's is one of
+    them; others may have been added when the outcomes stood.
+    """
     passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
-    specs = _specs_of(frame)
-    if not specs:
-        return
-    deciding = [name for name in own if name in specs] or specs[:1]
-    lower, upper = {}, {}
+    above, below = passed | True, passed & False
     for name in specs:
         exact = frame[f'{_RHO}{name}']
-        lower[name] = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
-        upper[name] = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
-        refuse(~(passed | failed) & upper[name].notna(), 'it has a robustness without a verdict')
-    below = [~(lower[name] > 0) for name in deciding]
-    refuse(passed & functools.reduce(operator.or_, below), 'PASS with a robustness not above 0')
-    some = [upper[name] <= 0 for name in (deciding if own else specs)]
-    refuse(failed & ~functools.reduce(operator.or_, some), 'FAIL with no robustness of 0 or less')
+        lower = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
+        upper = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
+        _refuse(path, ~(passed | failed) & upper.notna(), 'a robustness without a verdict')
+        if name in (own or specs[:1]):
+            above &= lower > 0
+        if name in (own or specs):
+            below |= upper <= 0
+    _refuse(path, passed & ~above, 'PASS, and a robustness that is not above 0')
+    _refuse(path, failed & ~below, 'FAIL, and no robustness of 0 or less')
+
+
+def _refuse(path: Path, wrong: Any, what: str) -> None:
+    """Refuse a table for the first row of which something is true, or not known."""
+    for row in wrong.to_numpy(dtype=bool, na_value=True).nonzero()[0][:1]:
+        raise UsageError(f'{path}: row {row + 1}: {what}; was the table damaged or edited?')
 
 
 def _damaged(path: Path, error: Exception) -> UsageError:

@@ -27,6 +27,7 @@ from taxinet_ros.analysis.principal_axes import principal_axes
 from taxinet_ros.analysis.rate_bins import bins, medians
 from taxinet_ros.analysis.rho_figures import clouds_picture, rho_picture
 from taxinet_ros.analysis.run_features import PLAIN, TIME_OF_DAY
+from taxinet_ros.campaign.sealed_json import read_sealed
 from taxinet_ros.core.errors import UsageError
 
 ALIKE = {'clouds': 'clear', 'rain_percent': 0.0, 'cross_track_m': 0.0, 'distance_m': 1000.0,
@@ -166,7 +167,7 @@ def test_given_an_analysis_when_written_then_files_are_there_and_its_own_are_rep
         report, sections=(dataclasses.replace(rates, pictures=robustness.pictures),))
     out = tmp_path / 'out'
     values = write_analysis(findings, bare, out)
-    assert json.loads((out / 'analysis.json').read_text()) == values
+    assert read_sealed(out / 'analysis.json').values == values
     assert sorted(values['files']) == sorted(path.name for path in out.iterdir())
     assert {'rates.csv', 'rho_distribution.png', 'report.html', 'runs.csv', 'runs.parquet',
             'analysis.json'} <= set(values['files'])
@@ -185,7 +186,7 @@ def test_given_an_analysis_when_written_then_files_are_there_and_its_own_are_rep
     assert (out / 'notes.txt').read_text() == 'mine'
     write_analysis(findings, bare, out)
     assert (out / 'rho_distribution.png').read_bytes() == first
-    assert json.loads((out / 'analysis.json').read_text()) == values
+    assert read_sealed(out / 'analysis.json').values == values
 
 
 def test_given_a_foreign_folder_then_nothing_is_written_there(tmp_path):

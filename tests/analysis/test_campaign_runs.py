@@ -42,6 +42,7 @@ def test_given_runs_that_were_stopped_when_read_then_their_bounds_are_taken(tmp_
     )
     frame['rho_lower.phi'] = [-math.inf, 0.2, 0.4, -math.inf]
     frame['rho_upper.phi'] = [-3.5, 1.5, 0.4, 0.7]
+    frame['rho_other'] = [1.0, 1.0, 1.0, -1.0]  # that is why the last one failed
     runs = planted_runs(frame, tmp_path)
     assert runs.frame['rho'].tolist() == [-3.5, 0.2, 0.4]
     assert runs.failed.tolist() == [True, False, False]
@@ -128,7 +129,7 @@ def test_given_what_is_no_campaign_when_read_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match='no column time_of_day_h; of an older version'):
         planted_runs(table().drop(columns='time_of_day_h'), tmp_path)
     with pytest.raises(UsageError, match=r'no run was judged \(60 INFRA_ERROR\)'):
-        planted_runs(table().assign(outcome='INFRA_ERROR'), tmp_path)
+        planted_runs(table().assign(outcome='INFRA_ERROR', rho_phi=math.nan), tmp_path)
     with pytest.raises(UsageError, match='was judged, but has no distance_m'):
         planted_runs(table(distance_m=math.nan), tmp_path)
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
+from taxinet_ros.campaign.facts import LEDGER_NAME, campaign_facts, write_facts
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.options import CampaignOptions, make_options
 from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
@@ -42,8 +41,7 @@ def five_outcomes(out: Path) -> tuple[CampaignOptions, list[RunRow]]:
     )
     rows = list(_rows(options))
     facts = campaign_facts(options, SceneSource(options.program, seed=7).program)
-    out.mkdir()
-    (out / FACTS_NAME).write_text(json.dumps(facts))
+    write_facts(out, facts)
     with Ledger(out / LEDGER_NAME) as ledger:
         ledger.campaign(facts)
         for row in rows:

@@ -175,9 +175,11 @@ def test_given_a_campaign_of_broken_runs_only_then_the_analysis_says_that_and_no
     folder = tmp_path / 'c'
     five_outcomes(folder)
     table = read_table(folder)
-    table[table['outcome'] == 'INFRA_ERROR'].to_parquet(folder / 'runs.parquet')
-    monkeypatch.setattr(sys, 'argv', ['taxinet', 'analyze', str(folder)])
+    broken = tmp_path / 'broken.parquet'
+    table[table['outcome'] == 'INFRA_ERROR'].to_parquet(broken)
+    monkeypatch.setattr(sys, 'argv', ['taxinet', 'analyze', str(broken)])
     with pytest.raises(SystemExit, match='2'):
         main()
-    (line,) = capsys.readouterr().err.splitlines()
+    *unverified, line = capsys.readouterr().err.splitlines()
+    assert len(unverified) == 1
     assert 'no run was judged (3 INFRA_ERROR (2 timeout, 1 died))' in line

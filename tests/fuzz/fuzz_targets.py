@@ -27,6 +27,7 @@ from taxinet_ros.bench.compare import load_report
 from taxinet_ros.campaign.earlier import read_earlier
 from taxinet_ros.campaign.experiment_file import known_experiments, read_experiment
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
+from taxinet_ros.campaign.journal import read_journal
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.programs import find_program, shipped_folder
@@ -94,6 +95,7 @@ def _file(name: str, read: Callable[[Path], object]) -> Callable[[Path], Use]:
 
 
 def _ledger_text(folder: Path) -> bytes:
+    """A ledger without checksums, as of earlier versions, so that nonsense gets beyond them."""
     options = falsify_samples.options(folder).campaign
     with Ledger(folder / LEDGER_NAME) as ledger:
         ledger.campaign({**_search_facts(folder)})
@@ -107,7 +109,8 @@ def _ledger_text(folder: Path) -> bytes:
                 sampler='ce', point={'x': 0.5}, weight=1.0, retries=0
             ))
         ledger.requirement('on_runway', 'always(abs(cte) <= 15)', {0: (1.0, 1.0)})
-    return (folder / LEDGER_NAME).read_bytes()
+    events = read_journal(folder / LEDGER_NAME)
+    return b''.join(json.dumps(event).encode() + b'\n' for event in events)
 
 
 def _search_facts(folder: Path) -> dict[str, Any]:
@@ -146,6 +149,12 @@ specs:
 """
 
 
+def _unsealed(text: str) -> Callable[[Path], list[bytes]]:
+    """A sealed file without its checksum, as of earlier versions, for the same reason."""
+    values = json.loads(text)
+    return _jsons({name: values[name] for name in values if name not in ('seal', 'checksum')})
+
+
 def _jsons(*values: object) -> Callable[[Path], list[bytes]]:
     return lambda folder: [json.dumps(value, indent=1).encode() for value in values]
 
@@ -175,7 +184,7 @@ TARGETS: dict[str, Target] = {
     'campaign.json': Target(
         True, lambda folder: [json.dumps(_search_facts(folder), indent=2).encode()],
         _file(FACTS_NAME, lambda path: facts_beside(path.parent))),
-    'learned.json': Target(True, lambda folder: [_LEARNED.to_json().encode()], _learned),
+    'learned.json': Target(True, _unsealed(_LEARNED.to_json()), _learned),
     'bench report': Target(True, _jsons(_REPORT), _file('old.json', load_report)),
     'analysis.json': Target(
         True, _jsons({'schema': SCHEMA, 'version': 1, 'files': ['analysis.json']}),

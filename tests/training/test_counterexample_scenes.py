@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxinet_ros.bag.facts import read_facts
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.trace import read_trace
 from taxinet_ros.campaign.ledger import Ledger
@@ -25,20 +26,24 @@ from taxinet_ros.training.portions import parse_portion
 GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden' / 'original-early-light'
 
 
-def campaign(folder: Path, *, bags: int = 1, runs: int = 2, failed: bool = True) -> Path:
+def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = True) -> Path:
+    """The golden run first, and further ones that have left no bags."""
     folder.mkdir()
-    scene = read_run(GOLDEN).request.scenario
+    told = read_facts(GOLDEN)
+    rho = {name: one.upper for name, one in told.judged.items()} if failed else {'phi': 1.0}
     with Ledger(folder / 'ledger.jsonl') as ledger:
         ledger.campaign({'program': 's_falsif.scenic', 'runs': runs})
-        for index in range(runs):
-            ledger.intent(index, f'r{index}')
+        for index in range(told.index, told.index + runs):
+            name = GOLDEN.name if index == told.index else f'r{index}'
+            ledger.intent(index, name)
             ledger.result(RunRow(
-                run_id=f'r{index}', index=index, program='s', seed=0, perception='original',
-                outcome=Outcome.FAIL if failed else Outcome.PASS,
-                rho={'phi': -1.0 if failed else 1.0}, **scene.to_human(),
+                run_id=name, index=index, program='s', seed=told.seed, perception='original',
+                perception_fingerprint=told.nodes['perception'].fingerprint,
+                outcome=Outcome.FAIL if failed else Outcome.PASS, rho=rho, steps=told.steps,
+                **told.scene,
             ))
-    for index in range(bags):
-        shutil.copytree(GOLDEN, folder / f'r{index}')
+    if bags:
+        shutil.copytree(GOLDEN, folder / GOLDEN.name)
     return folder
 
 
@@ -74,7 +79,7 @@ def test_given_the_same_seed_then_the_scenes_are_the_same_and_others_for_another
 def test_given_a_run_without_its_bag_then_the_others_serve(tmp_path):
     told = []
     scenes = counterexample_scenes(
-        campaign(tmp_path / 'c', bags=1, runs=3), 4, 1, lambda *step: told.append(step)
+        campaign(tmp_path / 'c', runs=3), 4, 1, lambda *step: told.append(step)
     )
     assert len(scenes) == 4
     assert told[-1] == ('runs', 1, 3)
@@ -82,7 +87,7 @@ def test_given_a_run_without_its_bag_then_the_others_serve(tmp_path):
 
 def test_given_nothing_to_learn_from_then_one_line_says_why(tmp_path):
     for folder, reason in (
-        (campaign(tmp_path / 'no_bags', bags=0), 'no bag of its 2 failed runs can be read'),
+        (campaign(tmp_path / 'no_bags', bags=False), 'no bag of its 2 failed runs can be read'),
         (campaign(tmp_path / 'all_well', failed=False), 'none of its 2 judged runs failed'),
         (tmp_path, 'no campaign'),
     ):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from training_samples import SCENES
 
+from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.programs import find_program, program_digest
 from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
@@ -20,6 +22,7 @@ from taxinet_ros.core.types import TrackingError
 from taxinet_ros.training import folder, rendering
 from taxinet_ros.training.dataset import make_dataset
 from taxinet_ros.training.folder import DatasetOptions, write_dataset
+from taxinet_ros.training.images import load_folders
 from taxinet_ros.training.photograph import photograph
 
 
@@ -248,3 +251,29 @@ def test_given_an_option_that_cannot_be_when_stated_then_one_line_names_it(
         options(tmp_path / 'set', **change)
     assert reason in str(caught.value)
     assert '\n' not in str(caught.value)
+
+
+def test_f2_given_any_damage_to_a_dataset_then_it_is_refused_and_the_doctor_names_it(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / 'set'
+    write_dataset(options(out))
+    assert examine(out).looked_at == {'indices': 2, 'pictures': 6}
+    assert not examine(out).findings
+    load_folders([out], workers=1)
+    rng = random.Random(1)
+    for name in ('dataset.json', 'labels.parquet', 'images/000003.png'):
+        data = (out / name).read_bytes()
+        for bit in rng.sample(range(8 * len(data)), 40):
+            changed = bytearray(data)
+            changed[bit // 8] ^= 1 << bit % 8
+            (out / name).write_bytes(changed)
+            with pytest.raises(UsageError):
+                load_folders([out], workers=1)
+            assert str(out / name) in {one.where for one in examine(out).findings}
+        (out / name).write_bytes(data)
+    request = out / 'request.json'
+    request.write_text(request.read_text().replace('"seed": 4', '"seed": 5'))
+    assert [one.where for one in examine(out).findings] == [str(request)]
+    with pytest.raises(UsageError, match='damaged or edited'):
+        write_dataset(options(out, resume=True))
