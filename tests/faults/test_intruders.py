@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import rclpy
 from fault_runs import request, run, steps_in, wait_for
+from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -243,3 +244,30 @@ def test_f4_given_a_bag_that_is_not_what_the_run_was_then_the_run_has_no_verdict
         (result,) = run(graph, request(duration=1.0))
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
     assert result.detail == words
+
+
+def test_f4_given_a_second_server_of_the_action_then_its_answers_are_no_results(tmp_path):
+    """He who answers for the simulator would decide what the table says."""
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', patience={'server_timeout': 1.0},
+    )
+    kind, name = interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO
+    with composed_graph(options) as graph, contextlib.ExitStack() as stack:
+        def serve() -> bool:
+            node = stack.enter_context(peer(graph))
+            server = ActionServer(node, kind, name, lambda goal: kind.Result())
+            stack.callback(server.destroy)
+            looker = node_of(graph, interface.SIMULATOR)
+            topic = f'rr/{name}/_action/get_resultReply'
+            wait_for(lambda: PEER in {
+                end.node_name for end in looker.get_publishers_info_by_topic(topic, no_mangle=True)
+            })
+            return True
+
+        came = amid_the_run(graph, serve)
+        amid, after = run(graph, request(duration=2.0), request('after', duration=2.0))
+    assert came
+    assert [result.outcome for result in (amid, after)] == [Outcome.INFRA_ERROR] * 2
+    assert [(result.kind, result.who) for result in (amid, after)] == [('intruder', PEER)] * 2
+    assert read_info(tmp_path / 'run').complete
+    assert not (tmp_path / 'after').exists()
