@@ -117,9 +117,7 @@ class Recorder(Participant):
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
             for topic in self._stepped
         }
-        self._steps = StepCollector(self._expected)
-        self._held: list[Step] = []
-        self._verdict: bytes | None = None
+        self.clear()
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
@@ -133,6 +131,12 @@ class Recorder(Participant):
             min_free_bytes=self._min_free,
             beside=_commit(),
         )
+
+    def clear(self) -> None:
+        """See :class:`Participant`."""
+        self._steps = StepCollector(self._expected)
+        self._held: list[Step] = []
+        self._verdict: bytes | None = None
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

@@ -22,6 +22,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
+ENOUGH = 'set:=["duration=200"]'
 
 
 @pytest.fixture(scope='module')
@@ -76,7 +77,7 @@ def test_r6_given_a_node_killed_amid_a_run_then_the_sampler_goes_on_and_the_next
     graph, who, module
 ):
     seed = 10 + NODES.index(who)
-    sampler = graph.sampler('runs:=2', LONG, 'silence_timeout:=3000.0', seed=seed)
+    sampler = graph.sampler('runs:=2', ENOUGH, 'silence_timeout:=3000.0', seed=seed)
     graph.wait_for_run(seed, sampler)
     before = graph.pids()
     os.kill(before[module], signal.SIGKILL)
