@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
 
 NODES = ('simulator', *PARTICIPANTS)
 SHORT, LONG = 'set:=["duration=1"]', 'set:=["duration=600"]'
-ENOUGH = 'set:=["duration=200"]'
+ENOUGH = 'set:=["duration=40"]'
 
 
 @pytest.fixture(scope='module')
