@@ -18,8 +18,9 @@ from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
-from taxinet_ros.nodes.notices import obituary
+from taxinet_ros.nodes.notices import INTRUDER, obituary
 from taxinet_ros.nodes.parameters import declare
+from taxinet_ros.nodes.speakers import Gid
 
 _WATCH_PERIOD_S = 0.1
 _SILENT_LOOKS = 20
@@ -50,6 +51,8 @@ class ScenarioSampler(Node):
         topic = interface.OBITUARY
         self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
+        self._asked_of: set[Gid] = set()
+        self._dead: set[Gid] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
         self.interrupted = False
@@ -104,6 +107,8 @@ class ScenarioSampler(Node):
         """End the run in its stead."""
         assert self._request is not None
         assert self._answer is not None
+        if kind == 'died':
+            self._dead |= self._asked_of
         self._obituaries.publish(obituary(
             self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
         ))
@@ -142,7 +147,7 @@ class ScenarioSampler(Node):
         self._answer.add_done_callback(self._guarded(self._take_answer, request))
         if self.interrupted:
             self._answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
-        elif self._client.server_is_ready():
+        elif self._may_ask():
             self._ask(request, self._answer)
 
     def _take_answer(self, request: RunRequest, answer: Future) -> None:
@@ -159,7 +164,21 @@ class ScenarioSampler(Node):
         if not self._finished.done():
             self._finished.set_result(None)
 
+    def _servers(self) -> dict[Gid, str]:
+        """Who serves the action, as far as the graph tells: node by the end that answers."""
+        name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
+        # How DDS names the topic of a service's answers, by ROS 2 in all its implementations.
+        ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
+        return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
+
+    def _may_ask(self) -> bool:
+        """Whether there is one simulator, and nothing lingers of one that died."""
+        servers = self._servers()
+        alone = len(servers) <= 1 and not self._dead & servers.keys()
+        return alone and self._client.server_is_ready()
+
     def _ask(self, request: RunRequest, answer: Future) -> None:
+        self._asked_of = set(self._servers())
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = self._last_asked = time.monotonic()
         sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
@@ -182,8 +201,14 @@ class ScenarioSampler(Node):
 
     def _take_result(self, answer: Future, response: Future) -> None:
         found = response.result()
-        if not answer.done() and found.status != GoalStatus.STATUS_UNKNOWN:
-            answer.set_result(_result_of(found.result))
+        if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
+            return
+        result = _result_of(found.result)
+        strangers = [who for gid, who in self._servers().items() if gid not in self._asked_of]
+        if result.outcome.judged and strangers:
+            detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
+            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
+        answer.set_result(result)
 
     def _on_feedback(self, message: Any) -> None:
         self._silent_looks = 0
@@ -207,12 +232,20 @@ class ScenarioSampler(Node):
             elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
                 self._last_asked = now
                 self._ask_result(self._goal, answer)
-        elif self._client.server_is_ready():
+        elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
         elif now - self._asked > server_timeout_s:
-            detail = f'not found within {server_timeout_s:g} s'
-            answer.set_result(_broken('not_ready', interface.SIMULATOR, detail, 0))
+            answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
+
+    def _not_asked(self, within: str) -> RunResult:
+        """Why there was nobody to ask, or more than one."""
+        names = sorted(self._servers().values())
+        if len(names) > 1:
+            others = [name for name in names if name != interface.SIMULATOR] or names
+            detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
+            return _broken(INTRUDER, others[0], detail, 0)
+        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
 
 
 def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
