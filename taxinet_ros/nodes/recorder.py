@@ -43,9 +43,11 @@ from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
 
 _REST_LOOK_S = 0.05
-_REST_LOOKS = {'whole': 40, 'torn': 10, 'broken': 5}
-"""After so many looks without a message no more is awaited of a run that was broken off: where
-steps before its last are not whole; where only the last is not; where a node broke."""
+_REST_LOOKS, _BROKEN_LOOKS = 70, 5
+"""After so many looks without a message no more is awaited of a run that was broken off, or broke.
+
+DDS sends what was lost on its way once more after 3 s at most.
+"""
 
 _DRAINED_LOOKS = 4
 """After so many looks without a message all is taken that came before the simulator left."""
@@ -136,6 +138,7 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
+        self._running = False
         self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
@@ -207,6 +210,8 @@ class Recorder(Participant):
         status = deserialize_message(cdr, RunStatus)
         if status.state == RunStatus.ENDED:
             self._end(status, cdr)
+        elif status.run_id == self.run_id:
+            self._running = status.state == RunStatus.RUNNING
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -347,11 +352,10 @@ class Recorder(Participant):
         It comes on other topics than the end, which may overtake it.
         """
         assert self._ended is not None
-        if self._whole > self._ended.seq:
+        if not self._running or self._whole > self._ended.seq:
             return False
-        lacking = 'torn' if self._whole == self._ended.seq else 'whole'
-        kind = lacking if self._ended.outcome == Outcome.INTERRUPTED else 'broken'
-        return self._rest_looks < _REST_LOOKS[kind]
+        interrupted = self._ended.outcome == Outcome.INTERRUPTED
+        return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)
 
     def _await_rest(self, _: None) -> None:
         self._rest_looks += 1

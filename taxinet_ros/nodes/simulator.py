@@ -102,9 +102,10 @@ class Simulator(Node):
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
     def may_leave(self) -> bool:
-        """Whether the run at hand, which is to end as INTERRUPTED, has and all have heard it."""
+        """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
         self._leaving = True
-        return self._run is None and time.monotonic() >= self._may_leave_s
+        alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
+        return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
 
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
@@ -352,7 +353,9 @@ class Simulator(Node):
             run.unwanted_s = now
         self._look_for_strangers()
         if run.ending is not None:
-            if silence > self._answer_timeout_s:
+            if self._leaving and not self._is_recorder_there():
+                run.finish()
+            elif silence > self._answer_timeout_s:
                 self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
@@ -366,6 +369,11 @@ class Simulator(Node):
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+
+    def _is_recorder_there(self) -> bool:
+        topic = self._speakers[interface.RUN_STATUS.name].topic_name
+        ends = self.get_subscriptions_info_by_topic(topic)
+        return any(end.node_name == interface.RECORDER for end in ends)
 
     def _await_ready(self, run: ActiveRun) -> None:
         self._start_if_ready(run)
