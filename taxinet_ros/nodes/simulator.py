@@ -353,10 +353,7 @@ class Simulator(Node):
             run.unwanted_s = now
         self._look_for_strangers()
         if run.ending is not None:
-            if self._leaving and not self._is_recorder_there():
-                run.finish()
-            elif silence > self._answer_timeout_s:
-                self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+            self._await_recorder(run, silence)
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
         elif run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
@@ -370,10 +367,13 @@ class Simulator(Node):
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
 
-    def _is_recorder_there(self) -> bool:
-        topic = self._speakers[interface.RUN_STATUS.name].topic_name
-        ends = self.get_subscriptions_info_by_topic(topic)
-        return any(end.node_name == interface.RECORDER for end in ends)
+    def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
+        """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
+        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
+            run.finish()
+        elif silence_s > self._answer_timeout_s:
+            self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
 
     def _await_ready(self, run: ActiveRun) -> None:
         self._start_if_ready(run)
