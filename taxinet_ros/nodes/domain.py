@@ -39,9 +39,10 @@ _LOOK_S, _LOOK_FAR_S = 7.0, 3.5
 _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 
-# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
-# Above 100 the ports of DDS are those that systems give away to whoever asks for any.
 _CHOICE = 100
+"""Number of domains to choose from: the ports of those above are given away by Linux."""
+
+# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
 _made_sure_of: set[int] = set()
 

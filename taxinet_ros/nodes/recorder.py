@@ -97,6 +97,8 @@ class Recorder(Participant):
         self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
         text = 'runs whose camera frames go into the bags: all, failures or none'
         images = declare(self, 'images', 'all', text)
+        text = 'whether to record nothing while there is a second simulator'
+        self._alone = declare(self, 'alone', False, text)
         refuse_unknown(self)
         if images not in IMAGES:
             raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
@@ -168,8 +170,15 @@ class Recorder(Participant):
 
     def _take(self, scenario: Scenario) -> None:
         # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
-        if self._writer is None or not self._charged:
+        if self._writer is not None and self._charged:
+            return
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        stranger = heard.unsettled_by(scenario.participants) if self._alone else None
+        if stranger is None:
             super()._take(scenario)
+        elif self._writer is None:
+            self.run_id = scenario.run_id
+            self.charge(stranger.error(-1))
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:

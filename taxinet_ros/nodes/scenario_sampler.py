@@ -17,7 +17,7 @@ from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
-from taxinet_ros.nodes.notices import obituary
+from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
 from taxinet_ros.nodes.parameters import declare
 
 _WATCH_PERIOD_S = 0.1
@@ -31,6 +31,7 @@ class ScenarioSampler(Node):
     Attributes:
         seq: the control step that the run at hand has reached, as far as is known.
         interrupted: whether :meth:`interrupt` was called.
+        one_simulator: whether an answer counts only where there never was a second simulator.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -47,7 +48,8 @@ class ScenarioSampler(Node):
         self._goal: Any = None
         self._answer: Future | None = None
         self._finished: Future | None = None
-        self.interrupted = False
+        self.interrupted = self.one_simulator = False
+        self._others: list[str] = []
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
@@ -173,8 +175,23 @@ class ScenarioSampler(Node):
         handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
 
     def _take_result(self, answer: Future, response: Future) -> None:
+        self._look_for_others()
         if not answer.done():
-            answer.set_result(_result_of(response.result().result))
+            answer.set_result(self._alone(_result_of(response.result().result)))
+
+    def _look_for_others(self) -> None:
+        """Note who else would answer this node: whose answer was heard then, nobody knows."""
+        feedback = f'{interface.RUN_SCENARIO}/_action/feedback'
+        names = [end.node_name for end in self.get_publishers_info_by_topic(feedback)]
+        if self.one_simulator and len(names) > 1:
+            self._others = names
+
+    def _alone(self, result: RunResult) -> RunResult:
+        """A result, if it cannot be somebody else's."""
+        if not self._others or result.outcome is Outcome.INFRA_ERROR:
+            return result
+        who = next((n for n in self._others if n != interface.SIMULATOR), interface.SIMULATOR)
+        return _broken(INTRUDER, who, 'a second simulator answers', result.last_seq)
 
     def _on_feedback(self, message: Any) -> None:
         self._silent_looks = 0
@@ -187,6 +204,7 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
+        self._look_for_others()
         self._silent_looks += 1
         # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
         silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
@@ -209,6 +227,9 @@ def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
 
 def _result_of(answer: Any) -> RunResult:
     status, verdict = answer.status, answer.verdict
+    if status.outcome not in list(Outcome):
+        detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
+        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
     outcome = Outcome(status.outcome)
     judged = outcome.judged
     return RunResult(
