@@ -25,6 +25,25 @@ _SILENT_LOOKS = 20
 """After an interrupt so many looks without a word mean that the simulator has gone too."""
 
 
+class _Asker(ActionClient):
+    """An action client that outlives a second server's answer, for which rclpy 7.1 raises.
+
+    Attributes:
+        answered_twice: whether there was one.
+    """
+
+    answered_twice = False
+
+    async def execute(self, taken_data: Any) -> None:
+        """See :class:`rclpy.action.ActionClient`."""
+        try:
+            await super().execute(taken_data)
+        except RuntimeError as error:
+            if 'goals were accepted with the same ID' not in str(error):
+                raise
+            self.answered_twice = True
+
+
 class ScenarioSampler(Node):
     """Drives the graph run by run over the action ``run_scenario``.
 
@@ -42,7 +61,7 @@ class ScenarioSampler(Node):
         text = 'wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]'
         silence_timeout_s = declare(self, 'silence_timeout', 60.0, text, (0.1, 3600.0))
         self._limits = (server_timeout_s, silence_timeout_s)
-        self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
+        self._client = _Asker(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         topic = interface.OBITUARY
         self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
@@ -157,6 +176,10 @@ class ScenarioSampler(Node):
             self._finished.set_result(None)
 
     def _ask(self, request: RunRequest, answer: Future) -> None:
+        self._look_for_others()
+        if self._others:
+            answer.set_result(self._alone(RunResult(outcome=Outcome.INTERRUPTED)))
+            return
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = time.monotonic()
         sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
@@ -183,8 +206,8 @@ class ScenarioSampler(Node):
         """Note who else would answer this node: whose answer was heard then, nobody knows."""
         feedback = f'{interface.RUN_SCENARIO}/_action/feedback'
         names = [end.node_name for end in self.get_publishers_info_by_topic(feedback)]
-        if self.one_simulator and len(names) > 1:
-            self._others = names
+        if self._client.answered_twice or (self.one_simulator and len(names) > 1):
+            self._others = names or [interface.SIMULATOR]
 
     def _alone(self, result: RunResult) -> RunResult:
         """A result, if it cannot be somebody else's."""
