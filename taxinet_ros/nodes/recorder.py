@@ -110,6 +110,7 @@ class Recorder(Participant):
         )
         self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
+        self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -177,7 +178,7 @@ class Recorder(Participant):
         if stranger is None:
             super()._take(scenario)
         elif self._writer is None:
-            self.run_id = scenario.run_id
+            self.run_id = self._refused = scenario.run_id
             self.charge(stranger.error(-1))
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
@@ -228,6 +229,9 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
+        if status.run_id == self._refused:
+            self._refused, self._ended = '', status
+            self._done()
         if self._writer is None or status.run_id != self.run_id:
             return
         self._ended, self._ended_cdr = status, cdr

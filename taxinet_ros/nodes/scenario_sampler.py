@@ -200,7 +200,7 @@ class ScenarioSampler(Node):
     def _take_result(self, answer: Future, response: Future) -> None:
         self._look_for_others()
         if not answer.done():
-            answer.set_result(self._alone(_result_of(response.result().result)))
+            answer.set_result(self._alone(result_of(response.result().result)))
 
     def _look_for_others(self) -> None:
         """Note who else would answer this node: whose answer was heard then, nobody knows."""
@@ -248,7 +248,8 @@ def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
     return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
 
 
-def _result_of(answer: Any) -> RunResult:
+def result_of(answer: Any) -> RunResult:
+    """What the result of the action ``run_scenario`` says, whoever gave it."""
     status, verdict = answer.status, answer.verdict
     if status.outcome not in list(Outcome):
         detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
