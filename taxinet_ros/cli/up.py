@@ -68,6 +68,7 @@ def make_up_options(
     return UpOptions(
         graph=GraphOptions(
             perception=perception, out=out, images=images, gains=gains, controller=controller,
+            alone=False,
         ),
         record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
     )

@@ -56,6 +56,7 @@ class GraphOptions:
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
         controller: ``steering``, ``FILE.py:NAME``, or a word of node_words.
+        alone: whether runs are asked for by this process alone, so that no other is recorded.
     """
 
     perception: str
@@ -66,6 +67,7 @@ class GraphOptions:
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
     controller: str = STEERING
+    alone: bool = True
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of ours but the sampler, by node name."""
@@ -81,6 +83,7 @@ class GraphOptions:
             interface.MTL_MONITOR: (MtlMonitor, {}),
             interface.RECORDER: (Recorder, {
                 'out': str(self.out), 'make_out': self.make_out, 'images': self.images,
+                'alone': self.alone,
             }),
         }
         return {name: node for name, node in every.items() if name not in self.elsewhere}
@@ -194,6 +197,7 @@ class SampledGraph:
         overrides = _overrides(self._patience)
         sampler = ScenarioSampler(context=self._context, parameter_overrides=overrides)
         self._sampler = sampler
+        sampler.one_simulator = True
         if self._interrupted:
             sampler.interrupt()
         if self.children:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable
-from typing import Any, NoReturn
+from threading import Event, Timer
+from typing import Any
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -36,8 +36,11 @@ _BAD_ARGUMENTS = (
     rclpy_implementation.RCLError,
 )
 
-GRACE_S = 3.0
+GRACE_S = 5.0
 """Longest time [s] that a node which was asked to end goes on, for the run at hand to end."""
+
+AT_ONCE_S = 1.0
+"""Longest time [s] that it then takes to leave the graph after a second signal."""
 
 _LOOK_S = 0.05
 
@@ -48,9 +51,9 @@ def run_node(
     """Run one node until Ctrl-C, SIGTERM, a closed terminal or the end of its work, then exit.
 
     The first signal has a node that serves a run go on until it may leave (its method
-    ``may_leave``, if it has one, is asked again and again), but for :data:`GRACE_S` at most;
-    the second one ends the process where it stands. Exit code: 0 after one signal, 130, 143 or
-    129 after two.
+    ``may_leave``, if it has one, is asked again and again), but for :data:`GRACE_S` at most.
+    After the second one it waits for nothing, but says goodbye, so that all others know that it
+    is gone. Exit code: 0 after one signal, 130, 143 or 129 after two.
 
     Args:
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line, or
@@ -94,19 +97,25 @@ def run_node(
 
 def _serve(node: Any, executor: Any) -> int:
     """Spin until the node has ended, or was asked to and may leave."""
-    ended, asked = getattr(node, 'ended', Future()), threading.Event()
+    ended, asked, asked_again = getattr(node, 'ended', Future()), Event(), Event()
 
-    def second() -> NoReturn:
-        os._exit(told_apart(INTERRUPTED))
+    def at_once() -> bool:
+        asked_again.set()
+        hung = Timer(AT_ONCE_S, lambda: os._exit(told_apart(INTERRUPTED)))
+        hung.daemon = True
+        hung.start()
+        return True
 
-    with interrupts(asked.set, second):
+    with interrupts(asked.set, at_once):
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
         deadline_s = time.monotonic() + GRACE_S
-        while asked.is_set() and not may_leave() and time.monotonic() < deadline_s:
+        while not (ended.done() or asked_again.is_set() or may_leave()):
             spin_for(executor, ended, _LOOK_S)
-    return 0
+            if time.monotonic() > deadline_s:
+                break
+    return INTERRUPTED if asked_again.is_set() else 0
 
 
 def _leave(node: Any, executor: Any) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, Scenario
@@ -121,14 +122,16 @@ class Participant(Node):
     def may_leave(self) -> bool:
         """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
 
-        So it is without a run, without a simulator, and where for a second nothing was heard of
-        them: one that was killed is still counted for a while.
+        So it is without a run or a simulator, and where for a second nothing was said or heard.
         """
         self.silent_looks += 1
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        alone = not heard.subscription.get_publisher_count()
-        silent = alone or self.silent_looks > _SILENT_LOOKS
-        return silent or not self.run_id
+        if not self.run_id or not heard.subscription.get_publisher_count():
+            return True
+        return self.silent_looks > _SILENT_LOOKS and all(
+            # What DDS has lost on its way it sends once more, as long as this node is there.
+            publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
+        )
 
     def close(self) -> None:
         """Finish what must not be lost; called once before the node goes away."""

@@ -43,9 +43,11 @@ from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
 
 _REST_LOOK_S = 0.05
-_REST_LOOKS = {'whole': 40, 'torn': 10, 'broken': 5}
-"""After so many looks without a message no more is awaited of a run that was broken off: where
-steps before its last are not whole; where only the last is not; where a node broke."""
+_REST_LOOKS, _BROKEN_LOOKS = 70, 5
+"""After so many looks without a message no more is awaited of a run that was broken off, or broke.
+
+DDS sends what was lost on its way once more after 3 s at most.
+"""
 
 _DRAINED_LOOKS = 4
 """After so many looks without a message all is taken that came before the simulator left."""
@@ -97,6 +99,8 @@ class Recorder(Participant):
         self._make_out = declare(self, 'make_out', True, text)
         text = 'runs whose camera frames go into the bags: all, failures or none'
         images = declare(self, 'images', 'all', text)
+        text = 'whether to record nothing while there is a second simulator'
+        self._alone = declare(self, 'alone', False, text)
         refuse_unknown(self)
         if images not in IMAGES:
             raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
@@ -108,6 +112,7 @@ class Recorder(Participant):
         )
         self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
+        self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -136,6 +141,7 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
+        self._running = False
         self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
@@ -172,8 +178,15 @@ class Recorder(Participant):
 
     def _take(self, scenario: Scenario) -> None:
         # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
-        if self._writer is None or not self._charged:
+        if self._writer is not None and self._charged:
+            return
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        stranger = heard.unsettled_by(scenario.participants) if self._alone else None
+        if stranger is None:
             super()._take(scenario)
+        elif self._writer is None:
+            self.run_id = self._refused = scenario.run_id
+            self.charge(stranger.error(-1))
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
@@ -214,6 +227,8 @@ class Recorder(Participant):
         status = deserialize_message(cdr, RunStatus)
         if status.state == RunStatus.ENDED:
             self._end(status, cdr)
+        elif status.run_id == self.run_id:
+            self._running = status.state == RunStatus.RUNNING
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -221,6 +236,9 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
+        if status.run_id == self._refused:
+            self._refused, self._ended = '', status
+            self._done()
         if self._writer is None or status.run_id != self.run_id:
             return
         self._ended, self._ended_cdr = status, cdr
@@ -354,11 +372,10 @@ class Recorder(Participant):
         It comes on other topics than the end, which may overtake it.
         """
         assert self._ended is not None
-        if self._whole > self._ended.seq:
+        if not self._running or self._whole > self._ended.seq:
             return False
-        lacking = 'torn' if self._whole == self._ended.seq else 'whole'
-        kind = lacking if self._ended.outcome == Outcome.INTERRUPTED else 'broken'
-        return self._rest_looks < _REST_LOOKS[kind]
+        interrupted = self._ended.outcome == Outcome.INTERRUPTED
+        return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)
 
     def _await_rest(self, _: None) -> None:
         self._rest_looks += 1

@@ -102,9 +102,10 @@ class Simulator(Node):
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
     def may_leave(self) -> bool:
-        """Whether the run at hand, which is to end as INTERRUPTED, has and all have heard it."""
+        """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
         self._leaving = True
-        return self._run is None and time.monotonic() >= self._may_leave_s
+        alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
+        return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
 
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
@@ -357,8 +358,7 @@ class Simulator(Node):
             run.unwanted_s = now
         self._look_for_strangers()
         if run.ending is not None:
-            if silence > self._answer_timeout_s:
-                self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+            self._await_recorder(run, silence)
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
         elif run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
@@ -371,6 +371,14 @@ class Simulator(Node):
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+
+    def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
+        """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
+        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
+            run.finish()
+        elif silence_s > self._answer_timeout_s:
+            self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
 
     def _await_ready(self, run: ActiveRun) -> None:
         self._start_if_ready(run)
