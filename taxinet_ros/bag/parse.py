@@ -44,7 +44,7 @@ FREE_RECORDS = 250_000
 BYTES_FOR_A_RECORD = 4
 """Of the file; the smallest message takes more, with its index or without, however well packed."""
 
-FREE_BYTES = 2 << 30
+FREE_BYTES = 1 << 30
 UNPACKED_FOR_A_BYTE = 256
 """Black camera frames are packed better still; the free ones are for those."""
 
