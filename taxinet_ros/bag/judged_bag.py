@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
-from taxinet_ros.bag.processor_time import processor_time
+from taxinet_ros.bag.limits import limited_reading
 from taxinet_ros.bag.run_samples import (
     Recorded,
     RunSamples,
@@ -142,7 +142,7 @@ def judge_runs(
         UsageError: there is nothing at ``path``.
     """
     try:
-        with processor_time(path):
+        with limited_reading(path):
             runs = read_run_samples(path, signals_of(specs) if specs else None)
     except BagError as error:
         return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]

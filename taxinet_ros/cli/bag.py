@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from taxinet_ros.bag.processor_time import read_in_time
+from taxinet_ros.bag.limits import read_within_limits
 from taxinet_ros.cli.bag_rerun_commands import compare, golden, render, replay
 from taxinet_ros.cli.option_types import RunOption
 
@@ -40,7 +40,7 @@ def info(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Tell what is in a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag_info import show_info
 
-    with read_in_time(bag):
+    with read_within_limits(bag):
         raise typer.Exit(show_info(bag, as_json=as_json))
 
 
@@ -61,7 +61,7 @@ def doctor(
     """
     from taxinet_ros.cli.bag_doctor import run_doctor
 
-    with contextlib.nullcontext() if images else read_in_time(bag):
+    with contextlib.nullcontext() if images else read_within_limits(bag):
         raise typer.Exit(run_doctor(bag, as_json=as_json, images=images, run=run_id))
 
 
@@ -78,7 +78,7 @@ def recover(
     """
     from taxinet_ros.cli.bag_recover import run_recover
 
-    with read_in_time(bag):
+    with read_within_limits(bag):
         raise typer.Exit(run_recover(bag, out))
 
 
@@ -114,7 +114,7 @@ def export(
     from taxinet_ros.cli.bag_export import run_export
 
     film = {file_format, out.suffix[1:]} & {'mp4', 'gif'}
-    with contextlib.nullcontext() if film else read_in_time(bag):
+    with contextlib.nullcontext() if film else read_within_limits(bag):
         raise typer.Exit(run_export(
             bag, out, topics=topics or (), file_format=file_format, run=run_id
         ))
@@ -134,7 +134,7 @@ def split(
     """
     from taxinet_ros.cli.bag_split import run_split
 
-    with read_in_time(bag):
+    with read_within_limits(bag):
         raise typer.Exit(run_split(bag, out))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import resource
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -38,7 +39,7 @@ class _TookTooLongError(BaseException):
 
 
 @contextlib.contextmanager
-def processor_time(
+def limited_reading(
     *bags: Path, error: Callable[[str], Exception] = BagCorrupt
 ) -> Iterator[None]:
     """Within the ``with``, reading ends when it takes more than bags of that size have need of.
@@ -71,9 +72,9 @@ def processor_time(
         signal.signal(signal.SIGVTALRM, before)
 
 
-def read_in_time(*bags: Path) -> contextlib.AbstractContextManager[None]:
-    """:func:`processor_time` for a command: the bag is the user's to mend."""
-    return processor_time(*bags, error=UsageError)
+def read_within_limits(*bags: Path) -> contextlib.AbstractContextManager[None]:
+    """:func:`limited_reading` for a command: the bag is the user's to mend."""
+    return limited_reading(*bags, error=UsageError)
 
 
 @contextlib.contextmanager
@@ -83,11 +84,20 @@ def _memory(more_bytes: int) -> Iterator[None]:
     pages = int(Path('/proc/self/statm').read_text().split()[0])
     limit = pages * resource.getpagesize() + more_bytes
     known = [one for one in (before, hard) if one != resource.RLIM_INFINITY]
+    hook = sys.unraisablehook
+
+    def quiet(unraisable: sys.UnraisableHookArgs) -> None:
+        # Generators are closed on the way out, where there is no memory for that yet.
+        if unraisable.exc_type is not MemoryError:
+            hook(unraisable)
+
+    sys.unraisablehook = quiet
     resource.setrlimit(resource.RLIMIT_AS, (min(limit, *known) if known else limit, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (before, hard))
+        sys.unraisablehook = hook
 
 
 def _size(bag: Path) -> int:
