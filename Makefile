@@ -9,6 +9,7 @@
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
 #   JOBS=2              tests side by side; 0: one after the other, in one process
 #   REPEATS=10          how often make bench measures, in turns
+#   HASHES=yes          of what is pinned, install the very files of hashes.txt, tools included
 #
 # On Linux the default index serves torch with CUDA, some GB. Without a GPU let PIP_EXTRA_INDEX_URL
 # name the index of PyTorch's CPU wheels before the first make: the pinned version is the same, and
@@ -19,12 +20,15 @@ VENV ?= .venv
 OUT ?= bags/demo
 PYTEST ?=
 JOBS ?= logical
+HASHES ?=
 REPEATS ?= 10
 
 BIN := $(VENV)/bin
 DONE := $(VENV)/done
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install -q -c constraints.txt
+# The requirements are whole without their own; what is not pinned, CUDA's libraries, follows later.
+VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
 NATIVE := $(wildcard taxinet_ros/core/native/*)
@@ -98,7 +102,7 @@ $(DONE)/venv:
 	fi; \
 	echo "make: making $(VENV) with $$python ($$($$python -V))"; \
 	$$python -m venv $(VENV)
-	@$(INSTALL) setuptools
+	@$(if $(HASHES),:,$(INSTALL) setuptools)
 	@mkdir -p $(DONE) && touch $@
 
 # scenic asks for opencv-python, which unpacks over the headless build's files and wants a display's
@@ -109,16 +113,22 @@ HEADLESS := import cv2, re, sys; \
 # What the sources in taxinet_ros/core/native ask of a compiler.
 MODERN := \#include <bit>\nstatic_assert(std::bit_cast<int>(0.0F) == 0);\n
 
-$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt $(SHARED) $(NATIVE)
+$(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt hashes.txt \
+  $(SHARED) $(NATIVE)
 	@echo 'make: installing taxinet_ros and what it needs (minutes the first time)'
 	@printf '$(MODERN)' | c++ -std=c++20 -fsyntax-only -x c++ - 2>/dev/null || { \
 	  echo 'make: compiler "c++" knows no C++20; GCC 11, Clang 14 and newer do:' \
 	    "$$(c++ --version | head -1)" >&2; \
 	  exit 2; }
-	@$(INSTALL) pybind11
+	@$(if $(HASHES),$(VERIFIED) hashes.txt,$(INSTALL) pybind11) || { \
+	  echo 'make: not the files of hashes.txt; an index of other builds? without HASHES the' \
+	    'versions in constraints.txt are enough' >&2; \
+	  exit 2; }
 	@$(INSTALL) --no-build-isolation -e '.[ros]'
+	@sed -n '/^opencv-python-headless==/,/[^\]$$/p' hashes.txt > $(DONE)/headless
 	@$(BIN)/python -c '$(HEADLESS)' 2>/dev/null || \
-	  $(INSTALL) --no-deps --force-reinstall opencv-python-headless
+	  $(if $(HASHES),$(VERIFIED) $(DONE)/headless --force-reinstall,\
+	    $(INSTALL) --no-deps --force-reinstall opencv-python-headless)
 	@touch $@
 
 $(DONE)/messages: $(DONE)/packages $(INTERFACES)

@@ -96,6 +96,18 @@ def test_given_the_requirements_when_compared_with_constraints_then_each_is_at_i
     assert installed == {name: pins.get(name) for name in names}
 
 
+def test_f10_given_the_pins_then_each_has_hashes_and_a_maker_of_them() -> None:
+    pins = re.findall(r'^([\w.-]+)==(\S+)$', (REPOSITORY / 'constraints.txt').read_text(), re.M)
+    text = (REPOSITORY / 'hashes.txt').read_text().replace('\\\n', '')
+    lines = [line.split() for line in text.splitlines() if not line.startswith('#')]
+    assert len(lines) > 200
+    assert {line[0] for line in lines} == {f'{canonicalize_name(n)}=={v}' for n, v in pins}
+    hashes = re.compile(r'(--hash=sha256:[0-9a-f]{64} ?)+')
+    assert [line[0] for line in lines if not hashes.fullmatch(' '.join(line[1:]))] == []
+    for user in ('Makefile', '.ci/run', '.ci/hashes.py'):
+        assert 'HASHES=yes' in (REPOSITORY / user).read_text()
+
+
 def test_given_the_source_when_its_imports_are_listed_then_all_are_declared() -> None:
     distributions = metadata.packages_distributions()
     declared = {canonicalize_name(requirement.name) for requirement in requirements()}

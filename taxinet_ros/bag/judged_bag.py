@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError, BagForeign
+from taxinet_ros.bag.limits import limited_reading
 from taxinet_ros.bag.run_samples import (
     Recorded,
     RunSamples,
@@ -141,7 +142,8 @@ def judge_runs(
         UsageError: there is nothing at ``path``.
     """
     try:
-        runs = read_run_samples(path, signals_of(specs) if specs else None)
+        with limited_reading(path):
+            runs = read_run_samples(path, signals_of(specs) if specs else None)
     except BagError as error:
         return [JudgedBag(path=path, trouble=str(error), foreign=isinstance(error, BagForeign))]
     return [_judged(path, samples, specs, assumptions) for samples in runs]

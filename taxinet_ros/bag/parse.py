@@ -44,7 +44,7 @@ FREE_RECORDS = 250_000
 BYTES_FOR_A_RECORD = 4
 """Of the file; the smallest message takes more, with its index or without, however well packed."""
 
-FREE_BYTES = 2 << 30
+FREE_BYTES = 1 << 30
 UNPACKED_FOR_A_BYTE = 256
 """Black camera frames are packed better still; the free ones are for those."""
 
@@ -178,10 +178,13 @@ class Work:
 
 def open_chunk(chunk: Chunk, work: Work) -> bytes:
     """What a chunk holds, if its size and its checksum hold, and the file's budget."""
-    work.unpack(chunk.uncompressed_size if chunk.compression else 0)
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD_BYTES:
+        raise BagCorrupt(f'chunk declares {size} bytes, more than the {MAX_RECORD_BYTES} allowed')
+    work.unpack(size if chunk.compression else 0)
     raw = _decompress(chunk)
-    if len(raw) != chunk.uncompressed_size:
-        raise BagCorrupt(f'chunk declares {chunk.uncompressed_size} bytes but holds {len(raw)}')
+    if len(raw) != size:
+        raise BagCorrupt(f'chunk declares {size} bytes but holds {len(raw)}')
     if chunk.uncompressed_crc and zlib.crc32(raw) != chunk.uncompressed_crc:
         raise BagCorrupt('chunk contradicts its checksum')
     return raw
@@ -222,8 +225,6 @@ def split_records(raw: BodyT) -> Iterator[tuple[int, BodyT]]:
 
 def _decompress(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
-    if size > MAX_RECORD_BYTES:
-        raise BagCorrupt(f'chunk declares {size} bytes, more than the {MAX_RECORD_BYTES} allowed')
     try:
         if chunk.compression == 'zstd':
             return _unzstd(chunk.data, size)

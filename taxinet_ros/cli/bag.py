@@ -6,11 +6,13 @@ Exit codes: 0 the bag is whole, 3 something of it is lost or wrong, 1 nothing in
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from taxinet_ros.bag.limits import read_within_limits
 from taxinet_ros.cli.bag_rerun_commands import compare, golden, render, replay
 from taxinet_ros.cli.option_types import RunOption
 
@@ -38,7 +40,8 @@ def info(bag: BagArgument, as_json: JsonOption = False) -> None:
     """Tell what is in a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag_info import show_info
 
-    raise typer.Exit(show_info(bag, as_json=as_json))
+    with read_within_limits(bag):
+        raise typer.Exit(show_info(bag, as_json=as_json))
 
 
 @bag_app.command()
@@ -58,7 +61,8 @@ def doctor(
     """
     from taxinet_ros.cli.bag_doctor import run_doctor
 
-    raise typer.Exit(run_doctor(bag, as_json=as_json, images=images, run=run_id))
+    with contextlib.nullcontext() if images else read_within_limits(bag):
+        raise typer.Exit(run_doctor(bag, as_json=as_json, images=images, run=run_id))
 
 
 @bag_app.command()
@@ -74,7 +78,8 @@ def recover(
     """
     from taxinet_ros.cli.bag_recover import run_recover
 
-    raise typer.Exit(run_recover(bag, out))
+    with read_within_limits(bag):
+        raise typer.Exit(run_recover(bag, out))
 
 
 @bag_app.command()
@@ -108,9 +113,11 @@ def export(
     """
     from taxinet_ros.cli.bag_export import run_export
 
-    raise typer.Exit(run_export(
-        bag, out, topics=topics or (), file_format=file_format, run=run_id
-    ))
+    film = {file_format, out.suffix[1:]} & {'mp4', 'gif'}
+    with contextlib.nullcontext() if film else read_within_limits(bag):
+        raise typer.Exit(run_export(
+            bag, out, topics=topics or (), file_format=file_format, run=run_id
+        ))
 
 
 @bag_app.command()
@@ -127,7 +134,8 @@ def split(
     """
     from taxinet_ros.cli.bag_split import run_split
 
-    raise typer.Exit(run_split(bag, out))
+    with read_within_limits(bag):
+        raise typer.Exit(run_split(bag, out))
 
 
 for command in (render, replay, compare, golden):

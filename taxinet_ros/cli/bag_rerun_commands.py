@@ -102,10 +102,14 @@ def compare(
 
     Names of runs are not compared. Exit code: 0 the same, 1 different, 2 bad input.
     """
+    from taxinet_ros.bag.limits import read_within_limits
     from taxinet_ros.cli.bag_compare import run_compare
     from taxinet_ros.cli.bag_input import readable_run
 
-    with readable_run(bag, run_id) as one, readable_run(other, other_run) as two:
+    with (
+        read_within_limits(bag, other), readable_run(bag, run_id) as one,
+        readable_run(other, other_run) as two,
+    ):
         code = run_compare(one, two, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)
 

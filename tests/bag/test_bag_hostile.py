@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import resource
+import signal
+import time
 import tracemalloc
 import zlib
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+import hostile_bags
 import pytest
 import zstandard
 from bag_faults import chunk, declarations, file_with
 from bag_samples import drain
 from mcap.records import Channel, Chunk, Header, Message, Schema
 
+from taxinet_ros.bag import limits, parse
 from taxinet_ros.bag.decode import decode, definition_hash
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
+from taxinet_ros.bag.index import index_troubles
+from taxinet_ros.bag.limits import limited_reading, read_within_limits
 from taxinet_ros.bag.reader import read_info, read_messages
-from taxinet_ros.bag.storage import MAGIC, encode
+from taxinet_ros.bag.sound_messages import sound_messages
+from taxinet_ros.bag.storage import MAGIC, StorageFile, encode
 from taxinet_ros.bag.tables import units_of
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.yaml_text import MAX_CHARS, dump_yaml, load_yaml
@@ -168,3 +176,71 @@ def test_given_plain_yaml_when_written_and_read_then_it_is_the_same() -> None:
     assert '&' not in dump_yaml(value)
     assert load_yaml(dump_yaml(value), aliases=False) == value
     assert load_yaml('a: &x [1]\nb: *x') == {'a': [1], 'b': [1]}
+
+
+@pytest.mark.parametrize('make', [
+    hostile_bags.private, hostile_bags.channel_of_many_words, hostile_bags.metadata_of_many_words,
+    hostile_bags.statistics_of_many_channels, hostile_bags.same_channel_again,
+], ids=lambda make: make.__name__)
+def test_f8_given_a_file_that_is_made_to_keep_its_reader_busy_then_it_is_done_in_time(
+    damaged: Callable[[bytes], Path], make: Callable[[], bytes], tmp_path: Path
+) -> None:
+    path = damaged(make())
+    assert path.stat().st_size < 30_000
+    for read in (
+        lambda: deque(read_messages(path), maxlen=0), lambda: index_troubles(path),
+        lambda: deque(sound_messages(path, lambda topic: True), maxlen=0),
+    ):
+        begun = time.process_time()
+        with pytest.raises(BagCorrupt, match=r'more records than a recording|of kind \d+ within a'):
+            read()
+        assert time.process_time() - begun < 20.0
+
+
+def test_f8_given_more_bytes_unpacked_than_a_recording_holds_then_refused(
+    damaged: Callable[[bytes], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parse, 'FREE_BYTES', 1 << 20)
+    chunks = [hostile_bags.packed(encode(Message(1, n, bytes(1 << 18), n, 0))) for n in range(9)]
+    path = damaged(hostile_bags.whole(hostile_bags.DECLARED + b''.join(chunks), 9))
+    found, error = drain(read_messages(path))
+    assert 3 <= len(found) < 9
+    assert 'unpack to more than a recording' in str(error)
+
+
+def test_f8_given_a_dense_recording_of_ours_then_no_limit_is_near(tmp_path: Path) -> None:
+    """Fifty thousand messages that differ in their stamps only."""
+    topic = TopicInfo(name='/t', type='a/msg/B', qos='', definition='uint8 x', type_hash='')
+    bag = StorageFile(tmp_path / 'dense.mcap', topics=[topic], library='x')
+    for number in range(50_000):
+        bag.add_message('/t', b'\0\1\0\0\1', number * 10_000_000)
+    bag.finish()
+    bag.output.close()
+    size = (tmp_path / 'dense.mcap').stat().st_size
+    assert size > 50_000 * parse.BYTES_FOR_A_RECORD * 3, 'each takes thrice what it needs to'
+    assert len(list(read_messages(tmp_path / 'dense.mcap'))) == 50_000
+
+
+def test_f8_given_reading_without_end_then_it_ends_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(limits, 'FREE_S', 0.1)
+    (tmp_path / 'a.mcap').write_bytes(bytes(1000))
+
+    def swallow() -> None:
+        while True:
+            try:
+                sum(range(1000))
+            except Exception as error:  # as readers of definitions do
+                raise AssertionError from error
+
+    with pytest.raises(BagCorrupt, match=r'a\.mcap: took more than 0 s of processor time'), \
+            limited_reading(tmp_path / 'a.mcap'):
+        swallow()
+    assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with pytest.raises(UsageError, match='took more memory than a recording of 1000 bytes does'), \
+            read_within_limits(tmp_path):
+        bytearray(8 << 30)
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+    assert capfd.readouterr() == ('', '')
