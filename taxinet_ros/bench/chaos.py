@@ -42,8 +42,8 @@ _SITTINGS = 3
 """Most disturbed sittings of a trial; the one after them is left alone."""
 
 _MARK = 'TAXINET_CHAOS'
-_HISTORY = ('retries', *WALL_CLOCK_COLUMNS)
-"""Columns that honestly tell of a disturbed campaign what happened to it."""
+_HISTORY = ('retries', 'stack', *WALL_CLOCK_COLUMNS)
+"""Columns that honestly tell of a disturbed campaign what happened to it, and on what machine."""
 
 _EXPERIMENT = """\
 program: nominal
@@ -371,12 +371,12 @@ class _Trial:
         for key, row in self._judged.items():
             if key not in rows or not rows[key].outcome.judged:
                 self._broke('rows lost', f'{name}: run {key} is gone')
-            elif _plain(rows[key]) != _plain(row):
-                self._broke('rows changed', f'{name}: run {key}')
+            elif changed := _changed(row, rows[key]):
+                self._broke('rows changed', f'{name}: run {key}: {changed}')
         self._judged = {key: row for key, row in rows.items() if row.outcome.judged}
         for key, row in self._judged.items():
-            if _plain(row) != _plain(self._whole[key]):
-                self._broke('rows changed', f'{name}: run {key} is not that of the undisturbed one')
+            if changed := _changed(self._whole[key], row):
+                self._broke('rows changed', f'{name}: run {key} of the undisturbed one: {changed}')
         for folder in self._subject.folders:
             twice = [key for key, times in _judged_times(self._out / folder).items() if times > 1]
             if twice:
@@ -464,8 +464,13 @@ def _rows(subject: Subject, out: Path) -> Rows:
     }
 
 
-def _plain(row: RunRow) -> dict[str, Any]:
-    return {key: value for key, value in row.to_json().items() if key not in _HISTORY}
+def _changed(before: RunRow, after: RunRow) -> str:
+    """In which columns two rows differ that have to be the same, with both values."""
+    one, other = before.to_json(), after.to_json()
+    return ', '.join(
+        f'{key} {one[key]} is {other[key]}'
+        for key in one if key not in _HISTORY and one[key] != other[key]
+    )
 
 
 def _judged_times(folder: Path) -> Counter[int]:

@@ -84,8 +84,8 @@ class Record:
             RecordError: that is not possible.
         """
         with self._kept():
+            self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
             write_facts(self._out, facts)
-            self._ledger.campaign(facts)
 
     def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
         """Put down that a run is about to begin.
