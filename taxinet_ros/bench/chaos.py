@@ -398,7 +398,11 @@ class _Trial:
         if rows.keys() != self._whole.keys():
             self._broke('rows lost', f'{len(rows)} of {len(self._whole)} rows in the end')
         for folder in self._subject.folders:
-            table = read_table(self._out / folder)
+            try:
+                table = read_table(self._out / folder)
+            except UsageError as error:
+                self._broke('rows lost', f'the table: {error}')
+                continue
             told = {int(index): outcome for index, outcome in
                     zip(table['index'], table['outcome'], strict=True)}
             if told != {key[1]: row.outcome.value for key, row in rows.items() if key[0] == folder}:
