@@ -56,7 +56,7 @@ def arm_searches(
         raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
     if not resume:
         check_new(out)
-    elif not any((out / arm.name / LEDGER_NAME).is_file() for arm in experiment.arms):
+    elif not _may_be_begun(experiment, out):
         raise UsageError(f'--resume: {out}: holds no arm of {experiment.name}; leave --resume out')
     return {
         arm.name: SearchOptions(
@@ -66,6 +66,15 @@ def arm_searches(
         )
         for arm in experiment.arms
     }
+
+
+def _may_be_begun(experiment: Experiment, out: Path) -> bool:
+    """Whether a folder holds arms of the experiment, if only one that was just to be begun."""
+    arms = {arm.name for arm in experiment.arms}
+    there = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    return bool(there) and (
+        there <= arms or any((out / name / LEDGER_NAME).is_file() for name in arms)
+    )
 
 
 def arm_rows(experiment: Experiment, out: Path) -> dict[str, tuple[RunRow, ...]]:

@@ -75,7 +75,7 @@ def bench(
             metavar='[SUBJECT]...',
             help='camera, inference, physics, monitor, samplers, loop, graph, start-up, campaign, '
             'or all (but the campaign), which none means too: 3 to 5 minutes on two cores; or '
-            'soak; or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
+            'soak; or chaos; or intervals [SAMPLER]...; or searches [SAMPLER|LANDSCAPE]...',
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(help='how often each is measured, in turns')] = 40,
@@ -95,11 +95,15 @@ def bench(
         float | None, typer.Option(help='soak: simulated length of each run; 3 [s]')
     ] = None,
     minutes: Annotated[
-        float | None, typer.Option(help='soak: wall time after which it ends; of --pid, 10 [min]')
+        float | None,
+        typer.Option(help='soak, chaos: wall time after which it ends; of --pid, chaos 10 [min]')
     ] = None,
     pid: Annotated[
         int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
     ] = None,
+    seed: Annotated[int, typer.Option(help='chaos: of all that happens')] = 0,
+    trials: Annotated[int | None, typer.Option(min=1, help='chaos: how many trials')] = None,
+    trial: Annotated[int | None, typer.Option(min=0, help='chaos: only this trial')] = None,
 ) -> None:
     """Measure how long everything takes, on one core; or soak.
 
@@ -114,8 +118,17 @@ def bench(
 
     `taxinet bench searches` searches landscapes whose failure regions are known, and says how many
     of them each sampler finds in 200 runs.
+
+    `taxinet bench chaos` kills, stops, moves and damages small campaigns, resumes them, and sees
+    whether they end as if nobody had disturbed them; exit code 4 if one does not.
     """
     words, given = subjects or [], given_options(context)
+    from taxinet_ros.cli.chaos import asks_for_chaos, run_chaos
+
+    if asks_for_chaos(words, given):
+        raise typer.Exit(run_chaos(
+            seed=seed, minutes=minutes, trials=trials, trial=trial, as_json=as_json,
+        ))
     if asks_for('intervals', words, given):
         from taxinet_ros.cli.intervals import run_intervals
 

@@ -1,11 +1,13 @@
 """The loop of ``taxinet improve``, with stages that leave behind what theirs would, in no time."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 from network_samples import card_of, random_weights, save_sample
 
+from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.campaign.ledger import Ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import UsageError
@@ -140,6 +142,26 @@ def test_given_no_failure_then_the_loop_ends_there_and_says_so(begun):
     assert bench.done == ['round-1-falsify']
     assert (out / BEST).exists()
     assert [line['decision'] for line in lines(out)] == [None]
+
+
+def test_f1_given_a_disk_that_was_full_while_the_start_was_copied_then_it_goes_on(
+    begun, monkeypatch
+):
+    options, out = begun
+    copy = shutil.copyfile
+    with monkeypatch.context() as full:
+
+        def half(source: Path, target: Path) -> None:
+            if Path(source).suffix == '.safetensors':
+                Path(target).write_bytes(Path(source).read_bytes()[:1000])
+                raise OSError(28, 'No space left on device')
+            copy(source, target)
+
+        full.setattr(shutil, 'copyfile', half)
+        with pytest.raises(BagWriteError, match='No space left'):
+            go(options, out, Bench(out, {}))
+    assert not (out / 'start.safetensors').exists(), 'nothing half-written'
+    assert go(options, out, Bench(out, {}))[0] == 0
 
 
 def test_given_an_interrupt_when_called_again_then_nothing_is_done_or_written_twice(begun):

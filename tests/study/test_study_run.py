@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from studies import asked, run_study, sittings_of, smoke_config
 
+from taxinet_ros.cli import case_study
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.study.plan import stages
 from taxinet_ros.study.progress import State, seconds_left, state_of
@@ -247,3 +248,40 @@ def test_given_what_took_how_long_then_the_rest_is_told_by_it(finished):
     assert 0 < quick < 100
     assert 200 < seconds_left([evaluation], found, slow, 2) <= 1000
     assert seconds_left([evaluation], found, {}, 1) > seconds_left([evaluation], found, {}, 2)
+
+
+def test_f9_given_a_study_whose_folder_is_moved_then_it_ends_with_one_line(finished, tmp_path):
+    out = copied(finished, tmp_path, 'evaluate-generic', 'evaluate-halton')
+    (out / 'wait.txt').write_text('evaluate-generic')
+    here = str(Path(__file__).parent)
+    with subprocess.Popen(
+        [sys.executable, '-c', RUN, str(out)], cwd=here, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+    ) as study:
+        assert study.stdout is not None
+        assert study.stdout.readline() == 'waiting\n'
+        out.rename(tmp_path / 'moved')
+        study.send_signal(signal.SIGINT)
+        _, complaints = study.communicate(timeout=60)
+    assert f'RecordError: {out}/stages.jsonl: was moved, deleted or replaced' in complaints
+    assert not out.exists()
+    (tmp_path / 'moved' / 'wait.txt').unlink()
+    asked(tmp_path / 'moved')
+    assert run_study(tmp_path / 'moved')[0] == 0
+    assert len(asked(tmp_path / 'moved')) == 2, 'what was not done, and no more'
+
+
+def test_f1_given_a_full_disk_at_the_first_file_then_the_study_can_be_begun_again(
+    tmp_path, monkeypatch
+):
+    def refuse(out: Path, config: object) -> None:
+        raise OSError(28, 'No space left on device', str(out / 'study.json'))
+
+    options = case_study.CaseStudyOptions(out=tmp_path / 'study', scale=0.005)
+    with monkeypatch.context() as full:
+        full.setattr(case_study, 'write_study', refuse)
+        with pytest.raises(OSError, match='No space left'):
+            case_study.run_case_study(options)
+    assert list((tmp_path / 'study').iterdir()) == []
+    monkeypatch.setattr(case_study.StudyRun, 'run', lambda run: 0)
+    assert case_study.run_case_study(options) == 0

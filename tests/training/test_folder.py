@@ -222,6 +222,38 @@ def test_given_a_full_disk_when_written_then_one_line_says_so_and_it_can_go_on(
     assert write_dataset(options(out, resume=True)) == 3
 
 
+def test_f1_given_a_full_disk_before_anything_is_begun_then_the_same_command_begins(
+    tmp_path: Path,
+) -> None:
+    write_dataset(options(tmp_path / 'whole'))
+    out = tmp_path / 'set'
+    out.mkdir()
+    (out / '.request.json.draft').write_text('{"half')
+    assert write_dataset(options(out)) == 6
+    assert contents(out) == contents(tmp_path / 'whole')
+
+
+def test_f9_given_a_folder_that_is_moved_then_the_dataset_ends_with_one_line(
+    tmp_path: Path,
+) -> None:
+    write_dataset(options(tmp_path / 'whole'))
+    for act in ('moved', 'replaced'):
+        out, moved = tmp_path / act, tmp_path / f'{act}-elsewhere'
+
+        def progress(stage: str, done: int, total: int, out=out, moved=moved, act=act) -> None:
+            if (stage, done) == ('images', 3):
+                out.rename(moved)
+                if act == 'replaced':
+                    (out / 'images').mkdir(parents=True)
+
+        with pytest.raises(RecordError) as caught:
+            write_dataset(options(out), progress)
+        assert '\n' not in str(caught.value)
+        assert not (out / 'labels.parquet').exists()
+        assert write_dataset(options(moved, resume=True)) <= 3
+        assert contents(moved) == contents(tmp_path / 'whole')
+
+
 def test_given_two_commands_when_they_write_to_one_folder_then_the_second_is_refused(
     tmp_path: Path,
 ) -> None:

@@ -1,0 +1,607 @@
+"""Chaos: everything is done to small campaigns that may happen to one, and what is left is checked.
+
+Each trial begins a campaign, does something to it at a moment drawn from the seed (kills, stops,
+fills, moves, damages), resumes it, up to three times, and lets it end. Its rows have to be those of
+a campaign that nobody disturbed. On the way no row may be lost, doubled or changed, no command may
+hang, leave a process behind, end in a traceback or with another exit code than its end asks for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.outcome import Outcome
+
+HANG_S = 900.0
+"""A command that takes so long hangs, on however busy a machine: most take some seconds."""
+
+_LEAVE_S = 60.0
+"""What a command has started may take so long to be gone after its end."""
+
+_SITTINGS = 3
+"""Most disturbed sittings of a trial; the one after them is left alone."""
+
+_MARK = 'TAXINET_CHAOS'
+_HISTORY = ('retries', 'stack', *WALL_CLOCK_COLUMNS)
+"""Columns that honestly tell of a disturbed campaign what happened to it, and on what machine."""
+
+_EXPERIMENT = """\
+program: nominal
+runs: 3
+seed: 4
+sampler: halton
+perception: truth
+set: {duration: 1}
+arms:
+  shadows: {}
+  no_shadows: {set: {shadows: off}}
+"""
+
+AWAITED = frozenset({'Scenic killed', 'ledger bit'})
+"""Faults that are not drawn yet: what they ask for is being built."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """A campaign that is disturbed.
+
+    Attributes:
+        words: the command, without ``--out``.
+        runs: of each of its folders.
+        folders: where its ledgers are, below the folder that it is told.
+        resumable: whether it takes ``--resume``.
+    """
+
+    words: tuple[str, ...]
+    runs: int
+    folders: tuple[str, ...] = ('',)
+    resumable: bool = True
+
+
+_RUN = ('--perception', 'truth', '--images', 'none', '--set', 'duration=1', '--seed', '4',
+        '--spec', 'tight=always(abs(cte) <= 0.3)')
+
+SUBJECTS: Mapping[str, Subject] = {
+    'falsify': Subject(words=(
+        'falsify', 'nominal', '--runs', '8', '--workers', '2', '--sampler', 'ce',
+        '--sampler-option', 'every=1', *_RUN,
+    ), runs=8),
+    'falsify, one worker': Subject(words=('falsify', 'nominal', '--runs', '12', *_RUN), runs=12),
+    'experiment': Subject(
+        words=('experiment', '../experiment.yaml', '--workers', '2'), runs=3,
+        folders=('shadows', 'no_shadows'),
+    ),
+    'run': Subject(words=('run', 'nominal', '--runs', '5', '--processes', *_RUN), runs=5,
+                   resumable=False),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Something that happens to a campaign that is under way.
+
+    Attributes:
+        act: does it, to the processes and the folder.
+        codes: exit codes that the campaign may end with because of it; it may always end as if
+            nothing had been.
+        afterwards: mends what a person would, once the campaign has ended.
+    """
+
+    act: Callable[[_Sitting], None]
+    codes: frozenset[int] = frozenset()
+    afterwards: Callable[[_Sitting], None] = lambda sitting: None
+
+
+@dataclass
+class Found:
+    """What all the trials together have shown.
+
+    Attributes:
+        trials, sittings: how many there were.
+        rows: rows that were compared with those of undisturbed campaigns.
+        ends: how often each fault was done, by the exit code that came of it.
+        broken: what should not have been: trial, kind and words.
+    """
+
+    seed: int
+    trials: int = 0
+    sittings: int = 0
+    rows: int = 0
+    ends: dict[str, Counter[str]] = field(default_factory=dict)
+    broken: list[tuple[int, str, str]] = field(default_factory=list)
+
+    def report(self) -> dict[str, Any]:
+        """Plain values, ready for JSON."""
+        return {
+            'seed': self.seed, 'trials': self.trials, 'sittings': self.sittings,
+            'rows_compared': self.rows,
+            'faults': {name: dict(ends) for name, ends in sorted(self.ends.items())},
+            'found': dict(Counter(kind for _, kind, _ in self.broken)),
+            'broken': [
+                {'trial': trial, 'kind': kind, 'words': words} for trial, kind, words in self.broken
+            ],
+        }
+
+
+class Chaos:
+    """Trials in a folder of their own, which is kept where something broke."""
+
+    def __init__(self, folder: Path, command: Sequence[str], seed: int) -> None:
+        """Nothing is started yet.
+
+        Args:
+            folder: an empty one.
+            command: what starts ``taxinet``.
+            seed: of all that is drawn.
+        """
+        self.found = Found(seed=seed)
+        self._folder = folder
+        self._command = tuple(command)
+        self._undisturbed: dict[str, tuple[int, Rows]] = {}
+        (folder / 'experiment.yaml').write_text(_EXPERIMENT)
+
+    def trial(self, number: int) -> None:
+        """Do one; what it draws depends on the seed and its number only.
+
+        Raises:
+            InfraError: a campaign that nobody disturbs does not end as it should.
+        """
+        draw = random.Random(f'{self.found.seed} {number}')
+        name = draw.choice(list(SUBJECTS))
+        expected = self._whole(name)
+        place = self._folder / f'trial-{number}'
+        place.mkdir()
+        trial = _Trial(self, SUBJECTS[name], place, number, draw, expected)
+        trial.go()
+        self.found.trials += 1
+        if all(broken[0] != number for broken in self.found.broken):
+            shutil.rmtree(place)
+
+    def sit(self, words: Sequence[str], place: Path) -> _Sitting:
+        """Start a command."""
+        self.found.sittings += 1
+        return _Sitting([*self._command, *words], place)
+
+    def _whole(self, name: str) -> tuple[int, Rows]:
+        """Exit code and rows of a campaign that nobody disturbed."""
+        if name not in self._undisturbed:
+            place = self._folder / f'whole-{len(self._undisturbed)}'
+            place.mkdir()
+            subject = SUBJECTS[name]
+            with self.sit([*subject.words, '--out', 'c'], place) as sitting:
+                code = sitting.ended()
+            rows = _rows(subject, sitting.out)
+            if code not in (0, 1) or len(rows) < subject.runs * len(subject.folders):
+                raise InfraError('chaos', name, -1, f'ended with {code}: {sitting.last_line}')
+            self._undisturbed[name] = (code or 0, rows)
+        return self._undisturbed[name]
+
+
+Rows = dict[tuple[str, int], RunRow]
+"""Rows by folder and index."""
+
+
+class _Sitting:
+    """A command under way, and all that it has started; a context manager that leaves nothing."""
+
+    def __init__(self, command: Sequence[str], place: Path) -> None:
+        self.place, self.out = place, place / 'c'
+        self._mark = f'{os.getpid()}-{place}-{time.monotonic_ns()}'
+        self._printed = place / 'printed.txt'
+        self.began = self._printed.stat().st_size if self._printed.exists() else 0
+        with self._printed.open('ab') as printed:
+            self.process = subprocess.Popen(
+                list(command), cwd=place, stdin=subprocess.DEVNULL, stdout=printed, stderr=printed,
+                env={**os.environ, _MARK: self._mark, 'COLUMNS': '200'}, start_new_session=True,
+            )
+
+    def __enter__(self) -> _Sitting:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.left():
+            _tell(process, signal.SIGKILL)
+        self.process.wait()
+
+    @property
+    def printed(self) -> str:
+        """What it has printed."""
+        return self._printed.read_bytes()[self.began:].decode(errors='replace')
+
+    @property
+    def last_line(self) -> str:
+        """The last line of that."""
+        return next(iter(reversed(self.printed.strip().splitlines())), '')
+
+    def left(self, *words: str) -> list[psutil.Process]:
+        """The processes that there are now, of those with one of some words in their command."""
+        found = []
+        for process in psutil.process_iter():
+            try:
+                mine = process.environ().get(_MARK) == self._mark
+                line = ' '.join(process.cmdline()) if mine else ''
+                alive = mine and process.status() != psutil.STATUS_ZOMBIE
+            except psutil.Error:
+                continue
+            if alive and (not words or any(word in line for word in words)):
+                found.append(process)
+        return found
+
+    def ended(self) -> int | None:
+        """Its exit code; None where it hangs."""
+        try:
+            return self.process.wait(HANG_S)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def orphans(self) -> list[str]:
+        """What is left of it, some time after its end."""
+        deadline = time.monotonic() + _LEAVE_S
+        while (left := self.left()) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        return [str(process) for process in left]
+
+    def await_results(self, number: int) -> bool:
+        """Wait for so many; False where it ended before."""
+        deadline = time.monotonic() + HANG_S
+        while self.process.poll() is None and time.monotonic() < deadline:
+            told = sum(_events(path) for path in self.out.glob(f'**/{LEDGER_NAME}'))
+            if told >= number:
+                return True
+            time.sleep(0.02)
+        return False
+
+
+class _Trial:
+    """One campaign, from its first sitting to the comparison."""
+
+    def __init__(
+        self, chaos: Chaos, subject: Subject, place: Path, number: int, draw: random.Random,
+        expected: tuple[int, Rows],
+    ) -> None:
+        self._chaos, self._found = chaos, chaos.found
+        self._subject, self._place, self._number, self._draw = subject, place, number, draw
+        self._code, self._whole = expected
+        self._out = place / 'c'
+        self._judged: Rows = {}
+        self._kept: dict[Path, bytes] = {}
+
+    def go(self) -> None:
+        """Disturb it, and let it end."""
+        faults = [
+            name for name in (RESUMED if self._subject.resumable else NOT_RESUMED)
+            if name not in AWAITED
+        ]
+        sittings = self._draw.randint(1, _SITTINGS) if self._subject.resumable else 1
+        for _ in range(sittings):
+            name = self._draw.choice(faults)
+            code = self._disturbed(name, FAULTS[name])
+            if code is None or not self._subject.resumable:
+                return
+            if self._draw.random() < 0.5:
+                self._damage()
+        self._undisturbed_end()
+
+    def _words(self) -> list[str]:
+        begun = any(self._out.iterdir()) if self._out.is_dir() else False
+        return [*self._subject.words, '--out', 'c', *(['--resume'] if begun else [])]
+
+    def _disturbed(self, name: str, fault: Fault) -> int | None:
+        """One sitting with a fault; its exit code, None where it hangs."""
+        before = sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
+        moment = before + self._draw.randint(0, self._subject.runs - 1)
+        delay_s = self._draw.uniform(0, 0.4)
+        with self._chaos.sit(self._words(), self._place) as sitting:
+            in_time = sitting.await_results(moment)
+            if in_time:
+                time.sleep(delay_s)
+                fault.act(sitting)
+            code = sitting.ended()
+            self._check(name, sitting, code, {*fault.codes, self._code, 0, 1})
+        fault.afterwards(sitting)
+        self._note(name, str(code) if in_time else 'too late')
+        if code == 2 and self._kept:  # a damage that was refused by name
+            return self._mended(name, sitting)
+        self._kept.clear()  # a damage that was not refused has to leave the rows as they are
+        self._check_rows(name, code)
+        return code
+
+    def _undisturbed_end(self) -> None:
+        with self._chaos.sit(self._words(), self._place) as sitting:
+            code = sitting.ended()
+            self._check('the last sitting', sitting, code, {self._code})
+        if code == 2 and self._kept:
+            self._mended('the last sitting', sitting)
+            self._undisturbed_end()
+            return
+        self._check_rows('the last sitting', code)
+        if code is not None:
+            self._compare()
+
+    # Checks ------------------------------------------------------------------------------------
+
+    def _note(self, name: str, end: str) -> None:
+        self._found.ends.setdefault(name, Counter())[end] += 1
+
+    def _broke(self, kind: str, words: str) -> None:
+        self._found.broken.append((self._number, kind, words))
+
+    def _check(self, name: str, sitting: _Sitting, code: int | None, allowed: set[int]) -> None:
+        """What holds for every command, however it ends."""
+        if code is None:
+            self._broke('hang', f'{name}: still there after {HANG_S:g} s')
+            return
+        if self._kept:
+            allowed = {*allowed, 2}
+        if code not in allowed:
+            self._broke('exit code', f'{name}: {code}: {sitting.last_line}')
+        if left := sitting.orphans():
+            self._broke('orphan', f'{name}: {left[0]}')
+        for word in ('Traceback (most recent call last)', 'a defect of taxinet'):
+            if word in sitting.printed:
+                self._broke('traceback', f'{name}: {sitting.last_line}')
+
+    def _check_rows(self, name: str, code: int | None) -> None:
+        """No row that was judged is gone, another, or there twice; with a verdict all are there."""
+        try:
+            rows = _rows(self._subject, self._out)
+        except UsageError as error:
+            self._broke('rows lost', f'{name}: {error}')
+            return
+        for key, row in self._judged.items():
+            if key not in rows or not rows[key].outcome.judged:
+                self._broke('rows lost', f'{name}: run {key} is gone')
+            elif changed := _changed(row, rows[key]):
+                self._broke('rows changed', f'{name}: run {key}: {changed}')
+        self._judged = {key: row for key, row in rows.items() if row.outcome.judged}
+        for key, row in self._judged.items():
+            if changed := _changed(self._whole[key], row):
+                self._broke('rows changed', f'{name}: run {key} of the undisturbed one: {changed}')
+        for folder in self._subject.folders:
+            twice = [key for key, times in _judged_times(self._out / folder).items() if times > 1]
+            if twice:
+                self._broke('rows doubled', f'{name}: runs {twice} were judged again')
+        if code in (0, 1):
+            self._check_verdict(name, code, rows)
+
+    def _check_verdict(self, name: str, code: int, rows: Rows) -> None:
+        """The exit code of a verdict stands for all the runs."""
+        if len(rows) < len(self._whole):
+            self._broke('rows lost', f'{name}: {len(rows)} rows with exit code {code}')
+        if any(row.outcome is Outcome.INFRA_ERROR for row in rows.values()):
+            self._broke('exit code', f'{name}: {code} with a broken run')
+
+    def _compare(self) -> None:
+        """The end: ledger and table are those of the undisturbed campaign."""
+        rows = _rows(self._subject, self._out)
+        self._found.rows += len(rows)
+        if rows.keys() != self._whole.keys():
+            self._broke('rows lost', f'{len(rows)} of {len(self._whole)} rows in the end')
+        for folder in self._subject.folders:
+            try:
+                table = read_table(self._out / folder)
+            except UsageError as error:
+                self._broke('rows lost', f'the table: {error}')
+                continue
+            told = {int(index): outcome for index, outcome in
+                    zip(table['index'], table['outcome'], strict=True)}
+            if told != {key[1]: row.outcome.value for key, row in rows.items() if key[0] == folder}:
+                self._broke('rows changed', f'the table of {self._out / folder} is another')
+
+    # Damage ------------------------------------------------------------------------------------
+
+    def _damage(self) -> None:
+        """Between two sittings: what lies there is damaged, which shall not go unnoticed."""
+        name = self._draw.choice([name for name in DAMAGES if name not in AWAITED])
+        files = sorted(path for pattern in DAMAGES[name] for path in self._out.glob(pattern))
+        files = [path for path in files if path.stat().st_size]
+        if not files:
+            return
+        path = self._draw.choice(files)
+        data = bytearray(path.read_bytes())
+        self._kept[path] = bytes(data)
+        if name == 'ledger cut':
+            del data[self._draw.randrange(data.rfind(b'\n', 0, -1) + 1, len(data)):]
+            self._judged.clear()  # its last row may be gone, and is made again
+        else:
+            data[self._draw.randrange(len(data))] ^= 1 << self._draw.randrange(8)
+        path.write_bytes(bytes(data))
+        noticed = ''
+        if name == 'bag bit':
+            noticed = self._doctor(path)
+        self._note(name, noticed or 'done')
+
+    def _doctor(self, path: Path) -> str:
+        """What ``taxinet bag doctor`` makes of a damaged bag."""
+        with self._chaos.sit(['bag', 'doctor', str(path)], self._place) as sitting:
+            code = sitting.ended()
+            self._check('bag doctor', sitting, code, {1, 2, 3})
+            if code == 0:
+                self._broke('in silence', f'bag doctor calls {path.name} sound')
+        del self._kept[path]  # no campaign reads it again
+        return f'doctor {code}'
+
+    def _mended(self, name: str, sitting: _Sitting) -> int:
+        """A refusal has to name the file; then it is put back."""
+        if not any(path.name in sitting.last_line for path in self._kept):
+            self._broke('exit code', f'{name}: 2: {sitting.last_line}')
+        for path, data in self._kept.items():
+            path.write_bytes(data)
+        self._kept.clear()
+        return 2
+
+
+def _events(ledger: Path) -> int:
+    """Number of results in a ledger."""
+    try:
+        return ledger.read_bytes().count(b'"event":"result"')
+    except OSError:
+        return 0
+
+
+def _rows(subject: Subject, out: Path) -> Rows:
+    """All rows, by the ledgers."""
+    return {
+        (folder, row.index): row for folder in subject.folders
+        if (out / folder / LEDGER_NAME).exists()
+        for row in read_ledger(out / folder / LEDGER_NAME).rows
+    }
+
+
+def _changed(before: RunRow, after: RunRow) -> str:
+    """In which columns two rows differ that have to be the same, with both values."""
+    one, other = before.to_json(), after.to_json()
+    return ', '.join(
+        f'{key} {one[key]} is {other[key]}'
+        for key in one if key not in _HISTORY and one[key] != other[key]
+    )
+
+
+def _judged_times(folder: Path) -> Counter[int]:
+    """How often each run was judged."""
+    found: Counter[int] = Counter()
+    path = folder / LEDGER_NAME
+    for line in path.read_text(errors='replace').splitlines() if path.exists() else ():
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue  # damaged, or torn
+        row = event.get('row') if isinstance(event, dict) else None
+        if isinstance(row, dict) and row.get('outcome') in ('PASS', 'FAIL'):
+            found[row['index']] += 1
+    return found
+
+
+# Faults ----------------------------------------------------------------------------------------
+
+_WORKER, _SCENIC, _NODE = 'nodes.worker', 'scenic_child', 'taxinet_ros.nodes.'
+
+
+def _tell(process: psutil.Process, number: int) -> None:
+    with contextlib.suppress(psutil.Error):
+        process.send_signal(number)
+
+
+def _signal(*numbers: int, pause_s: float = 0.1) -> Callable[[_Sitting], None]:
+    """Send them to the campaign itself, one after the other."""
+    def act(sitting: _Sitting) -> None:
+        for number in numbers:
+            if sitting.process.poll() is None:
+                sitting.process.send_signal(number)
+            time.sleep(pause_s)
+
+    return act
+
+
+def _to_one(word: str, *numbers: int, pause_s: float = 0.0) -> Callable[[_Sitting], None]:
+    """Send signals to one of the processes of a kind."""
+    def act(sitting: _Sitting) -> None:
+        for process in sitting.left(word)[:1]:
+            for number in numbers:
+                _tell(process, number)
+                time.sleep(pause_s)
+
+    return act
+
+
+def _no_room(sitting: _Sitting) -> None:
+    """Have no file grow any more, as on a full disk."""
+    for process in sitting.left():
+        try:
+            process.rlimit(resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
+        except psutil.Error:
+            continue
+
+
+def _move(sitting: _Sitting) -> None:
+    if sitting.out.is_dir():
+        sitting.out.rename(sitting.place / 'elsewhere')
+
+
+def _replace(sitting: _Sitting) -> None:
+    if sitting.out.is_dir():
+        _move(sitting)
+        sitting.out.mkdir()
+
+
+def _move_back(sitting: _Sitting) -> None:
+    if (sitting.place / 'elsewhere').is_dir():
+        if sitting.out.is_dir():
+            shutil.rmtree(sitting.out)
+        (sitting.place / 'elsewhere').rename(sitting.out)
+
+
+def _copy_over(sitting: _Sitting) -> None:
+    """Put another file with the same bytes in the place of a ledger."""
+    for ledger in sorted(sitting.out.glob(f'**/{LEDGER_NAME}'))[-1:]:
+        shutil.copy(ledger, sitting.place / 'ledger')
+        (sitting.place / 'ledger').rename(ledger)
+
+
+_BROKEN = frozenset({4})
+
+FAULTS: Mapping[str, Fault] = {
+    'campaign killed': Fault(
+        act=_signal(signal.SIGKILL), codes=frozenset({-signal.SIGKILL})),
+    'campaign terminated': Fault(act=_signal(signal.SIGTERM), codes=frozenset({143})),
+    'Ctrl-C': Fault(act=_signal(signal.SIGINT), codes=frozenset({130})),
+    'Ctrl-C twice': Fault(
+        act=_signal(signal.SIGINT, signal.SIGINT), codes=frozenset({130})),
+    'campaign stopped': Fault(act=_signal(signal.SIGSTOP, signal.SIGCONT, pause_s=1.0)),
+    'worker killed': Fault(act=_to_one(_WORKER, signal.SIGKILL)),
+    'worker terminated': Fault(act=_to_one(_WORKER, signal.SIGTERM)),
+    'worker stopped': Fault(act=_to_one(_WORKER, signal.SIGSTOP, signal.SIGCONT, pause_s=1.0)),
+    'Scenic killed': Fault(act=_to_one(_SCENIC, signal.SIGKILL), codes=_BROKEN),
+    'node killed': Fault(act=_to_one(_NODE, signal.SIGKILL), codes=_BROKEN),
+    'node terminated': Fault(act=_to_one(_NODE, signal.SIGTERM), codes=_BROKEN),
+    'node stopped': Fault(act=_to_one(_NODE, signal.SIGSTOP, signal.SIGCONT, pause_s=1.0)),
+    'no room': Fault(act=_no_room, codes=_BROKEN),
+    'folder moved': Fault(act=_move, codes=_BROKEN, afterwards=_move_back),
+    'folder replaced': Fault(act=_replace, codes=_BROKEN, afterwards=_move_back),
+    'ledger replaced': Fault(act=_copy_over, codes=_BROKEN),
+}
+
+_OF_ALL = ('campaign killed', 'campaign terminated', 'Ctrl-C', 'Ctrl-C twice', 'campaign stopped',
+           'Scenic killed', 'no room', 'folder moved', 'folder replaced', 'ledger replaced')
+RESUMED = (*_OF_ALL, 'worker killed', 'worker terminated', 'worker stopped')
+NOT_RESUMED = (*_OF_ALL, 'node killed', 'node terminated', 'node stopped')
+
+DAMAGES: Mapping[str, tuple[str, ...]] = {
+    'bag bit': ('**/*.mcap',),
+    'table bit': (f'**/{CSV_NAME}', f'**/{PARQUET_NAME}'),
+    'campaign.json bit': (f'**/{FACTS_NAME}',),
+    'ledger bit': (f'**/{LEDGER_NAME}',),
+    'ledger cut': (f'**/{LEDGER_NAME}',),
+}
+
+
+def numbers(trials: int | None, minutes: float | None, only: int | None) -> Iterator[int]:
+    """Numbers of the trials to do: one, so many, or as many as begin within some minutes."""
+    if only is not None:
+        yield only
+        return
+    end_s = time.monotonic() + 60 * (minutes or 0)
+    number = 0
+    while number < trials if trials is not None else time.monotonic() < end_s:
+        yield number
+        number += 1

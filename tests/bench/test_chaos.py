@@ -1,0 +1,151 @@
+"""``taxinet bench chaos``: short chaos leaves nothing broken, and what is broken is found."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.bench import chaos
+from taxinet_ros.bench.chaos import AWAITED, DAMAGES, FAULTS, NOT_RESUMED, RESUMED, Chaos, numbers
+from taxinet_ros.cli import chaos as command
+from taxinet_ros.cli.main import _exit_code, app
+from taxinet_ros.core.errors import InfraError
+
+FAKE = r"""
+import json, pathlib, sys, time
+sys.path[:0] = {path!r}
+from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.table import write_tables
+from taxinet_ros.core.outcome import Outcome
+
+words = sys.argv[1:]
+out = pathlib.Path('c')
+resumed = '--resume' in words
+trouble = {trouble!r}
+out.mkdir(exist_ok=True)
+(out / 'campaign.json').write_text('{{}}')
+
+def row(index, rho):
+    return RunRow(run_id=f'r{{index}}', index=index, program='p', seed=0, perception='truth',
+                  outcome=Outcome.PASS, rho={{'phi': rho}})
+
+rows = [row(index, 1.0) for index in range(8)]
+with Ledger(out / 'ledger.jsonl') as ledger:
+    if not resumed:
+        for one in rows[:7]:
+            ledger.result(one)
+        print('half', flush=True)
+        if pathlib.Path('../begun').exists():
+            time.sleep(1000)
+        pathlib.Path('../begun').touch()
+    if resumed and 'rows changed' in trouble:
+        ledger.result(row(2, 2.0))
+    if resumed and 'rows doubled' in trouble:
+        ledger.result(row(3, 1.0))
+    if resumed and 'traceback' in trouble:
+        raise RuntimeError
+    if resumed and trouble == 'hang':
+        time.sleep(1000)
+    for one in rows[7:8 - ('rows lost' in trouble and resumed)]:
+        ledger.result(one)
+write_tables(rows, out)
+if 'orphan' in trouble and resumed:
+    import subprocess
+    subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(1000)'])
+sys.exit(2 if 'exit code' in trouble and resumed else 0)
+"""
+
+
+@pytest.fixture
+def one_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kill amid the first sitting of a campaign of eight runs; no damage."""
+    subject = chaos.Subject(words=('falsify',), runs=8)
+    fault = chaos.Fault(
+        act=lambda sitting: sitting.process.send_signal(signal.SIGKILL),
+        codes=frozenset({-signal.SIGKILL}),
+    )
+    monkeypatch.setattr(chaos, 'SUBJECTS', {'falsify': subject})
+    monkeypatch.setattr(chaos, 'FAULTS', {'killed': fault})
+    monkeypatch.setattr(chaos, 'RESUMED', ('killed',))
+    monkeypatch.setattr(chaos, '_SITTINGS', 1)
+    monkeypatch.setattr(chaos, '_LEAVE_S', 1.0)
+    monkeypatch.setattr(chaos._Trial, '_damage', lambda trial: None)
+
+
+def disturbing(tmp_path: Path, trouble: str) -> Chaos:
+    """Chaos around campaigns that a fake command makes, with mistakes when it is resumed."""
+    fake = tmp_path / 'fake.py'
+    fake.write_text(FAKE.format(path=sys.path, trouble=trouble))
+    folder = tmp_path / 'chaos'
+    folder.mkdir()
+    return Chaos(folder, (sys.executable, str(fake)), seed=0)
+
+
+@pytest.mark.usefixtures('one_fault')
+@pytest.mark.parametrize('trouble', [
+    '', 'rows changed, rows doubled, orphan', 'rows lost, exit code', 'traceback',
+])
+def test_given_a_campaign_that_goes_wrong_when_resumed_then_chaos_says_how(trouble, tmp_path):
+    one = disturbing(tmp_path, trouble)
+    one.trial(0)
+    found = one.found
+    assert found.ends == {'killed': {'-9': 1}}
+    kinds = {kind for _, kind, _ in found.broken}
+    assert kinds >= set(trouble.split(', ')) if trouble else not kinds, found.broken
+    assert bool(trouble) == any((tmp_path / 'chaos').glob('trial-*')), 'kept where it broke'
+    report = json.loads(json.dumps(found.report()))
+    assert report['trials'] == found.trials
+    assert sum(report['found'].values()) == len(report['broken'])
+
+
+@pytest.mark.usefixtures('one_fault')
+def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeypatch):
+    one = disturbing(tmp_path, 'hang')
+    one._whole('falsify')
+    monkeypatch.setattr(chaos, 'HANG_S', 3.0)
+    one.trial(0)
+    assert {kind for _, kind, _ in one.found.broken} == {'hang'}
+
+
+def test_given_a_command_that_is_no_taxinet_then_nothing_is_compared_with_it(tmp_path):
+    with pytest.raises(InfraError, match='ended with 1'):
+        Chaos(tmp_path, (sys.executable, '-c', 'raise SystemExit(1)'), seed=0).trial(0)
+
+
+def test_given_the_lists_then_every_fault_is_drawn_or_awaited():
+    assert {*RESUMED, *NOT_RESUMED} == set(FAULTS)
+    assert {*FAULTS, *DAMAGES} > AWAITED
+    assert list(numbers(3, None, None)) == [0, 1, 2]
+    assert list(numbers(None, None, 7)) == [7]
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['chaos', 'loop'], 'bench: chaos goes alone'),
+    (['chaos', '--repeats', '3'], 'bench: --repeats: not with chaos'),
+    (['loop', '--trials', '3'], 'bench: --trials: only with taxinet bench chaos'),
+    (['chaos', '--minutes', '0'], 'bench: --minutes is 0, needs to be more than 0'),
+    (['chaos', '--minutes', '1', '--trials', '1'], 'one of --minutes, --trials and --trial'),
+])
+def test_given_words_that_are_wrong_then_one_line_says_so(words, message, capsys):
+    assert _exit_code(lambda: app(['bench', *words], standalone_mode=False)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+@pytest.mark.ros
+@pytest.mark.timeout(600)  # some ten commands, each a few seconds on a quiet machine
+def test_given_short_chaos_then_nothing_is_broken(capsys):
+    assert command.run_chaos(seed=SEED, minutes=None, trials=2, trial=None, as_json=True) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report['trials'], report['found']) == (2, {})
+    assert report['rows_compared'] > 0
+    assert sum(times for ends in report['faults'].values() for times in ends.values()) >= 2
+
+
+SEED = 0
+"""Of two trials that are short and disturb something."""
