@@ -164,7 +164,7 @@ def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, 
 
 def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     """What is wrong with a journal that ended there once, or ''."""
-    if len(content.lines) < ended.lines:
+    if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
         return f'{lost} of the {ended.lines} lines that it had are missing at its end'
     if content.links[ended.lines] not in ('', ended.link):
