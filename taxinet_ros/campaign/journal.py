@@ -180,7 +180,7 @@ def read_journal(path: Path, ended: JournalEnd | None = None) -> list[dict[str, 
 
 def lost_end(content: JournalContent, ended: JournalEnd) -> str:
     """What is wrong with a journal that ended there once, or ''."""
-    if len(content.lines) < ended.lines:
+    if not 0 <= ended.lines <= len(content.lines):
         lost = ended.lines - len(content.lines)
         return f'{lost} of the {ended.lines} lines that it had are missing at its end'
     if content.links[ended.lines] not in ('', ended.link):
@@ -299,9 +299,10 @@ def _placed(at: int, line: JournalLine, raw: bytes, links: Sequence[str]) -> Jou
         return line
     if line.link in links[:at + 1]:
         why = f'it is there twice, first as line {links.index(line.link)}'
+    elif follows(_START):
+        why = 'it was the first line: something has got before it'
     elif (other := next((n for n, link in enumerate(links) if follows(link)), None)) is not None:
-        why = f'it belongs after line {other}' if other else 'it was the first line'
-        why += ': lines are missing or in another order'
+        why = f'it belongs after line {other}: lines are missing or in another order'
     else:
         why = 'lines before it are missing'
     return JournalLine(event=line.event, link=line.link, trouble=why)

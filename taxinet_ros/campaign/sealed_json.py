@@ -110,9 +110,13 @@ def read_sealed(path: Path) -> SealedJson:
             return SealedJson(values=values, sealed=False)
         del values[_CHECKSUM]
         seal = values.pop(_SEAL)
-        return SealedJson(values=values, files=dict(seal['files']), journals={
-            name: JournalEnd(**end) for name, end in seal['journals'].items()
-        })
+        files, journals = dict(seal['files']), {
+            name: JournalEnd(int(end['lines']), str(end['link']))
+            for name, end in seal['journals'].items()
+        }
+        if any(Path(name).name != name for name in (*files, *journals)):
+            raise ValueError('it vouches for files elsewhere')
+        return SealedJson(values=values, files=files, journals=journals)
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, str(error)) from error
 

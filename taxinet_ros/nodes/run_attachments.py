@@ -7,9 +7,9 @@ from pathlib import Path
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.message_values import scenario_json
-from taxinet_ros.campaign.facts import FACTS_NAME
+from taxinet_ros.campaign.facts import read_facts
 from taxinet_ros.campaign.programs import SUFFIX
-from taxinet_ros.core.plain_values import load_json
+from taxinet_ros.core.errors import UsageError
 
 
 def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
@@ -23,16 +23,18 @@ def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
         out: the folder that takes the bags.
     """
     files = {'scenario.json': scenario_json(scenario)}
-    text = _program_text(scenario.program, out / FACTS_NAME)
+    text = _program_text(scenario.program, out)
     if text:
         files[f'{scenario.program}{SUFFIX}'] = text.encode()
     return files
 
 
-def _program_text(program: str, facts_file: Path) -> str:
-    """What the campaign's facts hold of a program, or ''."""
+def _program_text(program: str, out: Path) -> str:
+    """What the campaign's facts hold of a program, or ''; also where they are damaged."""
     try:
-        facts = load_json(facts_file.read_bytes())
-        return str(facts['program_text']) if Path(facts['program']).stem == program else ''
-    except (OSError, ValueError, KeyError, TypeError):
-        return ''
+        facts = read_facts(out)
+        if facts is not None and Path(facts.values['program']).stem == program:
+            return str(facts.values['program_text'])
+    except (UsageError, KeyError, TypeError):
+        pass
+    return ''

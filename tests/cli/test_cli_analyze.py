@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from taxinet_process import TAXINET
 
+from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.cli import main
 
 
@@ -38,12 +39,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('analyze')
     (folder / 'c').mkdir()
     table(120, 'original', early_fails=True).to_parquet(folder / 'c' / 'runs.parquet')
+    write_sealed(folder / 'c' / 'campaign.json', {}, [folder / 'c' / 'runs.parquet'])
     table(60, 'taxinet', early_fails=False).to_parquet(folder / 'better.parquet')
     done = subprocess.run(
         [*TAXINET, 'analyze', 'c', '--baseline', 'better.parquet'], cwd=folder,
         capture_output=True, text=True, env={**os.environ, 'COLUMNS': '100'},
     )
-    assert (done.returncode, done.stderr) == (0, ''), done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == (
+        'taxinet: warning: .: its tables are unverified, for campaign.json is not there\n'
+    )
     (folder / 'stdout').write_text(done.stdout)
     return folder
 
@@ -111,7 +116,7 @@ def test_given_json_when_asked_then_only_that_is_printed(folder, monkeypatch, ca
         main.main()
     assert ended.value.code == 0
     values = json.loads(capsys.readouterr().out)
-    written = json.loads((folder / 'better-analysis' / 'analysis.json').read_text())
+    written = read_sealed(folder / 'better-analysis' / 'analysis.json').values
     assert values == written
     assert values['causes_why_not'] == '60 runs, no failure: there are no causes to name'
     assert values['runs_to_look_at'] == {}

@@ -21,6 +21,8 @@ from rclpy.parameter import Parameter
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.campaign.facts import write_facts
+from taxinet_ros.campaign.journal import Journal, read_journal
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
@@ -188,12 +190,18 @@ def test_given_another_perception_than_before_then_the_sampler_stops_and_keeps_n
 ):
     out = tmp_path / 'c'
     shutil.copytree(searched, out)
-    ledger = (out / 'ledger.jsonl').read_text()
-    assert '"perception":"truth"' in ledger
-    assert '"perception_sha256":""' in ledger
-    (out / 'ledger.jsonl').write_text(
-        ledger.replace('"perception_sha256":""', f'"perception_sha256":"{"ab" * 32}"')
-    )
+    events = read_journal(out / 'ledger.jsonl')
+    told = [event['campaign'] for event in events if event['event'] == 'campaign']
+    assert (told[-1]['perception'], told[-1]['perception_sha256']) == ('truth', '')
+    for facts in told:
+        facts['perception_sha256'] = 'ab' * 32
+    for name in ('ledger.jsonl', 'campaign.json'):
+        (out / name).unlink()
+    journal = Journal(out / 'ledger.jsonl')
+    for event in events:
+        journal.append(event)
+    journal.close()
+    write_facts(out, told[-1])
     code, lines = ended(graph.sampler(*SEARCH, 'runs:=13', f'out:={out}', 'resume:=true'))
     assert code == 2, lines
     assert complaint(lines).endswith(

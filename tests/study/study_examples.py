@@ -68,6 +68,7 @@ def made_up_table(name: str, failing: Callable[[pd.DataFrame], object]) -> pd.Da
     """The runs of a network; run 3 was broken by the bench."""
     table = planted_table(RUNS, 0, failing, perception=name, program='s_falsif')
     table.loc[3, 'outcome'] = 'INFRA_ERROR'
+    table.loc[3, [name for name in table.columns if name.startswith('rho')]] = np.nan
     return table.assign(
         settle_time_s=np.where(table['outcome'] == 'PASS', 6.0, np.nan), crossing=True,
         cte_error_mean_abs_m=0.3, perception_fingerprint='f' * 64,

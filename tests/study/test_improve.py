@@ -205,7 +205,7 @@ def test_given_options_when_written_then_they_are_read_back(begun):
 
 
 @pytest.mark.parametrize(('text', 'reason'), [
-    ('', 'Expecting value'), ('[]', 'is no JSON object'), ('{"rounds": 1}', 'has not the keys'),
+    ('', 'Expecting value'), ('[]', 'it is no object'), ('{"rounds": 1}', 'has not the keys'),
 ])
 def test_given_a_damaged_file_when_resumed_then_one_line_names_it(begun, text, reason):
     _, out = begun
