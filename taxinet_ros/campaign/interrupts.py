@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
@@ -54,14 +55,21 @@ def handled(
     handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
 ) -> Iterator[None]:
     """Within the ``with``, have signals handled; under ``nohup`` no closed terminal is one."""
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
-        numbers = [number for number in numbers if number != signal.SIGHUP]
-    before = {number: signal.signal(number, handle) for number in numbers}
+    before = handle_from_now_on(handle, numbers)
     try:
         yield
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def handle_from_now_on(
+    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
+) -> dict[signal.Signals, Any]:
+    """Have signals handled, to the end of the process; what they were handled by before."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        numbers = [number for number in numbers if number != signal.SIGHUP]
+    return {number: signal.signal(number, handle) for number in numbers}
 
 
 @contextlib.contextmanager
@@ -97,6 +105,18 @@ def end_now(number: int, frame: FrameType | None) -> None:
     """
     _note(number)
     raise KeyboardInterrupt
+
+
+def leave_with(code: int) -> Callable[[int, FrameType | None], NoReturn]:
+    """What handles a signal by ending the process where it stands, whatever its threads are at.
+
+    For where nothing is begun, or all is done: :data:`INTERRUPTED` is told apart.
+    """
+    def leave(number: int, frame: FrameType | None) -> NoReturn:
+        _note(number)
+        os._exit(told_apart(code))
+
+    return leave
 
 
 def told_apart(code: int) -> int:

@@ -1,13 +1,15 @@
-"""The first lines of ``taxinet``: whatever stops it before it has begun ends it in one line.
+"""The first lines of ``taxinet`` and of the nodes: what stops them early ends them in one line.
 
-Its executable holds signals back (``scripts/taxinet``), for Python has nothing better than a
+Their executables hold signals back (``scripts``), for Python has nothing better than a
 traceback for those that come while it starts. Only what is needed to hear them is imported here.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+from collections.abc import Iterator
 from types import FrameType
 from typing import NoReturn
 
@@ -15,15 +17,30 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main() -> None:
-    """Entry point of the executable."""
+    """Entry point of the executable ``taxinet``."""
+    with _heard():
+        from taxinet_ros.cli.main import main as command
+
+        command()
+
+
+def start_node(name: str) -> None:
+    """Entry point of a node's executable, by its name."""
+    with _heard():
+        from importlib import import_module
+
+        import_module(f'taxinet_ros.nodes.{name}').main()
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[None]:
+    """Within the ``with``, signals are heard, from the first line on."""
     for number in _STOPS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as it is in the background, or nohup
             signal.signal(number, _leave)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     try:
-        from taxinet_ros.cli.main import main as command
-
-        command()
+        yield
     finally:
         # The exit code stands; what Python does on its way out is not to be torn.
         for number in _STOPS:

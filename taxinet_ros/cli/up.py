@@ -63,7 +63,9 @@ def make_up_options(
     out = out or new_folder(DEFAULT_ROOT / 'up')
     check_new(out)
     return UpOptions(
-        graph=GraphOptions(perception=perception, out=out, images=images, gains=gains),
+        graph=GraphOptions(
+            perception=perception, out=out, images=images, gains=gains, alone=False,
+        ),
         record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
     )
 

@@ -12,12 +12,11 @@ import rclpy
 from domain_coordinator import domain_id
 from domain_coordinator.impl import PORT_BASE
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.dds_ports import nobody_here
+from taxinet_ros.nodes.dds_ports import anybody_here
 
 HIGHEST = 232
 """The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
@@ -40,6 +39,9 @@ _LOOK_S, _LOOK_FAR_S = 7.0, 3.5
 _LOOK_PERIOD_S = 0.05
 _NAMELESS = '_NODE_NAME_UNKNOWN_'
 
+_CHOICE = 100
+"""Number of domains to choose from: the ports of those above are given away by Linux."""
+
 # Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
 _made_sure_of: set[int] = set()
@@ -47,9 +49,12 @@ _made_sure_of: set[int] = set()
 
 @contextlib.contextmanager
 def own_domain(wanted: int | None = None) -> Iterator[int]:
-    """Reserve a ROS domain id that no other graph on this machine uses, if all of them reserve.
+    """Reserve a ROS domain id that nobody else uses, whether he reserves it or not.
 
-    Discovery stays on this machine unless the user has set another range.
+    Discovery stays on this machine unless the user has set another range. Of the domains from 1 to
+    100 those are passed over that are reserved, and those where anybody is: that is told by the
+    ports of DDS, in some hundredths of a second. Where they do not tell (nodes on other machines
+    may be meant, or another middleware is used) each is listened to for some seconds.
     ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools; a domain
     that was set by hand is looked at for some seconds first, unless nobody is there.
 
@@ -57,11 +62,12 @@ def own_domain(wanted: int | None = None) -> Iterator[int]:
         wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
 
     Raises:
-        UsageError: a domain that was set by hand is none, or belongs to another graph.
+        UsageError: a domain that was set by hand is none, or belongs to another graph; or there is
+            no free one.
     """
     if wanted is None:
         wanted = domain_by_hand()
-    with _localhost(), _reserved(wanted) as (domain, alone):
+    with _localhost(), _free() if wanted is None else _reserved(wanted) as (domain, alone):
         if wanted is not None:
             refuse_neighbours(domain)
         if not alone:
@@ -119,12 +125,8 @@ def domain_number(text: str, where: str) -> int:
     return int(text)
 
 
-def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> None:
+def refuse_neighbours(domain: int) -> None:
     """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
-
-    Args:
-        domain: where to look.
-        go_on: asked now and then whether it still matters.
 
     Raises:
         UsageError: names the node that is there, and says how to mend it.
@@ -132,10 +134,31 @@ def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> 
     if domain in _made_sure_of:
         return  # What lingers there is left over from a graph of our own.
     look_s = _LOOK_S
-    if nobody_here(domain):
-        if os.environ.get(DISCOVERY_RANGE) == LOCALHOST and not os.environ.get(_PEERS):
+    if anybody_here(domain) is False:
+        if not _looks_far():
             return
         look_s = _LOOK_FAR_S
+    found = _found(domain, clock_keepers, look_s)
+    if found:
+        raise UsageError(another_graph(domain, found))
+    _made_sure_of.add(domain)
+
+
+def _is_free(domain: int) -> bool:
+    """Whether nobody at all is on a domain, of any program."""
+    here = anybody_here(domain)
+    if here is False and not _looks_far():
+        return True
+    return not here and not _found(domain, Node.get_node_names, _LOOK_FAR_S)
+
+
+def _looks_far() -> bool:
+    """Whether nodes of this process find others on other machines."""
+    return os.environ.get(DISCOVERY_RANGE) != LOCALHOST or bool(os.environ.get(_PEERS))
+
+
+def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> list[str]:
+    """Names of others that a node which joins a domain finds there within a time [s]."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     try:
@@ -144,14 +167,12 @@ def refuse_neighbours(domain: int, go_on: Callable[[], bool] = lambda: True) -> 
             start_parameter_services=False,
         )
         deadline = time.monotonic() + look_s
-        while not (found := clock_keepers(probe)) and go_on() and time.monotonic() < deadline:
+        while not (found := set(look(probe)) - {probe.get_name()}) and time.monotonic() < deadline:
             time.sleep(_LOOK_PERIOD_S)
         probe.destroy_node()
     finally:
         rclpy.try_shutdown(context=context)
-    if found:
-        raise UsageError(another_graph(domain, found))
-    _made_sure_of.add(domain)
+    return sorted(found)
 
 
 def stand_alone() -> None:
@@ -159,13 +180,10 @@ def stand_alone() -> None:
 
     Raises:
         UsageError: another graph is on the domain of this process.
-        ExternalShutdownException: somebody stopped this process meanwhile.
     """
     domain = domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
     if os.environ.get(_RESERVED) != str(domain):
-        refuse_neighbours(domain, rclpy.ok)
-    if not rclpy.ok():
-        raise ExternalShutdownException
+        refuse_neighbours(domain)
 
 
 def clock_keepers(node: Node) -> list[str]:
@@ -189,20 +207,29 @@ def another_graph(domain: int, names: list[str]) -> str:
 
 
 @contextlib.contextmanager
-def _reserved(wanted: int | None) -> Iterator[tuple[int, bool]]:
+def _free() -> Iterator[tuple[int, bool]]:
+    """A domain that was chosen, reserved, and found to be free after that."""
+    for _ in range(_CHOICE):
+        with contextlib.ExitStack() as stack:
+            domain, reserved = stack.enter_context(_reserved(next(_domains)))
+            if reserved and _is_free(domain):
+                yield domain, True
+                return
+    raise UsageError('all ROS domains from 1 to 100 are in use; end a graph')
+
+
+@contextlib.contextmanager
+def _reserved(domain: int) -> Iterator[tuple[int, bool]]:
     """A domain, and whether it could be reserved."""
     # Entered and left by hand: the library's manager swallows an OSError of its body.
-    choose = _domains.__next__ if wanted is None else lambda: wanted
-    reservation = domain_id(choose)
+    reservation = domain_id(lambda: domain)
     try:
-        number = reservation.__enter__()
+        reservation.__enter__()
     except RuntimeError:
-        if wanted is None:
-            raise UsageError('all ROS domains from 1 to 100 are in use; end a graph') from None
-        yield wanted, False
+        yield domain, False
         return
     try:
-        yield number, True
+        yield domain, True
     finally:
         reservation.__exit__(None, None, None)
 

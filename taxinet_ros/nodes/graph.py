@@ -44,6 +44,7 @@ class GraphOptions:
         gains: steering gains that differ from the law's defaults, by parameter name.
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
+        alone: whether runs are asked for by this process alone, so that no other is recorded.
     """
 
     perception: str
@@ -52,6 +53,7 @@ class GraphOptions:
     gains: Mapping[str, float] = field(default_factory=dict)
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
+    alone: bool = True
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node but the sampler, by node name."""
@@ -64,7 +66,9 @@ class GraphOptions:
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, dict(self.gains)),
             interface.MTL_MONITOR: (MtlMonitor, {}),
-            interface.RECORDER: (Recorder, {'out': str(self.out), 'images': self.images}),
+            interface.RECORDER: (Recorder, {
+                'out': str(self.out), 'images': self.images, 'alone': self.alone,
+            }),
         }
 
 
@@ -151,6 +155,7 @@ class SampledGraph:
         overrides = _overrides(self._patience)
         sampler = ScenarioSampler(context=self._context, parameter_overrides=overrides)
         self._sampler = sampler
+        sampler.one_simulator = True
         if self._interrupted:
             sampler.interrupt()
         self.prepare(sampler)

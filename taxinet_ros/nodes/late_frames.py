@@ -51,6 +51,11 @@ class LateFrames:
         self._frames = restore_in_place(bag, min_free_bytes)
         self._timer.reset()
 
+    @property
+    def under_way(self) -> bool:
+        """Whether frames are being rendered."""
+        return not self._timer.is_canceled()
+
     def give_up(self) -> None:
         """Leave the bag as it was, if one is under way."""
         self._timer.cancel()

@@ -1,34 +1,59 @@
-"""How a node runs as a process of its own: clean start, clean end, one line for a mistake."""
+"""How a node runs as a process of its own: clean start, clean end, one line for a mistake.
+
+Signals are Python's here, not rclpy's: that would shut down the context of every node of a graph
+before any of them could say or hear how the run at hand ends.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
+import time
 from collections.abc import Callable
+from threading import Event, Timer
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import ParameterException, ROSInterruptException
-from rclpy.executors import ExternalShutdownException
+from rclpy.exceptions import ParameterException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from taxinet_ros.campaign.interrupts import INTERRUPTED, told_apart
+from taxinet_ros.campaign.interrupts import (
+    INTERRUPTED,
+    end_now,
+    handle_from_now_on,
+    interrupts,
+    leave_with,
+    told_apart,
+)
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.nodes.spinning import spin_until
+from taxinet_ros.nodes.spinning import spin_for
 
 _BAD_ARGUMENTS = (
     rclpy_implementation.RCLInvalidROSArgsError,
     rclpy_implementation.RCLError,
 )
-_INTERRUPTS = (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException)
+
+GRACE_S = 5.0
+"""Longest time [s] that a node which was asked to end goes on, for the run at hand to end."""
+
+AT_ONCE_S = 1.0
+"""Longest time [s] that it then takes to leave the graph after a second signal."""
+
+_LOOK_S = 0.05
 
 
 def run_node(
     build: Callable[[], Any], work: Callable[[Any, Any], int] | None = None
 ) -> None:
-    """Run one node until Ctrl-C, SIGTERM or the end of its work, then exit.
+    """Run one node until Ctrl-C, SIGTERM, a closed terminal or the end of its work, then exit.
+
+    The first signal has a node that serves a run go on until it may leave (its method
+    ``may_leave``, if it has one, is asked again and again), but for :data:`GRACE_S` at most.
+    After the second one it waits for nothing, but says goodbye, so that all others know that it
+    is gone. Exit code: 0 after one signal, 130, 143 or 129 after two.
 
     Args:
         build: makes the node; may raise :class:`UsageError`, which exits 2 with one line.
@@ -36,28 +61,21 @@ def run_node(
             code, after an interrupt too, which is its own to handle; where None the node spins
             until it is stopped, or until its future ``ended`` is done, if it has one.
     """
-    handlers, stopped = (
-        (SignalHandlerOptions.ALL, 0) if work is None else (SignalHandlerOptions.NO, INTERRUPTED)
-    )
-    code = 0
+    code = stopped = INTERRUPTED if work else 0
+    handle_from_now_on(leave_with(stopped))  # Nothing is begun that would have to be ended.
     try:
-        rclpy.init(signal_handler_options=handlers)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
         executor.add_node(node)
         try:
-            if work is None:
-                spin_until(executor, getattr(node, 'ended', Future()))
-            else:
-                code = work(node, executor)
-        except RuntimeError:
-            if rclpy.ok():
-                raise
-            # rclpy's way to end where a message comes in while it shuts down.
-            code = stopped
+            handle_from_now_on(end_now)
+            code = work(node, executor) if work else _serve(node, executor)
         finally:
+            # All is done but leaving, which may be torn.
+            handle_from_now_on(leave_with(code))
             _leave(node, executor)
-    except _INTERRUPTS:
+    except KeyboardInterrupt:
         code = stopped
     except UsageError as error:
         code = complain(str(error), 2)
@@ -69,9 +87,32 @@ def run_node(
     except _BAD_ARGUMENTS as error:
         # What follows is where in the C code it was noticed.
         code = complain(' '.join(str(error).split(', at /')[0].split()), 2)
-    finally:
-        rclpy.try_shutdown()
+    handle_from_now_on(leave_with(code))
+    rclpy.try_shutdown()
     sys.exit(told_apart(code))
+
+
+def _serve(node: Any, executor: Any) -> int:
+    """Spin until the node has ended, or was asked to and may leave."""
+    ended, asked, asked_again = getattr(node, 'ended', Future()), Event(), Event()
+
+    def at_once() -> bool:
+        asked_again.set()
+        hung = Timer(AT_ONCE_S, lambda: os._exit(told_apart(INTERRUPTED)))
+        hung.daemon = True
+        hung.start()
+        return True
+
+    with interrupts(asked.set, at_once):
+        while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
+            pass
+        may_leave = getattr(node, 'may_leave', lambda: True)
+        deadline_s = time.monotonic() + GRACE_S
+        while not (ended.done() or asked_again.is_set() or may_leave()):
+            spin_for(executor, ended, _LOOK_S)
+            if time.monotonic() > deadline_s:
+                break
+    return INTERRUPTED if asked_again.is_set() else 0
 
 
 def _leave(node: Any, executor: Any) -> None:

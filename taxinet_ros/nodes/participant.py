@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, Scenario
@@ -22,6 +23,7 @@ from taxinet_ros.nodes.speakers import HeardSpeakers, first_stranger
 from taxinet_ros.nodes.step_cdr import progress_cdr
 
 _READY_POLL_S = 0.005
+_SILENT_LOOKS = 20
 
 
 def one_line(error: BaseException) -> str:
@@ -42,6 +44,7 @@ class Participant(Node):
         run_id: the run that the node is set up for, or ''.
         implementation: which of the exchangeable kinds it is; goes into every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        silent_looks: how often :meth:`may_leave` was asked since the last message.
     """
 
     def __init__(self, name: str, **node: Any) -> None:
@@ -51,6 +54,7 @@ class Participant(Node):
         self.implementation = ''
         self.fingerprint = ''
         self._scenario: Scenario | None = None
+        self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
         self._listeners: list[HeardSpeakers] = []
         self._charged = self._begun = False
@@ -113,6 +117,20 @@ class Participant(Node):
         """The status, serialised, of having come as far as control step ``seq``."""
         return progress_cdr(
             self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
+        )
+
+    def may_leave(self) -> bool:
+        """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
+
+        So it is without a run or a simulator, and where for a second nothing was said or heard.
+        """
+        self.silent_looks += 1
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        if not self.run_id or not heard.subscription.get_publisher_count():
+            return True
+        return self.silent_looks > _SILENT_LOOKS and all(
+            # What DDS has lost on its way it sends once more, as long as this node is there.
+            publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
         )
 
     def close(self) -> None:
@@ -184,6 +202,7 @@ class Participant(Node):
     ) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
+            self.silent_looks = 0
             if begins:
                 self._begun = True
             try:

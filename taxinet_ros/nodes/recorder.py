@@ -12,6 +12,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
 
@@ -40,6 +41,16 @@ from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.steps import Step, StepCollector
+
+_REST_LOOK_S = 0.05
+_REST_LOOKS, _BROKEN_LOOKS = 70, 5
+"""After so many looks without a message no more is awaited of a run that was broken off, or broke.
+
+DDS sends what was lost on its way once more after 3 s at most.
+"""
+
+_DRAINED_LOOKS = 4
+"""After so many looks without a message all is taken that came before the simulator left."""
 
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
@@ -86,6 +97,8 @@ class Recorder(Participant):
         self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
         text = 'runs whose camera frames go into the bags: all, failures or none'
         images = declare(self, 'images', 'all', text)
+        text = 'whether to record nothing while there is a second simulator'
+        self._alone = declare(self, 'alone', False, text)
         refuse_unknown(self)
         if images not in IMAGES:
             raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
@@ -97,8 +110,13 @@ class Recorder(Participant):
         )
         self._canonical = Canonical(self._topics)
         self._writer: BagWriter | None = None
+        self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._progress = self.speak(interface.PROGRESS)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        await_rest = functools.partial(self._guarded(self._await_rest), None)
+        self._rest = self.create_timer(_REST_LOOK_S, await_rest, clock=steady)
+        self._rest.cancel()
         for topic in self._stepped:
             self.listen(topic, functools.partial(self._step_message, topic), raw=True)
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
@@ -121,6 +139,8 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
+        self._running = False
+        self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
         self._writer = BagWriter(
@@ -138,8 +158,14 @@ class Recorder(Participant):
         self._held: list[Step] = []
         self._verdict: bytes | None = None
 
+    def may_leave(self) -> bool:
+        """Whether the bag is closed, or nothing more is heard of its run."""
+        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
+        return left or (self._writer is None and not self._late_frames.under_way)
+
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
+        self._rest.cancel()
         self._late_frames.give_up()
         if self._writer is not None:
             self._writer.abandon()
@@ -149,8 +175,15 @@ class Recorder(Participant):
 
     def _take(self, scenario: Scenario) -> None:
         # Somebody else may have sent it, and the run that he broke shall keep its bag to its end.
-        if self._writer is None or not self._charged:
+        if self._writer is not None and self._charged:
+            return
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        stranger = heard.unsettled_by(scenario.participants) if self._alone else None
+        if stranger is None:
             super()._take(scenario)
+        elif self._writer is None:
+            self.run_id = self._refused = scenario.run_id
+            self.charge(stranger.error(-1))
 
     def _step_message(self, topic: Topic, cdr: bytes) -> None:
         if self._writer is None:
@@ -161,6 +194,7 @@ class Recorder(Participant):
                 f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
                 'is no control step; does a second simulator publish?'
             )
+        self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)
         if whole:
             self._held += whole
@@ -190,6 +224,8 @@ class Recorder(Participant):
         status = deserialize_message(cdr, RunStatus)
         if status.state == RunStatus.ENDED:
             self._end(status, cdr)
+        elif status.run_id == self.run_id:
+            self._running = status.state == RunStatus.RUNNING
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -197,6 +233,9 @@ class Recorder(Participant):
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
+        if status.run_id == self._refused:
+            self._refused, self._ended = '', status
+            self._done()
         if self._writer is None or status.run_id != self.run_id:
             return
         self._ended, self._ended_cdr = status, cdr
@@ -265,6 +304,9 @@ class Recorder(Participant):
         if judged:
             self._check_verdict()
         if not judged:
+            if self._is_rest_under_way():
+                self._rest.reset()
+                return
             self._write_rest()
         stamp_ns = self._ended.seq * CONTROL_PERIOD_NS
         if self._verdict is not None:
@@ -315,6 +357,27 @@ class Recorder(Participant):
             self.report(NodeStatus.ERROR, detail=trouble)
         else:
             self._done()
+
+    @property
+    def _whole(self) -> int:
+        """Number of the steps that are in."""
+        return self._written + len(self._held)
+
+    def _is_rest_under_way(self) -> bool:
+        """Whether what was said before the end of a run that was broken off may not be in yet.
+
+        It comes on other topics than the end, which may overtake it.
+        """
+        assert self._ended is not None
+        if not self._running or self._whole > self._ended.seq:
+            return False
+        interrupted = self._ended.outcome == Outcome.INTERRUPTED
+        return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)
+
+    def _await_rest(self, _: None) -> None:
+        self._rest_looks += 1
+        self._rest.cancel()
+        self._finish_if_whole()
 
     def _write_rest(self) -> None:
         """Save what an aborted run left behind: steps held back, and the torn one."""

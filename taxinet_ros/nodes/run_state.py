@@ -60,6 +60,7 @@ class ActiveRun:
         self.suspect: tuple[InfraError, float] | None = None
         self.verdict: Verdict | None = None
         self.ending: RunStatus | None = None
+        self.unwanted_s = 0.0  # When somebody asked for its end, by the monotonic clock.
         self.done = Future(executor=executor)
         self.created = self.last_heard = time.monotonic()
 

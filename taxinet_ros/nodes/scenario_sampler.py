@@ -17,11 +17,32 @@ from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
-from taxinet_ros.nodes.notices import INTRUDER, obituary
+from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
 from taxinet_ros.nodes.parameters import declare
 from taxinet_ros.nodes.speakers import Gid
 
 _WATCH_PERIOD_S = 0.1
+_SILENT_LOOKS = 20
+"""After an interrupt so many looks without a word mean that the simulator has gone too."""
+
+
+class _Asker(ActionClient):
+    """An action client that outlives a second server's answer, for which rclpy 7.1 raises.
+
+    Attributes:
+        answered_twice: whether there was one.
+    """
+
+    answered_twice = False
+
+    async def execute(self, taken_data: Any) -> None:
+        """See :class:`rclpy.action.ActionClient`."""
+        try:
+            await super().execute(taken_data)
+        except RuntimeError as error:
+            if 'goals were accepted with the same ID' not in str(error):
+                raise
+            self.answered_twice = True
 
 
 class ScenarioSampler(Node):
@@ -30,6 +51,7 @@ class ScenarioSampler(Node):
     Attributes:
         seq: the control step that the run at hand has reached, as far as is known.
         interrupted: whether :meth:`interrupt` was called.
+        one_simulator: whether an answer counts only where there never was a second simulator.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -40,7 +62,7 @@ class ScenarioSampler(Node):
         text = 'wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]'
         silence_timeout_s = declare(self, 'silence_timeout', 60.0, text, (0.1, 3600.0))
         self._limits = (server_timeout_s, silence_timeout_s)
-        self._client = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
+        self._client = _Asker(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         topic = interface.OBITUARY
         self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
@@ -48,10 +70,12 @@ class ScenarioSampler(Node):
         self._dead: set[Gid] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
-        self.interrupted = False
+        self.interrupted = self.one_simulator = False
+        self._others: list[str] = []
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
+        self._silent_looks = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
@@ -75,6 +99,7 @@ class ScenarioSampler(Node):
     def interrupt(self) -> None:
         """Cancel the run at hand, take its answer, and ask for no more."""
         self.interrupted = True
+        self._silent_looks = 0
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
@@ -169,6 +194,10 @@ class ScenarioSampler(Node):
         return alone and self._client.server_is_ready()
 
     def _ask(self, request: RunRequest, answer: Future) -> None:
+        self._look_for_others()
+        if self._others:
+            answer.set_result(self._alone(RunResult(outcome=Outcome.INTERRUPTED)))
+            return
         self._asked_of = set(self._servers())
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = time.monotonic()
@@ -188,16 +217,32 @@ class ScenarioSampler(Node):
         handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
 
     def _take_result(self, answer: Future, response: Future) -> None:
+        self._look_for_others()
         if answer.done():
             return
-        result = _result_of(response.result().result)
+        result = self._alone(result_of(response.result().result))
         strangers = [who for gid, who in self._servers().items() if gid not in self._asked_of]
         if result.outcome.judged and strangers:
             detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
             result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
         answer.set_result(result)
 
+    def _look_for_others(self) -> None:
+        """Note who else would answer this node: whose answer was heard then, nobody knows."""
+        feedback = f'{interface.RUN_SCENARIO}/_action/feedback'
+        names = [end.node_name for end in self.get_publishers_info_by_topic(feedback)]
+        if self._client.answered_twice or (self.one_simulator and len(names) > 1):
+            self._others = names or [interface.SIMULATOR]
+
+    def _alone(self, result: RunResult) -> RunResult:
+        """A result, if it cannot be somebody else's."""
+        if not self._others or result.outcome is Outcome.INFRA_ERROR:
+            return result
+        who = next((n for n in self._others if n != interface.SIMULATOR), interface.SIMULATOR)
+        return _broken(INTRUDER, who, 'a second simulator answers', result.last_seq)
+
     def _on_feedback(self, message: Any) -> None:
+        self._silent_looks = 0
         self._last_heard = time.monotonic()
         self.seq = message.feedback.seq
 
@@ -207,8 +252,11 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        if self.interrupted and not self._client.server_is_ready():
-            # One Ctrl-C in a terminal may have ended the simulator too.
+        self._look_for_others()
+        self._silent_looks += 1
+        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
+        silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
+        if self.interrupted and silent:
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
@@ -233,8 +281,12 @@ def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
     return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
 
 
-def _result_of(answer: Any) -> RunResult:
+def result_of(answer: Any) -> RunResult:
+    """What the result of the action ``run_scenario`` says, whoever gave it."""
     status, verdict = answer.status, answer.verdict
+    if status.outcome not in list(Outcome):
+        detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
+        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
     outcome = Outcome(status.outcome)
     judged = outcome.judged
     return RunResult(

@@ -38,6 +38,12 @@ from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
 
 _WATCH_PERIOD_S = 0.1
+_LAST_STEP_S = 1.0
+"""Longest wait [s] for the answers to the frame that is out, when a run is to be broken off."""
+
+_DELIVERY_S = 0.3
+"""What the last answer may take on its way before this node leaves the graph."""
+
 _RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
 _SUSPECTED_S = 1.0
 """How long it is awaited that somebody else turns out to have begun what a node did wrong."""
@@ -55,6 +61,8 @@ class Simulator(Node):
         self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
         refuse_unknown(self)
         self._run: ActiveRun | None = None
+        self._leaving = False
+        self._may_leave_s = 0.0
         self._speakers: dict[str, Publisher] = {}
         self._listeners: list[HeardSpeakers] = []
         for topic in interface.TOPICS:
@@ -93,6 +101,12 @@ class Simulator(Node):
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
 
+    def may_leave(self) -> bool:
+        """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
+        self._leaving = True
+        alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
+        return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
+
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
         self._server.destroy()
@@ -106,7 +120,7 @@ class Simulator(Node):
     # The action ------------------------------------------------------------------------------
 
     def _accept(self, goal: Any) -> GoalResponse:
-        busy = self._run is not None
+        busy = self._leaving or self._run is not None
         if busy:
             self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
@@ -127,6 +141,7 @@ class Simulator(Node):
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
             speakers.release()
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
@@ -263,8 +278,8 @@ class Simulator(Node):
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
             return
-        if run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        if run.unwanted_s and run.command is not None:
+            self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
             run.world.advance(command)
@@ -320,6 +335,10 @@ class Simulator(Node):
             run.ending = status
             run.finish()
 
+    def _break_off(self, run: ActiveRun) -> None:
+        """End a run that nobody wants to see the end of, between two steps if that can be."""
+        self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+
     def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
         """Announce the end, then wait for the recorder to close its bag where there is one."""
         run.ending = status
@@ -335,14 +354,17 @@ class Simulator(Node):
         now = time.monotonic()
         silence = now - run.last_heard
         run.goal.publish_feedback(run.feedback())
+        if not run.unwanted_s and (self._leaving or run.goal.is_cancel_requested):
+            run.unwanted_s = now
         self._look_for_strangers()
         if run.ending is not None:
-            if silence > self._answer_timeout_s:
-                self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+            self._await_recorder(run, silence)
         elif not run.started:
             self._attempt(run, lambda: self._await_ready(run))
-        elif run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        elif run.unwanted_s and now - run.unwanted_s > _LAST_STEP_S:
+            self._break_off(run)
+        elif run.unwanted_s:
+            self._go_on(run)
         elif run.suspect is not None and now - run.suspect[1] > _SUSPECTED_S:
             error = run.suspect[0]
             self._fail(run, error.kind, error.who, error.detail)
@@ -350,12 +372,20 @@ class Simulator(Node):
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
 
+    def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
+        """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
+        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
+            run.finish()
+        elif silence_s > self._answer_timeout_s:
+            self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+
     def _await_ready(self, run: ActiveRun) -> None:
         self._start_if_ready(run)
         if run.started:
             return
-        if run.goal.is_cancel_requested:
-            self._end(run, run.status(RunStatus.ENDED, outcome=Outcome.INTERRUPTED))
+        if run.unwanted_s:
+            self._break_off(run)
         elif time.monotonic() - run.created > self._ready_timeout_s:
             self._fail(run, *self._unready(run))
 

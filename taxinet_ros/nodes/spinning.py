@@ -15,9 +15,20 @@ def spin_until(executor: Any, done: Future) -> bool:
     Returns:
         Whether it is done.
     """
+    while executor.context.ok() and not spin_for(executor, done, _SLICE_S):
+        pass
+    return bool(done.done())
+
+
+def spin_for(executor: Any, done: Future, time_s: float) -> bool:
+    """Spin until ``done`` is, or for a time [s]; then re-raise its exception, if any.
+
+    Returns:
+        Whether it is done.
+    """
     # Without a timeout the events executor of rclpy 7.1 turns in circles and runs no callback.
-    while not done.done() and executor.context.ok():
-        executor.spin_until_future_complete(done, timeout_sec=_SLICE_S)
+    if not done.done():
+        executor.spin_until_future_complete(done, timeout_sec=time_s)
     if done.done():
         done.result()
     return bool(done.done())

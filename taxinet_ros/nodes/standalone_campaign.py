@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -33,6 +34,9 @@ def run_standalone() -> None:
 
 
 def _work(node: StandaloneSampler, executor: Any) -> int:
+    # What the table is written with; after Ctrl-C ``ros2 launch`` waits 5 s, and not longer.
+    for name in ('pandas', 'pyarrow.parquet'):
+        importlib.import_module(name)
     with parameter_words():
         if node.search is not None:
             return _search(node, executor, node.search)

@@ -6,10 +6,11 @@ import contextlib
 import os
 import pty
 import select
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 COMMAND = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
@@ -29,45 +30,64 @@ def taxinet(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
+class Terminal:
+    """A terminal, and the command in its foreground."""
+
+    def __init__(self, words: Sequence[str], cwd: Path, env: Mapping[str, str]) -> None:
+        self._ours, theirs = pty.openpty()
+        # Whoever runs the tests in the background or under nohup has not begun this command there.
+        claim = (
+            'import fcntl, os, signal, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); '
+            '[signal.signal(number, signal.SIG_DFL) for number in (signal.SIGINT, signal.SIGHUP)]; '
+            'os.execv(sys.argv[1], sys.argv[1:])'
+        )
+        self.process = subprocess.Popen(
+            [sys.executable, '-c', claim, *words], stdin=theirs, stdout=theirs, stderr=theirs,
+            cwd=cwd, env=env, start_new_session=True,
+        )
+        os.close(theirs)
+        self._shown: list[bytes] = []
+        self._closing = threading.Event()
+        self._looker = threading.Thread(target=self._look)
+        self._looker.start()
+
+    @property
+    def shown(self) -> str:
+        """What is to be seen so far."""
+        return b''.join(self._shown).decode(errors='replace')
+
+    def press(self, *keys: bytes) -> None:
+        """Press one key after the other."""
+        for key in keys:
+            os.write(self._ours, key)
+
+    def close(self) -> None:
+        """Close it, as a person closes a window."""
+        self._closing.set()
+        self._looker.join()
+
+    def _look(self) -> None:
+        """Take what is written, for a terminal that nobody reads holds its writers up."""
+        with open(self._ours, 'rb', buffering=0) as ours:
+            while not self._closing.is_set():
+                with contextlib.suppress(OSError):  # EIO once the command is gone
+                    if select.select([ours], [], [], 0.05)[0]:
+                        self._shown.append(ours.read(4096))
+
+
 @contextlib.contextmanager
-def taxinet_on_terminal(
-    *words: str, cwd: Path
-) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], None]]]:
-    """A command in the foreground of a terminal, and what closes that."""
-    ours, theirs = pty.openpty()
-    # Whoever runs the tests under nohup has not had this command begun under it.
-    claim = (
-        'import fcntl, signal, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); '
-        'signal.signal(signal.SIGHUP, signal.SIG_DFL); '
-    )
-    process = subprocess.Popen(
-        [*COMMAND[:2], claim + COMMAND[2], *words], stdin=theirs, stdout=theirs, stderr=theirs,
-        cwd=cwd, start_new_session=True,
-    )
-    os.close(theirs)
-    closing = threading.Event()
-    looker = threading.Thread(target=_look_at, args=(ours, closing))
-    looker.start()
-
-    def close() -> None:
-        closing.set()
-        looker.join()
-
+def on_terminal(
+    *words: str, cwd: Path, env: Mapping[str, str] = os.environ
+) -> Iterator[Terminal]:
+    """A program in the foreground of a terminal; neither outlives the test."""
+    terminal = Terminal(words, cwd, env)
     try:
-        yield process, close
+        yield terminal
     finally:
-        process.kill()
-        process.wait()
-        close()
-
-
-def _look_at(terminal: int, closing: threading.Event) -> None:
-    """Take what is written, for a terminal that nobody reads holds its writers up; then close."""
-    with open(terminal, 'rb', buffering=0) as shown:
-        while not closing.is_set():
-            with contextlib.suppress(OSError):  # EIO once the command is gone
-                if select.select([shown], [], [], 0.05)[0]:
-                    shown.read(4096)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(terminal.process.pid, signal.SIGKILL)
+        terminal.process.wait()
+        terminal.close()
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:

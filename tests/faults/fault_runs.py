@@ -42,6 +42,11 @@ def wait_for(condition: Callable[[], object]) -> None:
     assert condition()
 
 
+def grown(bag: Path) -> bool:
+    """Whether a run is well under way."""
+    return sum(file.stat().st_size for file in bag.glob('*.mcap')) > 100_000
+
+
 @contextlib.contextmanager
 def once(condition: Callable[[], object], act: Callable[[], object]) -> Iterator[None]:
     """Within the ``with``, have ``act`` called from another thread as soon as a condition holds."""

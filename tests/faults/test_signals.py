@@ -8,8 +8,8 @@ import sys
 import threading
 
 import pytest
-from command_process import ended, taxinet, taxinet_on_terminal
-from fault_runs import steps_in, wait_for
+from command_process import COMMAND, ended, on_terminal, taxinet
+from fault_runs import grown, steps_in, wait_for
 from process_table import children, gone
 
 from taxinet_ros.bag.reader import read_info
@@ -32,10 +32,6 @@ BAG = 'c/nominal-s0-00000'
 SIGNALS = pytest.mark.parametrize(
     ('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=['INT', 'TERM']
 )
-
-
-def grown(bag) -> bool:
-    return sum(file.stat().st_size for file in bag.glob('*.mcap')) > 100_000
 
 
 @SIGNALS
@@ -102,11 +98,11 @@ def test_given_signal_after_signal_then_nothing_is_waited_for_and_nothing_is_lef
 
 
 def test_given_a_terminal_that_is_closed_amid_a_run_then_its_bag_is_closed(tmp_path):
-    with taxinet_on_terminal(*RUN, cwd=tmp_path) as (campaign, close):
+    with on_terminal(*COMMAND, *RUN, cwd=tmp_path) as terminal:
         wait_for(lambda: grown(tmp_path / BAG))
-        pids = [*children(campaign.pid, '')]
-        close()
-        assert campaign.wait(250) == 129
+        pids = [*children(terminal.process.pid, '')]
+        terminal.close()
+        assert terminal.process.wait(250) == 129
     wait_for(lambda: all(map(gone, pids)))
     table = read_table(tmp_path / 'c')
     assert set(table['outcome']) == {'INTERRUPTED'}

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+import socket
 import subprocess
+import threading
 from pathlib import Path
 
 import pandas as pd
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
 from standing import ended, taxinet
 
 from taxinet_ros.campaign.options import make_options
@@ -18,8 +24,10 @@ from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.campaign import run_campaign
 from taxinet_ros.cli.main import app
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.nodes import interface
+from taxinet_ros.nodes import domain, interface
 from taxinet_ros.nodes.domain import BY_HAND, own_domain
+from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.spinning import spin_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
 
@@ -29,13 +37,13 @@ SEEDS = {'first': 5, 'second': 6}
 @pytest.fixture(scope='module')
 def taken():
     """A ROS domain on which somebody else publishes the clock."""
-    with own_domain() as domain:
+    with own_domain() as number:
         context = Context()
-        rclpy.init(context=context, domain_id=domain)
+        rclpy.init(context=context, domain_id=number)
         node = Node('other_world', namespace='/elsewhere', context=context)
         node.create_publisher(interface.CLOCK.type, interface.CLOCK.name, interface.CLOCK.qos)
         try:
-            yield domain
+            yield number
         finally:
             node.destroy_node()
             rclpy.try_shutdown(context=context)
@@ -79,9 +87,9 @@ def test_given_graphs_that_reserve_then_no_two_have_the_same_domain():
 
 
 def test_given_a_domain_by_hand_that_another_graph_has_reserved_then_one_line_says_so(monkeypatch):
-    with own_domain() as domain:
-        monkeypatch.setenv(BY_HAND, str(domain))
-        with pytest.raises(UsageError, match=rf'^ROS domain {domain} is taken: another graph'):
+    with own_domain() as number:
+        monkeypatch.setenv(BY_HAND, str(number))
+        with pytest.raises(UsageError, match=rf'^ROS domain {number} is taken: another graph'):
             own_domain().__enter__()
 
 
@@ -147,3 +155,107 @@ def test_t17_domain_by_hand_that_is_none_is_refused_before_a_search_begins(tmp_p
     with pytest.raises(UsageError, match="TAXINET_DOMAIN_ID 'banana': a ROS domain is a whole"):
         app(['falsify', 'nominal', '--out', 'new'], standalone_mode=False)
     assert list(tmp_path.iterdir()) == []
+
+
+# Somebody who reserves nothing ----------------------------------------------------------------
+
+
+@pytest.fixture
+def standing(tmp_path):
+    """A graph as ``ros2 run`` starts it by hand, on a domain that nobody has reserved."""
+    with own_domain() as number:
+        pass
+    context = Context()
+    rclpy.init(context=context, domain_id=number)
+    foreign = GraphOptions(perception='truth', out=tmp_path / 'foreign', images='none', alone=False)
+    executor = EventsExecutor(context=context)
+    nodes = [
+        kind(context=context, parameter_overrides=[Parameter(n, value=v) for n, v in given.items()])
+        for kind, given in foreign.nodes().values()
+    ]
+    for node in nodes:
+        executor.add_node(node)
+    over = Future(executor=executor)
+    thread = threading.Thread(target=spin_until, args=(executor, over))
+    thread.start()
+    try:
+        yield number
+    finally:
+        over.set_result(None)
+        thread.join()
+        for node in nodes:
+            node.close()
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown(context=context)
+
+
+def first_choice(number: int, monkeypatch) -> None:
+    """Have graphs try one domain first, and then the others in turn."""
+    others = itertools.cycle(n for n in range(1, 101) if n != number)
+    monkeypatch.setattr(domain, '_domains', itertools.chain([number], others))
+
+
+def short_campaign(out: Path, runs: int = 1) -> int:
+    return run_campaign(make_options(
+        program='training_full', runs=runs, seed=7, perception='original', settings=['duration=1'],
+        specs=['phi_always'], images='none', out=out, processes=False,
+    ))
+
+
+def test_f5_given_a_graph_that_reserves_nothing_then_its_domain_is_passed_over(
+    standing, tmp_path, monkeypatch
+):
+    first_choice(standing, monkeypatch)
+    with own_domain() as other:
+        assert other != standing
+    first_choice(standing, monkeypatch)
+    assert short_campaign(tmp_path / 'beside') in (0, 1)
+    monkeypatch.undo()
+    assert short_campaign(tmp_path / 'alone') in (0, 1)
+    (table, bags), (expected, expected_bags) = made(tmp_path, 'beside'), made(tmp_path, 'alone')
+    assert list(table['perception']) == ['original']
+    assert list(table['rho']) == list(expected['rho'])
+    assert list(table['outcome']) == list(expected['outcome'])
+    assert len(bags) == len(expected_bags) == 1
+    assert not (tmp_path / 'foreign').exists()
+
+
+def test_f5_given_a_graph_that_came_after_the_choice_then_no_verdict_is_its_and_the_next_is_alone(
+    standing, tmp_path, monkeypatch
+):
+    first_choice(standing, monkeypatch)
+    monkeypatch.setattr(domain, '_is_free', lambda number: True)
+    assert short_campaign(tmp_path / 'c', runs=2) == 4
+    broken, sound = read_table(tmp_path / 'c').to_dict('records')
+    assert (broken['outcome'], broken['kind']) == ('INFRA_ERROR', 'intruder'), broken
+    assert sound['outcome'] in ('PASS', 'FAIL')
+    assert sound['perception'] == 'original'
+
+
+def test_f5_given_a_port_of_dds_that_another_program_has_then_that_domain_is_passed_over(
+    monkeypatch
+):
+    with own_domain() as number:
+        pass
+    first_choice(number, monkeypatch)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(('127.0.0.1', 7400 + 250 * number + 14))
+        with own_domain() as other:
+            assert other != number
+
+
+def test_f5_given_another_middleware_then_a_domain_is_listened_to_before_it_is_chosen(monkeypatch):
+    found = [['somebody'], []]
+    monkeypatch.setattr(domain, 'anybody_here', lambda number: None)
+    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: found.pop(0))
+    with own_domain():
+        assert found == []
+
+
+def test_f5_given_all_domains_in_use_then_one_line_says_so(monkeypatch):
+    monkeypatch.setattr(domain, 'anybody_here', lambda number: True)
+    monkeypatch.setattr(domain, '_found', lambda number, look, look_s: ['somebody'])
+    with pytest.raises(UsageError, match='all ROS domains from 1 to 100 are in use; end a graph'):
+        own_domain().__enter__()
