@@ -127,11 +127,11 @@ def read_ledger(path: Path) -> LedgerContent:
     except OSError as error:
         raise UsageError(f'ledger {path}: {error.strerror}') from error
     content = ledger_content(path, events, finished=ended is not None and len(events) == ended[0])
-    if facts is None:
+    if facts is None and events:
         warn_once(
             f'{path}: unverified, for no {FACTS_NAME} beside it says how many lines it has to have'
         )
-    elif facts.sealed and content.campaign:
+    elif facts is not None and facts.sealed and content.campaign:
         _check_same(path, facts.values, events)
     return content
 

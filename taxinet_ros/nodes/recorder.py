@@ -155,16 +155,16 @@ class Recorder(Participant):
             make_parents=self._make_out,
         )
 
-    def may_leave(self) -> bool:
-        """Whether the bag is closed, or nothing more is heard of its run."""
-        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
-        return left or (self._writer is None and not self._late_frames.under_way)
-
     def clear(self) -> None:
         """See :class:`Participant`."""
         self._steps = StepCollector(self._expected)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
+
+    def may_leave(self) -> bool:
+        """Whether the bag is closed, or nothing more is heard of its run."""
+        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
+        return left or (self._writer is None and not self._late_frames.under_way)
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

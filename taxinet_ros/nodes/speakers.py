@@ -120,8 +120,10 @@ class Speakers:
         seen: set[str] = set()
         for end in self._ends():
             name = end.node_name
+            if name == NAMELESS:
+                continue  # It may be one of the run's; a moment later everybody knows.
             if name in seen or name not in wanted | tolerated:
-                return Stranger(name=_word(name), topic=self.topic, speakers=tuple(sorted(wanted)))
+                return Stranger(name=name, topic=self.topic, speakers=tuple(sorted(wanted)))
             seen.add(name)
         return None
 

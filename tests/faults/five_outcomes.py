@@ -41,6 +41,7 @@ def five_outcomes(out: Path) -> tuple[CampaignOptions, list[RunRow]]:
     )
     rows = list(_rows(options))
     facts = campaign_facts(options, SceneSource(options.program, seed=7).program)
+    out.mkdir()
     write_facts(out, facts)
     with Ledger(out / LEDGER_NAME) as ledger:
         ledger.campaign(facts)

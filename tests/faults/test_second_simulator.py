@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import pytest
 import rclpy
-from fault_runs import request, run, wait_for
+from fault_runs import request, run
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node
 from taxinet_msgs.action import RunScenario
 from taxinet_msgs.msg import RunStatus
+from waiting import wait_for
 
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes import interface
