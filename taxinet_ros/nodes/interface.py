@@ -103,13 +103,10 @@ class Topic:
         return names & {SIMULATOR, *participants}
 
     def speakers(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that publish, one end each.
-
-        Where none of them takes part, whoever plays the simulator stands in, as in a replay.
-        """
+        """Those of the nodes of a run that publish, one end each."""
         if self.recorded == PER_NODE:
             return set(participants) - {SIMULATOR}
-        return (set(self.publishers) & {SIMULATOR, *participants}) or {SIMULATOR}
+        return set(self.publishers) & {SIMULATOR, *participants}
 
 
 SCENARIO = Topic(

@@ -63,6 +63,11 @@ class MtlMonitor(Participant):
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
 
+    def clear(self) -> None:
+        """See :class:`Participant`."""
+        if self._scenario is not None:
+            self.prepare(self._scenario)
+
     def _collect(self, topic: str, said: Said) -> None:
         # What is left of a run that was broken off is not of this one; odometry tells no run.
         of_this_run = topic == interface.ODOMETRY.name or said.run_id == self.run_id

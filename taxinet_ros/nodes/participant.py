@@ -34,9 +34,11 @@ def one_line(error: BaseException) -> str:
 class Participant(Node):
     """A node that sets itself up for each scenario and then answers messages.
 
-    A subclass overrides :meth:`prepare`. An exception in a callback becomes an ERROR status that
-    names the node, so that the run ends at once with a reason instead of a timeout. From READY on
-    the node hears nobody but those who were there; who comes later is charged.
+    A subclass overrides :meth:`prepare`, and :meth:`clear` if it keeps what it hears. An exception
+    in a callback becomes an ERROR status that names the node, so that the run ends at once with a
+    reason instead of a timeout. Who speaks where the node listens is known at its READY. Who comes
+    later, but before the first step, may be a node of the run that was started anew: the node
+    waits until each is there once, and gets ready again. Who comes after that is charged.
 
     Attributes:
         run_id: the run that the node is set up for, or ''.
@@ -55,7 +57,7 @@ class Participant(Node):
         self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
         self._listeners: list[HeardSpeakers] = []
-        self._charged = False
+        self._charged = self._begun = False
         self._status = self.speak(interface.NODE_STATUS)
         self.listen(interface.SCENARIO, self._take)
         # Getting ready is about processes finding each other, so it runs on wall time.
@@ -65,6 +67,9 @@ class Participant(Node):
 
     def prepare(self, scenario: Scenario) -> None:
         """Forget the previous run and set up for this one."""
+
+    def clear(self) -> None:
+        """Forget what was heard before READY: those who speak in the run say nothing till then."""
 
     def speak(self, topic: Topic) -> Publisher:
         """Publish on a topic of the table."""
@@ -83,7 +88,8 @@ class Participant(Node):
         if read_here(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
         self._listeners.append(HeardSpeakers(
-            self, topic, self._guarded(callback), raw=raw, on_match=self.spoken_into
+            self, topic, self._guarded(callback, topic.each_step), raw=raw,
+            on_match=self.spoken_into,
         ))
 
     def destroy_node(self) -> None:
@@ -140,16 +146,26 @@ class Participant(Node):
         Tells the simulator of it, once.
         """
         if not self._charged and (stranger := first_stranger(self._listeners)) is not None:
+            if not self._begun:
+                self._wait_again()
+                return False
             self._charged = True
             self.charge(stranger.error(-1))
         return self._charged
+
+    def _wait_again(self) -> None:
+        """Not ready any more."""
+        for heard in self._listeners:
+            heard.release()
+        self.report(NodeStatus.PROGRESS, detail='waits until each speaker is there once')
+        self._poll.reset()
 
     def _take(self, scenario: Scenario) -> None:
         if self.get_name() not in scenario.participants:
             return
         for heard in self._listeners:
             heard.release()
-        self._charged = False
+        self._charged = self._begun = False
         self.run_id = scenario.run_id
         self._scenario = scenario
         self.prepare(scenario)
@@ -171,6 +187,8 @@ class Participant(Node):
             return
         for heard in self._listeners:
             heard.pin(present)
+        self.clear()
+        self._begun = False
         self._poll.cancel()
         self.report(NodeStatus.READY)
 
@@ -179,10 +197,14 @@ class Participant(Node):
         read = reader_of(topic)
         return lambda cdr: callback(read(cdr))
 
-    def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _guarded(
+        self, callback: Callable[[Any], None], begins: bool = False
+    ) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
             self.silent_looks = 0
+            if begins:
+                self._begun = True
             try:
                 callback(message)
             except Exception as error:

@@ -135,9 +135,7 @@ class Recorder(Participant):
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
             for topic in self._stepped
         }
-        self._steps = StepCollector(self._expected)
-        self._held: list[Step] = []
-        self._verdict: bytes | None = None
+        self.clear()
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
@@ -158,6 +156,12 @@ class Recorder(Participant):
         """Whether the bag is closed, or nothing more is heard of its run."""
         left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
         return left or (self._writer is None and not self._late_frames.under_way)
+
+    def clear(self) -> None:
+        """See :class:`Participant`."""
+        self._steps = StepCollector(self._expected)
+        self._held: list[Step] = []
+        self._verdict: bytes | None = None
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

@@ -19,6 +19,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
 from taxinet_ros.nodes.parameters import declare
+from taxinet_ros.nodes.speakers import Gid
 
 _WATCH_PERIOD_S = 0.1
 _SILENT_LOOKS = 20
@@ -50,7 +51,7 @@ class ScenarioSampler(Node):
     Attributes:
         seq: the control step that the run at hand has reached, as far as is known.
         interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether an answer counts only where there never was a second simulator.
+        one_simulator: whether it is not awaited that a second simulator goes away.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -65,10 +66,11 @@ class ScenarioSampler(Node):
         topic = interface.OBITUARY
         self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
+        self._asked_of: set[Gid] = set()
+        self._dead: set[Gid] = set()
         self._answer: Future | None = None
         self._finished: Future | None = None
         self.interrupted = self.one_simulator = False
-        self._others: list[str] = []
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = 0.0
@@ -120,6 +122,8 @@ class ScenarioSampler(Node):
         """End the run in its stead."""
         assert self._request is not None
         assert self._answer is not None
+        if kind == 'died':
+            self._dead |= self._asked_of
         self._obituaries.publish(obituary(
             self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
         ))
@@ -158,7 +162,7 @@ class ScenarioSampler(Node):
         self._answer.add_done_callback(self._guarded(self._take_answer, request))
         if self.interrupted:
             self._answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
-        elif self._client.server_is_ready():
+        elif self._may_ask():
             self._ask(request, self._answer)
 
     def _take_answer(self, request: RunRequest, answer: Future) -> None:
@@ -175,11 +179,21 @@ class ScenarioSampler(Node):
         if not self._finished.done():
             self._finished.set_result(None)
 
+    def _servers(self) -> dict[Gid, str]:
+        """Who serves the action, as far as the graph tells: node by the end that answers."""
+        name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
+        # How DDS names the topic of a service's answers, by ROS 2 in all its implementations.
+        ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
+        return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
+
+    def _may_ask(self) -> bool:
+        """Whether there is one simulator, and nothing lingers of one that died."""
+        servers = self._servers()
+        alone = len(servers) <= 1 and not self._dead & servers.keys()
+        return alone and self._client.server_is_ready()
+
     def _ask(self, request: RunRequest, answer: Future) -> None:
-        self._look_for_others()
-        if self._others:
-            answer.set_result(self._alone(RunResult(outcome=Outcome.INTERRUPTED)))
-            return
+        self._asked_of = set(self._servers())
         goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
         self._last_heard = time.monotonic()
         sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
@@ -198,23 +212,17 @@ class ScenarioSampler(Node):
         handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
 
     def _take_result(self, answer: Future, response: Future) -> None:
-        self._look_for_others()
-        if not answer.done():
-            answer.set_result(self._alone(result_of(response.result().result)))
-
-    def _look_for_others(self) -> None:
-        """Note who else would answer this node: whose answer was heard then, nobody knows."""
-        feedback = f'{interface.RUN_SCENARIO}/_action/feedback'
-        names = [end.node_name for end in self.get_publishers_info_by_topic(feedback)]
-        if self._client.answered_twice or (self.one_simulator and len(names) > 1):
-            self._others = names or [interface.SIMULATOR]
-
-    def _alone(self, result: RunResult) -> RunResult:
-        """A result, if it cannot be somebody else's."""
-        if not self._others or result.outcome is Outcome.INFRA_ERROR:
-            return result
-        who = next((n for n in self._others if n != interface.SIMULATOR), interface.SIMULATOR)
-        return _broken(INTRUDER, who, 'a second simulator answers', result.last_seq)
+        if answer.done():
+            return
+        result = result_of(response.result().result)
+        servers = self._servers()
+        strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
+        if self._client.answered_twice:
+            strangers.append(interface.SIMULATOR)
+        if result.outcome is not Outcome.INFRA_ERROR and strangers:
+            detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
+            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
+        answer.set_result(result)
 
     def _on_feedback(self, message: Any) -> None:
         self._silent_looks = 0
@@ -227,7 +235,6 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        self._look_for_others()
         self._silent_looks += 1
         # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
         silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
@@ -236,12 +243,23 @@ class ScenarioSampler(Node):
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
                 self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
-        elif self._client.server_is_ready():
+        elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s:
-            detail = f'not found within {server_timeout_s:g} s'
-            answer.set_result(_broken('not_ready', interface.SIMULATOR, detail, 0))
+        elif now - self._asked > server_timeout_s or self._is_shared():
+            answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
+
+    def _is_shared(self) -> bool:
+        return self.one_simulator and len(self._servers()) > 1
+
+    def _not_asked(self, within: str) -> RunResult:
+        """Why there was nobody to ask, or more than one."""
+        names = sorted(self._servers().values())
+        if len(names) > 1:
+            others = [name for name in names if name != interface.SIMULATOR] or names
+            detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
+            return _broken(INTRUDER, others[0], detail, 0)
+        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
 
 
 def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:

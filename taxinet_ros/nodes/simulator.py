@@ -162,9 +162,12 @@ class Simulator(Node):
         if run is not None:
             self._attempt(run, lambda: self._take(run, callback, read(given)))
 
-    @staticmethod
-    def _take(run: ActiveRun, callback: Callable[[ActiveRun, Any], None], message: Any) -> None:
-        if message.run_id == run.run_id:
+    def _take(
+        self, run: ActiveRun, callback: Callable[[ActiveRun, Any], None], message: Any
+    ) -> None:
+        # Before its first step a run has nothing to be answered.
+        early = not run.started and callback not in (self._on_status, self._on_obituary)
+        if message.run_id == run.run_id and not early:
             callback(run, message)
 
     def _attempt(self, run: ActiveRun, action: Callable[[], None]) -> None:
@@ -185,6 +188,8 @@ class Simulator(Node):
             run.lockstep.ready(status.node)
             run.heard()
             self._start_if_ready(run)
+        elif status.state == NodeStatus.PROGRESS and not run.started:
+            run.lockstep.unready(status.node)
         elif status.state == NodeStatus.ERROR:
             bag = status.node == interface.RECORDER
             usual = 'bag' if bag else 'node_error', status.node, status.detail

@@ -18,7 +18,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from taxinet_ros.core.errors import InfraError
-from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.interface import SIMULATOR, Topic
 from taxinet_ros.nodes.matching import fits
 from taxinet_ros.nodes.notices import INTRUDER
 
@@ -81,8 +81,11 @@ class Speakers:
         self._besides: set[str] = set()
 
     def wanted(self, participants: Collection[str]) -> set[str]:
-        """Nodes that must be there, one end each, before a run with these participants begins."""
-        return self.topic.speakers(tuple(participants))
+        """Nodes that must be there, one end each, before a run with these participants begins.
+
+        Where none of them takes part, whoever plays the simulator stands in, as in a replay.
+        """
+        return self.topic.speakers(tuple(participants)) or {SIMULATOR}
 
     def settled(self, participants: Collection[str]) -> bool:
         """Whether each speaker of a run is there once, and nobody else.

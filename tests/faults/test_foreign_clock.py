@@ -1,4 +1,4 @@
-"""Somebody else's clock in the graph: it moves no run, and what it spoils is told."""
+"""A clock that is wrong: it moves no run, and what it spoils is told."""
 
 from __future__ import annotations
 
@@ -6,33 +6,28 @@ from pathlib import Path
 
 import pytest
 from fault_runs import PERIOD_NS, request, run, steps_in
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
 
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes.convert import time_of
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import CLOCK, COMMAND, RECORDER
+from taxinet_ros.nodes.interface import CLOCK, RECORDER
 
 pytestmark = pytest.mark.ros
 
 
 def disturbed_run(out: Path, stamp_of_step) -> tuple[RunResult, int]:
-    """A run beside which a second clock ticks; the result, and how many ticks arrived."""
+    """A run in which the clock ticks twice a step; the result, and how many ticks arrived."""
     with composed_graph(GraphOptions(perception='truth', out=out, images='none')) as graph:
-        other = Node('another_simulator', context=graph._context)
-        clock = other.create_publisher(Clock, CLOCK.name, CLOCK.qos)
-        graph.add(other)
-        other.close = lambda: None
         recorder = next(node for node in graph.nodes if node.get_name() == RECORDER)
 
         def tick(step: int, message):
-            if stamp_of_step is not None:
-                clock.publish(Clock(clock=time_of(stamp_of_step(step))))
-            return [message]
+            if stamp_of_step is None:
+                return [message]
+            return [message, Clock(clock=time_of(stamp_of_step(step)))]
 
-        tamper(graph, COMMAND, tick)
+        tamper(graph, CLOCK, tick)
         (result,) = run(graph, request(duration=5.0))
         return result, recorder._steps.repeated
 

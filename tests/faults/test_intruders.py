@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import threading
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import once, request, run, steps_in, wait_for
+from fault_runs import request, run, steps_in, wait_for
+from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+from tampering import tamper
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
 
 from taxinet_ros.bag.facts import read_facts
@@ -23,10 +25,13 @@ from taxinet_ros.nodes import interface, simulator, speakers
 from taxinet_ros.nodes.convert import time_of
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import RECORDER, Topic
+from taxinet_ros.nodes.notices import obituary
+from taxinet_ros.nodes.participant import Participant
 
 pytestmark = pytest.mark.ros
 
 PEER = 'somebody_else'
+STEP = 9
 
 
 @contextlib.contextmanager
@@ -46,9 +51,23 @@ def node_of(graph: Any, name: str) -> Any:
     return next(node for node in graph.nodes if node.get_name() == name)
 
 
-def steps_written(graph: Any, count: int) -> Callable[[], bool]:
-    recorder = node_of(graph, RECORDER)
-    return lambda: getattr(recorder, '_written', 0) >= count
+def amid_the_run(graph: Any, act: Callable[[], object]) -> list[object]:
+    """Have something done at a step, which waits for it; what came of it."""
+    done: list[object] = []
+
+    def how(step: int, message: Any) -> list[Any]:
+        if step == STEP and not done:
+            done.append(act())
+        return [message]
+
+    tamper(graph, interface.COMMAND, how)
+    return done
+
+
+def ears(graph: Any, topic: Topic) -> list[Any]:
+    """The subscriptions of the graph's nodes to a topic."""
+    name = '/' + topic.name.lstrip('/')
+    return [one for node in graph.nodes for one in node.subscriptions if one.topic_name == name]
 
 
 def forged(topic: Topic, run_id: str = 'run') -> Any:
@@ -66,20 +85,25 @@ def forged(topic: Topic, run_id: str = 'run') -> Any:
     }.get(topic.name, topic.type())
 
 
-def speak(node: Node, topic: Topic, listeners: int = 1) -> Any:
-    """Publish one forged message on a topic, as soon as somebody hears it."""
+def speak(graph: Any, node: Node, topic: Topic) -> Any:
+    """Publish one forged message on a topic, once everybody in the graph hears it."""
+    heard = ears(graph, topic)
+    before = [one.get_publisher_count() for one in heard]
     publisher = node.create_publisher(topic.type, topic.name, topic.qos)
-    wait_for(lambda: publisher.get_subscription_count() >= listeners)
+    wait_for(lambda: publisher.get_subscription_count() >= len(heard) and all(
+        one.get_publisher_count() > count for one, count in zip(heard, before, strict=True)
+    ))
     publisher.publish(forged(topic))
     return publisher
 
 
 def disturbed(out: Path, act: Callable[[Any], object], **changes: Any) -> RunResult:
-    """A run of ten minutes in which somebody does something after five steps."""
+    """A run of ten minutes in which somebody does something at a step."""
     options = GraphOptions(perception='truth', out=out, images='none', **changes)
     with composed_graph(options) as graph:
-        with once(steps_written(graph, 5), lambda: act(graph)):
-            (result,) = run(graph, request())
+        done = amid_the_run(graph, functools.partial(act, graph))
+        (result,) = run(graph, request())
+    assert done
     return result
 
 
@@ -87,10 +111,11 @@ def assert_bag_has_no_verdict(bag: Path, who: str) -> None:
     """It is closed, says who broke the run, and holds what was recorded before."""
     assert read_info(bag).complete
     facts = read_facts(bag)
-    assert facts.outcome == Outcome.INFRA_ERROR, facts
+    assert facts is not None
+    assert (facts.outcome, facts.who) == (Outcome.INFRA_ERROR, who)
     steps = steps_in(bag)
     assert steps == list(range(len(steps)))
-    assert len(steps) >= 5
+    assert len(steps) >= STEP
 
 
 @pytest.mark.parametrize('topic', [
@@ -101,10 +126,148 @@ def test_f4_given_a_peer_that_speaks_amid_a_run_then_it_ends_without_a_verdict_a
 ):
     with contextlib.ExitStack() as stack:
         result = disturbed(
-            tmp_path, lambda graph: speak(stack.enter_context(peer(graph)), topic)
+            tmp_path, lambda graph: speak(graph, stack.enter_context(peer(graph)), topic)
         )
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
     assert result.who == PEER
     assert topic.name in result.detail
     assert result.rho == {}
     assert_bag_has_no_verdict(tmp_path / 'run', PEER)
+
+
+def test_f4_given_a_peer_that_comes_speaks_once_and_goes_then_the_run_has_no_verdict(tmp_path):
+    def come_and_go(graph: Any) -> None:
+        with peer(graph) as node:
+            speak(graph, node, interface.RUN_STATUS)
+
+    result = disturbed(tmp_path, come_and_go)
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert result.who in (PEER, speakers.UNKNOWN)
+    assert_bag_has_no_verdict(tmp_path / 'run', result.who)
+
+
+@pytest.mark.parametrize('name', [PEER, interface.PERCEPTION])
+def test_f4_given_a_second_publisher_from_the_start_then_no_run_begins_and_it_is_named(
+    name, tmp_path
+):
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': 1.0},
+    )
+    with composed_graph(options) as graph, peer(graph, name) as node:
+        publisher = speak(graph, node, interface.ESTIMATE)
+        (result,) = run(graph, request(duration=1.0))
+        node.destroy_publisher(publisher)
+        (after,) = run(graph, request('after', duration=1.0))
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert (result.who, result.rho) == (name, {})
+    assert steps_in(tmp_path / 'run') == []
+    assert after.outcome.judged, 'he is gone, and is held against nobody'
+
+
+def test_f4_given_onlookers_that_come_and_go_then_not_a_byte_changes(tmp_path):
+    def look_on(graph: Any) -> None:
+        for _ in range(2):
+            with peer(graph) as node:
+                for topic in interface.TOPICS:
+                    node.create_subscription(topic.type, topic.name, lambda _: None, topic.qos)
+                wait_for(lambda: node.count_publishers('run_status') == 1)
+
+    bags = []
+    for folder, act in ((tmp_path / 'alone', lambda _: None), (tmp_path / 'seen', look_on)):
+        with composed_graph(GraphOptions(perception='truth', out=folder, images='none')) as graph:
+            amid_the_run(graph, functools.partial(act, graph))
+            (result,) = run(graph, request(duration=2.0))
+        assert result.outcome.judged, result
+        bags.append((folder / 'run' / 'run_0.mcap').read_bytes())
+    assert bags[0] == bags[1]
+
+
+@pytest.mark.parametrize('stays', [True, False])
+def test_f4_given_a_peer_that_is_noticed_by_nobody_meanwhile_then_the_verdict_is_withheld(
+    stays, tmp_path, monkeypatch
+):
+    """What DDS tells may be heard late: it is asked once more before anything is judged."""
+    heard = speakers.HeardSpeakers.__init__
+    monkeypatch.setattr(simulator, '_WATCH_PERIOD_S', 1e6)
+    monkeypatch.setattr(
+        speakers.HeardSpeakers, '__init__',
+        lambda *args, on_match, **more: heard(*args, on_match=lambda: None, **more),
+    )
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with composed_graph(options) as graph, contextlib.ExitStack() as stack:
+        def come() -> object:
+            node = stack.enter_context(peer(graph))
+            speak(graph, node, interface.ROBUSTNESS)
+            if not stays:
+                stack.close()
+                wait_for(lambda: ears(graph, interface.ROBUSTNESS)[0].get_publisher_count() == 1)
+            return True
+
+        came = amid_the_run(graph, come)
+        (result,) = run(graph, request(duration=5.0))
+    assert came
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder')
+    assert result.who == (PEER if stays else speakers.UNKNOWN)
+    facts = read_facts(tmp_path / 'run')
+    assert facts.outcome == Outcome.INFRA_ERROR
+    assert steps_in(tmp_path / 'run') == list(range(51))
+
+
+@pytest.mark.parametrize('who', [interface.SIMULATOR, interface.PERCEPTION])
+def test_f4_given_a_forged_obituary_then_the_run_is_spoilt_and_has_no_verdict(who, tmp_path):
+    def mourn(graph: Any) -> Any:
+        node = stack.enter_context(peer(graph))
+        topic = interface.OBITUARY
+        publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+        wait_for(lambda: publisher.get_subscription_count() == 2)
+        publisher.publish(obituary('run', who, 'said so'))
+
+    with contextlib.ExitStack() as stack:
+        result = disturbed(tmp_path, mourn)
+    assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'died', who)
+    assert_bag_has_no_verdict(tmp_path / 'run', who)
+
+
+@pytest.mark.parametrize(('done', 'words'), [
+    ({'detail': 'PASS'}, 'closed its bag as PASS at step 10'),
+    ({'seq': 7}, 'closed its bag as FAIL at step 7'),
+])
+def test_f4_given_a_bag_that_is_not_what_the_run_was_then_the_run_has_no_verdict(
+    done, words, tmp_path, monkeypatch
+):
+    report = Participant.report
+    monkeypatch.setattr(
+        Participant, 'report', lambda self, state, **what: report(
+            self, state, **(what | done if state == NodeStatus.DONE else what)),
+    )
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
+        (result,) = run(graph, request(duration=1.0))
+    assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
+    assert result.detail == words
+
+
+def test_f4_given_a_second_server_of_the_action_then_its_answers_are_no_results(tmp_path):
+    """He who answers for the simulator would decide what the table says."""
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', patience={'server_timeout': 1.0},
+    )
+    kind, name = interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO
+    with composed_graph(options) as graph, contextlib.ExitStack() as stack:
+        def serve() -> bool:
+            node = stack.enter_context(peer(graph))
+            server = ActionServer(node, kind, name, lambda goal: kind.Result())
+            stack.callback(server.destroy)
+            looker = node_of(graph, interface.SIMULATOR)
+            topic = f'rr/{name}/_action/get_resultReply'
+            wait_for(lambda: PEER in {
+                end.node_name for end in looker.get_publishers_info_by_topic(topic, no_mangle=True)
+            })
+            return True
+
+        came = amid_the_run(graph, serve)
+        amid, after = run(graph, request(duration=2.0), request('after', duration=2.0))
+    assert came
+    assert [result.outcome for result in (amid, after)] == [Outcome.INFRA_ERROR] * 2
+    assert [(result.kind, result.who) for result in (amid, after)] == [('intruder', PEER)] * 2
+    assert read_info(tmp_path / 'run').complete
+    assert not (tmp_path / 'after').exists()

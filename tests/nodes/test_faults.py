@@ -118,20 +118,22 @@ def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, mon
     assert len(truth_stamps(tmp_path / 'run')) == 16
 
 
-def test_given_a_missing_node_then_the_run_is_not_begun_and_it_is_named(tmp_path):
-    class WithoutController(GraphOptions):
+@pytest.mark.parametrize('who', PARTICIPANTS)
+def test_r8_given_a_missing_node_then_the_run_is_not_begun_and_it_is_named_alone(who, tmp_path):
+    class Without(GraphOptions):
         def nodes(self):
             nodes = super().nodes()
-            del nodes[interface.STEERING_CONTROLLER]
+            del nodes[who]
             return nodes
 
-    options = WithoutController(
+    options = Without(
         perception='truth', out=tmp_path, timeouts={'ready_timeout': 1.0}
     )
     with composed_graph(options) as graph:
         (result,) = run(graph, request())
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
-    assert interface.STEERING_CONTROLLER in result.who
+    assert result.who == who
+    assert result.detail.startswith('not ready within 1 s: does not ')
 
 
 def test_given_a_bag_that_exists_then_it_is_not_overwritten_and_the_run_fails(tmp_path):

@@ -11,9 +11,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.interface import LOCKSTEP
-from taxinet_ros.nodes.matching import heard_by, hears_from
+from taxinet_ros.nodes.interface import LOCKSTEP, Topic
+from taxinet_ros.nodes.matching import heard_by
+from taxinet_ros.nodes.speakers import HeardSpeakers
 
+TALK = Topic(
+    name='t', type=String, qos=LOCKSTEP, publishers=('one',), subscribers=('other',),
+    recorded=None, carries='words',
+)
+NODES = ('one', 'other')
 LATCHED_ONLY = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -59,10 +65,11 @@ def test_given_real_nodes_then_both_ends_know_when_they_have_found_each_other():
         while speaks.get_subscription_count() < 1:
             executor.spin_once(timeout_sec=0.1)
         assert not heard_by(one, speaks, {'other'}), 'the echo is not taken for it'
-        hears = other.create_subscription(String, 't', print, LOCKSTEP)
-        while not (heard_by(one, speaks, {'other'}) and hears_from(other, hears, {'one'})):
+        hears = HeardSpeakers(other, TALK, print, raw=False, on_match=lambda: None)
+        while not (heard_by(one, speaks, {'other'}) and hears.settled(NODES)):
             executor.spin_once(timeout_sec=0.1)
         assert speaks.get_subscription_count() == 2
+        hears.close()
         executor.shutdown()
         for node in (one, other, echo):
             node.destroy_node()
