@@ -141,7 +141,6 @@ class Recorder(Participant):
         self._ended: RunStatus | None = None
         self._written = 0
         self._head_complete = False
-        self._running = False
         self._rest_looks = 0
         self._last_seq = last_step(scenario_of(scenario))
         self._stop_on = parse_stop_on(scenario.stop_on)
@@ -227,8 +226,6 @@ class Recorder(Participant):
         status = deserialize_message(cdr, RunStatus)
         if status.state == RunStatus.ENDED:
             self._end(status, cdr)
-        elif status.run_id == self.run_id:
-            self._running = status.state == RunStatus.RUNNING
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
@@ -372,7 +369,8 @@ class Recorder(Participant):
         It comes on other topics than the end, which may overtake it.
         """
         assert self._ended is not None
-        if not self._running or self._whole > self._ended.seq:
+        begun = self._begun or self._ended.seq > 0
+        if not begun or self._whole > self._ended.seq:
             return False
         interrupted = self._ended.outcome == Outcome.INTERRUPTED
         return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)

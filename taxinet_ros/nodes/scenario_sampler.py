@@ -56,7 +56,7 @@ class ScenarioSampler(Node):
     Attributes:
         seq: the control step that the run at hand has reached, as far as is known.
         interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether an answer counts only where there never was a second simulator.
+        one_simulator: whether it is not awaited that a second simulator goes away.
     """
 
     def __init__(self, **node: Any) -> None:
@@ -76,7 +76,6 @@ class ScenarioSampler(Node):
         self._answer: Future | None = None
         self._finished: Future | None = None
         self.interrupted = self.one_simulator = False
-        self._others: list[str] = []
         self._request: RunRequest | None = None
         self.seq = 0
         self._last_heard = self._last_asked = 0.0
@@ -224,26 +223,15 @@ class ScenarioSampler(Node):
         found = response.result()
         if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
             return
-        self._look_for_others()
-        result = self._alone(result_of(found.result))
-        strangers = [who for gid, who in self._servers().items() if gid not in self._asked_of]
-        if result.outcome.judged and strangers:
+        result = result_of(found.result)
+        servers = self._servers()
+        strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
+        if self._client.answered_twice:
+            strangers.append(interface.SIMULATOR)
+        if result.outcome is not Outcome.INFRA_ERROR and strangers:
             detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
             result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
         answer.set_result(result)
-
-    def _look_for_others(self) -> None:
-        """Note who else would answer this node: whose answer was heard then, nobody knows."""
-        names = sorted(self._servers().values())
-        if self._client.answered_twice or (self.one_simulator and len(names) > 1):
-            self._others = names or [interface.SIMULATOR]
-
-    def _alone(self, result: RunResult) -> RunResult:
-        """A result, if it cannot be somebody else's."""
-        if not self._others or result.outcome is Outcome.INFRA_ERROR:
-            return result
-        who = next((n for n in self._others if n != interface.SIMULATOR), interface.SIMULATOR)
-        return _broken(INTRUDER, who, 'a second simulator answers', result.last_seq)
 
     def _on_feedback(self, message: Any) -> None:
         self._silent_looks = 0
@@ -256,7 +244,6 @@ class ScenarioSampler(Node):
             return
         server_timeout_s, silence_timeout_s = self._limits
         now = time.monotonic()
-        self._look_for_others()
         self._silent_looks += 1
         # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
         silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
@@ -268,13 +255,14 @@ class ScenarioSampler(Node):
             elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
                 self._last_asked = now
                 self._ask_result(self._goal, answer)
-        elif self._others:
-            answer.set_result(self._alone(RunResult(outcome=Outcome.INTERRUPTED)))
         elif self._may_ask():
             assert self._request is not None
             self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s:
+        elif now - self._asked > server_timeout_s or self._is_shared():
             answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
+
+    def _is_shared(self) -> bool:
+        return self.one_simulator and len(self._servers()) > 1
 
     def _not_asked(self, within: str) -> RunResult:
         """Why there was nobody to ask, or more than one."""
