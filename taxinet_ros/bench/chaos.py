@@ -309,7 +309,7 @@ class _Trial:
     def _disturbed(self, name: str, fault: Fault) -> int | None:
         """One sitting with a fault; its exit code, None where it hangs."""
         before = sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
-        moment = before + self._draw.randint(0, self._subject.runs - 1)
+        moment = before + self._draw.randrange(max(len(self._whole) - before, 1))
         delay_s = self._draw.uniform(0, 0.4)
         with self._chaos.sit(self._words(), self._place) as sitting:
             in_time = sitting.await_results(moment)

@@ -138,7 +138,7 @@ def test_given_words_that_are_wrong_then_one_line_says_so(words, message, capsys
 
 
 @pytest.mark.ros
-@pytest.mark.timeout(600)  # some ten commands, each a few seconds on a quiet machine
+@pytest.mark.timeout(1200)  # some six commands, each a few seconds on a quiet machine
 def test_given_short_chaos_then_nothing_is_broken(capsys):
     assert command.run_chaos(seed=SEED, minutes=None, trials=2, trial=None, as_json=True) == 0
     report = json.loads(capsys.readouterr().out)
@@ -147,5 +147,5 @@ def test_given_short_chaos_then_nothing_is_broken(capsys):
     assert sum(times for ends in report['faults'].values() for times in ends.values()) >= 2
 
 
-SEED = 0
-"""Of two trials that are short and disturb something."""
+SEED = 2
+"""Its first two trials have one disturbed sitting each of a falsification."""
