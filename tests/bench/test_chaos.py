@@ -173,14 +173,15 @@ def test_given_words_that_are_wrong_then_one_line_says_so(words, message, capsys
 
 
 @pytest.mark.ros
-@pytest.mark.timeout(1200)  # some six commands, each a few seconds on a quiet machine
+@pytest.mark.timeout(1200)  # four commands, each a few seconds on a quiet machine
 def test_given_short_chaos_then_nothing_is_broken(capsys):
-    assert command.run_chaos(seed=SEED, minutes=None, trials=2, trial=None, as_json=True) == 0
+    assert command.run_chaos(seed=SEED, minutes=None, trials=1, trial=None, as_json=True) == 0
     report = json.loads(capsys.readouterr().out)
-    assert (report['trials'], report['found']) == (2, {})
-    assert report['rows_compared'] > 0
+    assert (report['trials'], report['found']) == (1, {})
+    assert report['rows_compared'] == 8
+    assert report['faults']['campaign killed'] == {'-9': 1}
     assert sum(times for ends in report['faults'].values() for times in ends.values()) >= 2
 
 
-SEED = 2
-"""Its first two trials have one disturbed sitting each of a falsification."""
+SEED = 1478
+"""Its first trial is a falsification that is killed, resumed, and disturbed once more."""
