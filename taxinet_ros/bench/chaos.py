@@ -309,7 +309,7 @@ class _Trial:
     def _disturbed(self, name: str, fault: Fault) -> int | None:
         """One sitting with a fault; its exit code, None where it hangs."""
         before = sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
-        moment = before + self._draw.randint(0, self._subject.runs - 1)
+        moment = before + self._draw.randrange(max(len(self._whole) - before, 1))
         delay_s = self._draw.uniform(0, 0.4)
         with self._chaos.sit(self._words(), self._place) as sitting:
             in_time = sitting.await_results(moment)
@@ -363,11 +363,7 @@ class _Trial:
 
     def _check_rows(self, name: str, code: int | None) -> None:
         """No row that was judged is gone, another, or there twice; with a verdict all are there."""
-        try:
-            rows = _rows(self._subject, self._out)
-        except UsageError as error:
-            self._broke('rows lost', f'{name}: {error}')
-            return
+        rows = self._rows(name)
         for key, row in self._judged.items():
             if key not in rows or not rows[key].outcome.judged:
                 self._broke('rows lost', f'{name}: run {key} is gone')
@@ -384,6 +380,14 @@ class _Trial:
         if code in (0, 1):
             self._check_verdict(name, code, rows)
 
+    def _rows(self, name: str) -> Rows:
+        """The rows as they are now; none where a ledger cannot be read, which is told."""
+        try:
+            return _rows(self._subject, self._out)
+        except UsageError as error:
+            self._broke('rows lost', f'{name}: {error}')
+            return {}
+
     def _check_verdict(self, name: str, code: int, rows: Rows) -> None:
         """The exit code of a verdict stands for all the runs."""
         if len(rows) < len(self._whole):
@@ -393,7 +397,7 @@ class _Trial:
 
     def _compare(self) -> None:
         """The end: ledger and table are those of the undisturbed campaign."""
-        rows = _rows(self._subject, self._out)
+        rows = self._rows('the end')
         self._found.rows += len(rows)
         if rows.keys() != self._whole.keys():
             self._broke('rows lost', f'{len(rows)} of {len(self._whole)} rows in the end')

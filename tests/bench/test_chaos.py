@@ -18,9 +18,10 @@ from taxinet_ros.core.errors import InfraError
 FAKE = r"""
 import json, pathlib, sys, time
 sys.path[:0] = {path!r}
-from taxinet_ros.campaign.ledger import Ledger
+from taxinet_ros.campaign.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.table import write_tables
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 
 words = sys.argv[1:]
@@ -35,7 +36,13 @@ def row(index, rho):
                   outcome=Outcome.PASS, rho={{'phi': rho}})
 
 rows = [row(index, 1.0) for index in range(8)]
-with Ledger(out / 'ledger.jsonl') as ledger:
+try:
+    ledger = Ledger(out / 'ledger.jsonl')
+    read_ledger(out / 'ledger.jsonl')
+except UsageError as error:
+    print(f'taxinet: error: {{error}}')
+    sys.exit(2)
+with ledger:
     if not resumed:
         for one in rows[:7]:
             ledger.result(one)
@@ -44,9 +51,7 @@ with Ledger(out / 'ledger.jsonl') as ledger:
             time.sleep(1000)
         pathlib.Path('../begun').touch()
     if resumed and 'rows changed' in trouble:
-        ledger.result(row(2, 2.0))
-    if resumed and 'rows doubled' in trouble:
-        ledger.result(row(3, 1.0))
+        rows[7] = row(7, 2.0)
     if resumed and 'traceback' in trouble:
         raise RuntimeError
     if resumed and trouble == 'hang':
@@ -74,7 +79,7 @@ def one_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chaos, 'RESUMED', ('killed',))
     monkeypatch.setattr(chaos, '_SITTINGS', 1)
     monkeypatch.setattr(chaos, '_LEAVE_S', 1.0)
-    monkeypatch.setattr(chaos._Trial, '_damage', lambda trial: None)
+    monkeypatch.setattr(chaos, 'DAMAGES', {'nothing': ()})
 
 
 def disturbing(tmp_path: Path, trouble: str) -> Chaos:
@@ -88,7 +93,7 @@ def disturbing(tmp_path: Path, trouble: str) -> Chaos:
 
 @pytest.mark.usefixtures('one_fault')
 @pytest.mark.parametrize('trouble', [
-    '', 'rows changed, rows doubled, orphan', 'rows lost, exit code', 'traceback',
+    '', 'rows changed, orphan', 'rows lost, exit code', 'traceback',
 ])
 def test_given_a_campaign_that_goes_wrong_when_resumed_then_chaos_says_how(trouble, tmp_path):
     one = disturbing(tmp_path, trouble)
@@ -103,6 +108,14 @@ def test_given_a_campaign_that_goes_wrong_when_resumed_then_chaos_says_how(troub
     assert sum(report['found'].values()) == len(report['broken'])
 
 
+def test_given_a_run_that_was_judged_twice_then_that_is_counted(tmp_path):
+    results = [{'index': 0, 'outcome': 'INFRA_ERROR'}, {'index': 0, 'outcome': 'PASS'},
+               {'index': 1, 'outcome': 'FAIL'}, {'index': 1, 'outcome': 'FAIL'}]
+    lines = [json.dumps({'event': 'result', 'row': row}) for row in results]
+    (tmp_path / 'ledger.jsonl').write_text('\n'.join([*lines, '{"torn']))
+    assert chaos._judged_times(tmp_path) == {0: 1, 1: 2}
+
+
 @pytest.mark.usefixtures('one_fault')
 def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeypatch):
     one = disturbing(tmp_path, 'hang')
@@ -110,6 +123,28 @@ def test_given_a_campaign_that_hangs_then_it_is_ended_and_told(tmp_path, monkeyp
     monkeypatch.setattr(chaos, 'HANG_S', 3.0)
     one.trial(0)
     assert {kind for _, kind, _ in one.found.broken} == {'hang'}
+
+
+@pytest.mark.skipif('ledger bit' in AWAITED, reason='ledgers do not check themselves yet')
+@pytest.mark.usefixtures('one_fault')
+def test_given_a_flipped_bit_of_a_ledger_then_it_is_refused_by_name_and_put_back(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(chaos, 'DAMAGES', {'ledger bit': DAMAGES['ledger bit']})
+    one = disturbing(tmp_path, '')
+    refused = []
+    mended = chaos._Trial._mended
+
+    def noted(trial, name, sitting):
+        refused.append(sitting.last_line)
+        return mended(trial, name, sitting)
+
+    monkeypatch.setattr(chaos._Trial, '_mended', noted)
+    one.trial(0)
+    assert one.found.ends['ledger bit'] == {'done': 1}
+    assert one.found.broken == []
+    (line,) = refused
+    assert 'c/ledger.jsonl:' in line
 
 
 def test_given_a_command_that_is_no_taxinet_then_nothing_is_compared_with_it(tmp_path):
@@ -138,14 +173,15 @@ def test_given_words_that_are_wrong_then_one_line_says_so(words, message, capsys
 
 
 @pytest.mark.ros
-@pytest.mark.timeout(600)  # some ten commands, each a few seconds on a quiet machine
+@pytest.mark.timeout(1200)  # four commands, each a few seconds on a quiet machine
 def test_given_short_chaos_then_nothing_is_broken(capsys):
-    assert command.run_chaos(seed=SEED, minutes=None, trials=2, trial=None, as_json=True) == 0
+    assert command.run_chaos(seed=SEED, minutes=None, trials=1, trial=None, as_json=True) == 0
     report = json.loads(capsys.readouterr().out)
-    assert (report['trials'], report['found']) == (2, {})
-    assert report['rows_compared'] > 0
+    assert (report['trials'], report['found']) == (1, {})
+    assert report['rows_compared'] == 8
+    assert report['faults']['campaign killed'] == {'-9': 1}
     assert sum(times for ends in report['faults'].values() for times in ends.values()) >= 2
 
 
-SEED = 0
-"""Of two trials that are short and disturb something."""
+SEED = 1478
+"""Its first trial is a falsification that is killed, resumed, and disturbed once more."""
