@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 
 MAX_CHARACTERS = 2000
@@ -25,8 +26,10 @@ def plain_line(text: str) -> str:
 
 def warn_once(text: str) -> None:
     """Print a line on stderr on what is not as safe as it may seem, the first time it is found."""
-    if text not in _WARNED:
-        _WARNED.add(text)
+    if text in _WARNED or sys.stderr is None:  # None: it was closed before Python started
+        return
+    _WARNED.add(text)
+    with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
         print(f'taxinet: warning: {plain_line(text)}', file=sys.stderr)
 
 
