@@ -139,7 +139,7 @@ def test_f8_given_a_chunk_of_zeros_or_of_countless_messages_then_it_is_refused_a
 ) -> None:
     for raw, why in (
         (bytes(1 << 24), 'record of kind 0'),
-        (declarations() + encode(Message(1, 0, b'', 0, 0)) * 1_100_000, 'more records than a recording'),
+        (declarations() + encode(Message(1, 0, b'', 0, 0)) * 1_100_000, 'more records than a'),
     ):
         record = chunk(zstandard.compress(raw), len(raw), 'zstd', crc=zlib.crc32(raw))
         found, damage = salvaged(damaged(file_with(record)))
