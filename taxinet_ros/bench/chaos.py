@@ -57,10 +57,6 @@ arms:
   no_shadows: {set: {shadows: off}}
 """
 
-AWAITED = frozenset({'Scenic killed', 'ledger bit'})
-"""Faults that are not drawn yet: what they ask for is being built."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Subject:
     """A campaign that is disturbed.
@@ -288,10 +284,7 @@ class _Trial:
 
     def go(self) -> None:
         """Disturb it, and let it end."""
-        faults = [
-            name for name in (RESUMED if self._subject.resumable else NOT_RESUMED)
-            if name not in AWAITED
-        ]
+        faults = RESUMED if self._subject.resumable else NOT_RESUMED
         sittings = self._draw.randint(1, _SITTINGS) if self._subject.resumable else 1
         for _ in range(sittings):
             name = self._draw.choice(faults)
@@ -416,7 +409,7 @@ class _Trial:
 
     def _damage(self) -> None:
         """Between two sittings: what lies there is damaged, which shall not go unnoticed."""
-        name = self._draw.choice([name for name in DAMAGES if name not in AWAITED])
+        name = self._draw.choice(list(DAMAGES))
         files = sorted(path for pattern in DAMAGES[name] for path in self._out.glob(pattern))
         files = [path for path in files if path.stat().st_size]
         if not files:

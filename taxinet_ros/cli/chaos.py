@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from taxinet_ros.bench.chaos import AWAITED, Chaos, Found, numbers
+from taxinet_ros.bench.chaos import Chaos, Found, numbers
 from taxinet_ros.core.errors import UsageError
 
 CHAOS = 'chaos'
@@ -95,8 +95,6 @@ def _print(console: Console, found: Found, folder: Path) -> None:
         words = ', '.join(f'{code}: {times}' for code, times in sorted(ends.items()))
         table.add_row(name, str(sum(ends.values())), words)
     console.print(table)
-    if AWAITED:
-        console.print(f'not tried: {", ".join(sorted(AWAITED))}', soft_wrap=True)
     if not found.broken:
         console.print('nothing broke')
         return
