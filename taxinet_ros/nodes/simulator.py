@@ -300,7 +300,7 @@ class Simulator(Node):
             detail = 'the monitor had no whole, finite sequence of samples to judge'
             self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
             return
-        self._look_for_strangers()
+        self._look_for_strangers(thorough=True)
         if run.ending is not None:
             return
         outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
@@ -308,16 +308,16 @@ class Simulator(Node):
 
     # Endings ---------------------------------------------------------------------------------
 
-    def _look_for_strangers(self) -> None:
+    def _look_for_strangers(self, thorough: bool = False) -> None:
         """End the run at hand if somebody speaks in it who has no part in it."""
         run = self._run
-        if run is not None and (stranger := self._stranger(run)) is not None:
+        if run is not None and (stranger := self._stranger(run, thorough)) is not None:
             self._fail(run, INTRUDER, stranger.name, stranger.detail)
 
-    def _stranger(self, run: ActiveRun) -> Stranger | None:
+    def _stranger(self, run: ActiveRun, thorough: bool = True) -> Stranger | None:
         """Whoever came since the first step, while it matters."""
         over = run.ending is not None and not Outcome(run.ending.outcome).judged
-        return None if over or not run.started else first_stranger(self._topics)
+        return None if over or not run.started else first_stranger(self._topics, thorough)
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
         # Nobody is blamed for what may be somebody else's.

@@ -120,14 +120,20 @@ class Speakers:
         seen: set[str] = set()
         for end in self._ends():
             name = end.node_name
+            if name == NAMELESS:
+                continue  # It may be one of the run's; a moment later everybody knows.
             if name in seen or name not in wanted | tolerated:
-                return Stranger(name=_word(name), topic=self.topic, speakers=tuple(sorted(wanted)))
+                return Stranger(name=name, topic=self.topic, speakers=tuple(sorted(wanted)))
             seen.add(name)
         return None
 
     def stranger(self) -> Stranger | None:
         """Who has come to a run that goes on, as far as the graph knows now."""
         return self._newcomer() if self._pinned else None
+
+    def stirred(self) -> bool:
+        """Whether there may be somebody: a look that costs a few microseconds."""
+        return self._pinned and self._node.count_publishers(self._name) != len(self._known)
 
     def _newcomer(self) -> Stranger | None:
         """Who is there and was not when the run began; takes in who does no harm."""
@@ -220,15 +226,27 @@ class HeardSpeakers(Speakers):
             self._ever = ever
         return found
 
+    def stirred(self) -> bool:
+        """See :class:`Speakers`."""
+        return self._pinned and self._matched_ever() != self._ever
+
     def _matched_ever(self) -> int:
         """How many publishers have been matched since the subscription was made."""
         with self._matched:
             return int(self._matched.take_event().total_count)
 
 
-def first_stranger(topics: Iterable[Speakers]) -> Stranger | None:
-    """The first that one of some topics has; one with a name before one without."""
-    found = [stranger for topic in topics if (stranger := topic.stranger()) is not None]
+def first_stranger(topics: Iterable[Speakers], thorough: bool = False) -> Stranger | None:
+    """The first that one of some topics has; one with a name before one without.
+
+    Args:
+        topics: where to look.
+        thorough: look at every end, also where nothing stirs.
+    """
+    found = [
+        stranger for topic in topics
+        if (thorough or topic.stirred()) and (stranger := topic.stranger()) is not None
+    ]
     found.sort(key=lambda stranger: stranger.name == UNKNOWN)
     return found[0] if found else None
 
