@@ -157,9 +157,9 @@ def test_given_the_installation_when_ros2_looks_for_executables_then_all_are_the
 def test_given_an_executable_when_its_module_is_imported_then_it_has_a_main(name: str) -> None:
     wrapper = (PREFIX / 'lib' / 'taxinet_ros' / name).read_text()
     assert wrapper == (REPOSITORY / 'scripts' / name).read_text()
-    module = re.search(r'from ([\w.]+) import main', wrapper)
-    assert module
-    assert callable(importlib.import_module(module[1]).main)
+    module = 'taxinet_ros.cli.start' if name == 'taxinet' else f'taxinet_ros.nodes.{name}'
+    assert ('import main' if name == 'taxinet' else f'start_node("{name}")') in wrapper
+    assert callable(importlib.import_module(module).main)
 
 
 def test_given_no_activated_environment_when_an_executable_runs_then_it_finds_its_python(
