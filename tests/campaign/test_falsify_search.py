@@ -339,7 +339,7 @@ def test_given_another_search_in_the_folder_when_resumed_then_it_is_refused_and_
 def test_given_a_changed_program_or_weights_file_when_resumed_then_it_is_refused(
     whole, monkeypatch
 ):
-    monkeypatch.setattr(search_module, 'check_perception', lambda word: 'abc')
+    monkeypatch.setattr(search_module, 'check_perception', lambda word, **others: 'abc')
     with pytest.raises(UsageError, match='begun with perception_sha256 "", not "abc"'):
         toy.finish(toy.options(whole, resume=True))
     monkeypatch.setattr('taxinet_ros.campaign.facts.program_digest', lambda path: 'def')
