@@ -18,6 +18,8 @@ INTERRUPTED = 128 + signal.SIGINT
 """Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
 
 _AGAIN_S = 0.01
+_STUCK_S = 5.0
+"""How long whoever was told to give up may take."""
 
 _newest: int = signal.SIGINT
 
@@ -28,6 +30,9 @@ def interrupts(
 ) -> Iterator[None]:
     """Within the ``with``, have the first interrupt call ``first``, and the next one ``second``.
 
+    Where that helps nothing, for somebody's code does not come back, the process is ended after
+    :data:`_STUCK_S`.
+
     Args:
         first: has what is at hand end in order.
         second: has whoever waits give up, or answers False where there is nobody to be told.
@@ -36,6 +41,8 @@ def interrupts(
         KeyboardInterrupt: where ``second`` answers False, and at the third interrupt.
     """
     asked = 0
+    stuck = threading.Timer(_STUCK_S, _leave_stuck)
+    stuck.daemon = True
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal asked
@@ -45,9 +52,14 @@ def interrupts(
             first()
         elif asked > 2 or not second():
             raise KeyboardInterrupt
+        else:
+            stuck.start()
 
     with handled(handle):
-        yield
+        try:
+            yield
+        finally:
+            stuck.cancel()
 
 
 @contextlib.contextmanager
@@ -117,6 +129,13 @@ def leave_with(code: int) -> Callable[[int, FrameType | None], NoReturn]:
         os._exit(told_apart(code))
 
     return leave
+
+
+def _leave_stuck() -> None:
+    line = b'taxinet: error: what is at hand does not come back; it is left where it stands\n'
+    with contextlib.suppress(OSError):
+        os.write(2, line)  # not print: its lock may be held by what does not come back
+    os._exit(told_apart(INTERRUPTED))
 
 
 def told_apart(code: int) -> int:

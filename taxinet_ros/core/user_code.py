@@ -11,12 +11,14 @@ needs it, it is only read.
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import inspect
+import os
 import re
 import sys
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +33,8 @@ IMPLEMENTATION = 'python'
 _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
+_FAILURES = (Exception, SystemExit)
+"""Somebody's ``sys.exit()`` is to end a run, not the bench with an exit code of his."""
 
 
 class UserCodeError(RuntimeError):
@@ -60,8 +64,9 @@ class UserCode:
         """
         found = self._found
         try:
-            made = found() if _is_maker(found) else found
-        except Exception as error:
+            with _same_folder():
+                made = found() if _is_maker(found) else found
+        except _FAILURES as error:
             raise UsageError(self.failure(error)) from error
         if not callable(made):
             raise UsageError(
@@ -90,9 +95,10 @@ class UserCode:
         if folder not in sys.path:
             sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
         try:
-            exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
+            with _same_folder():
+                exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
             found = getattr(module, self.name)
-        except (Exception, SystemExit) as error:
+        except _FAILURES as error:
             raise UsageError(self.failure(error)) from error
         if not callable(found):
             raise UsageError(
@@ -130,7 +136,7 @@ class RunCode:
                 reset()
         except UsageError as error:
             raise UserCodeError(str(error)) from error
-        except Exception as error:
+        except _FAILURES as error:
             raise UserCodeError(self.code.failure(error)) from error
 
     def answer(self, argument: Any) -> Any:
@@ -142,7 +148,7 @@ class RunCode:
         self._fresh = False
         try:
             return self.function(argument)
-        except Exception as error:
+        except _FAILURES as error:
             raise UserCodeError(self.code.failure(error)) from error
 
     def misfit(self, answer: object, expected: str) -> UserCodeError:
@@ -199,6 +205,16 @@ def _source(path: Path, role: str = '') -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise UsageError(f'{role} {path}: {error.strerror}'.strip()) from error
+
+
+@contextlib.contextmanager
+def _same_folder() -> Iterator[None]:
+    """Stay in the working folder, whatever somebody's code does: our paths count from there."""
+    before = os.getcwd()
+    try:
+        yield
+    finally:
+        os.chdir(before)
 
 
 def _names(tree: ast.Module) -> set[str]:

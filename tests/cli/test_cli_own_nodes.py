@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import shlex
+import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -12,6 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 from taxinet_process import begun, taxinet
+from waiting import wait_for
 
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.campaign.table import read_table
@@ -37,6 +40,11 @@ class Guess:
 
 def steer(estimate):
     return -0.05 * estimate.cte_m - 1.2 * estimate.he_rad, 4.0
+
+
+def hangs(estimate):
+    while True:
+        pass
 
 
 def fails(estimate):
@@ -150,8 +158,23 @@ def test_given_a_function_that_fails_then_its_line_is_named_and_the_bench_broke(
     words = ('nominal', '--perception', 'truth', '--controller', 'mine.py:fails', *SHORT)
     done = taxinet('run', *words, '--out', 'b', cwd=folder)
     assert done.returncode == 4
-    assert 'node_error steering_controller: UserCodeError: mine.py:16: ZeroDivisionError' \
+    assert 'node_error steering_controller: UserCodeError: mine.py:21: ZeroDivisionError' \
         in done.stdout
+
+
+def test_given_a_function_that_never_returns_then_two_interrupts_end_it(folder):
+    words = ('run', 'nominal', '--perception', 'truth', '--controller', 'mine.py:hangs', *SHORT)
+    with begun(*words, '--out', 'h', cwd=folder, stderr=subprocess.PIPE) as process:
+        mcap = folder / 'h' / 'nominal-s0-00000' / 'nominal-s0-00000_0.mcap'
+        wait_for(mcap.exists)
+        for _ in range(2):
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.5)  # two that are one to the kernel are one
+        _, complaint = process.communicate()
+    assert process.returncode == 130
+    assert complaint.splitlines()[-1] == (
+        'taxinet: error: what is at hand does not come back; it is left where it stands'
+    )
 
 
 def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left(folder):

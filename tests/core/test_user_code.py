@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,6 +133,13 @@ def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(file, text,
         check_perception(file(text, name))
 
 
+def test_given_a_file_that_goes_elsewhere_when_loaded_then_we_stay_where_we_are(file, tmp_path):
+    before = Path.cwd()
+    text = f"import os\nos.chdir('{tmp_path}')\n"
+    make_perception(file(f"{text}def make():\n    os.chdir('/')\n    return lambda image: None"))
+    assert Path.cwd() == before
+
+
 def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
     word = file('def look(x): pass\ndef _own(x): pass').removesuffix(':make')
     for text in (word, f'{word}:'):
@@ -153,6 +161,7 @@ def test_given_a_file_that_fails_when_loaded_then_one_line(file, text, complaint
 
 @pytest.mark.parametrize(('text', 'complaint'), [
     ('def make(x):\n    return x.nothing', r'mine\.py:2: AttributeError: '),
+    ('def make(x):\n    raise SystemExit(1)', r'mine\.py:2: SystemExit: 1'),
     ('def make(x): return 3', r'mine\.py: make answered 3; expected a pair \(steering_rad, '),
     ('def make(x): return "left", 1', r"make answered \('left', 1\); expected a pair"),
     ('def make(x): return None', r'make answered None; expected a pair'),
