@@ -1,20 +1,25 @@
 """Runs somebody's command as a node of a graph: it and all that it starts end with the graph.
 
-``ros2 run`` starts the node as a child of its own, which would outlive a killed parent. A keeper is
-the leader of a process group of its own; when its parent goes, however it goes, the group is ended.
+``ros2 run`` starts the node as a child of its own, which would outlive a killed parent. A keeper
+inherits whatever its command leaves behind, in whatever session; when the command ends, or the
+keeper's parent goes, however it goes, all of it is ended.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 from types import FrameType
 
-from taxinet_ros.core.parent_death import die_with_parent
+import psutil
 
-_GRACE_S = 5.0
+from taxinet_ros.core.parent_death import adopt_orphans, die_with_parent
+
+_GRACE_S = 3.0
+"""Shorter than that of whoever ends a keeper, for what is in another session is its alone."""
 
 
 def keeper_command(command: list[str], parent: int) -> list[str]:
@@ -33,6 +38,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the group has it too: the command answers
     signal.signal(signal.SIGTERM, _end_group)
     die_with_parent(signal.SIGTERM)
+    adopt_orphans()
     if os.getppid() != parent:
         return 1
     try:
@@ -41,8 +47,10 @@ def main() -> int:
         print(f'{command[0]}: cannot be started: {error.strerror}', flush=True)
         return 127
     code = child.wait()
+    _end_what_is_left()
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL)
+        if -code not in (signal.SIGKILL, signal.SIGSTOP):
+            signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
     return code
 
@@ -52,11 +60,24 @@ def _usual_signals() -> None:
 
 
 def _end_group(number: int, frame: FrameType | None) -> None:
-    """Ask all of the group to end, and end them after a grace."""
+    """Ask all that the command has started to end, and end them after a grace."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    os.killpg(0, signal.SIGTERM)
-    signal.signal(signal.SIGALRM, lambda *_: os.killpg(0, signal.SIGKILL))
+    for process in _descendants():
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.terminate()
+    signal.signal(signal.SIGALRM, lambda *_: _end_what_is_left())
     signal.setitimer(signal.ITIMER_REAL, _GRACE_S)
+
+
+def _end_what_is_left() -> None:
+    """End what the command has started, in whatever session it is."""
+    for process in _descendants():
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.kill()
+
+
+def _descendants() -> list[psutil.Process]:
+    return psutil.Process().children(recursive=True)
 
 
 if __name__ == '__main__':

@@ -32,9 +32,11 @@ def check_participants(names: Sequence[str]) -> None:
     """See that a run has whom it needs.
 
     Raises:
-        UsageError: names who is missing.
+        UsageError: names who is missing, or who cannot be one.
     """
     missing = [name for name in REQUIRED if name not in names]
     if missing:
         given = ', '.join(names) or 'nobody'
         raise UsageError(f'participants: a run needs {", ".join(missing)} too, not only {given}')
+    if odd := [name for name in names if not name or name == SIMULATOR]:
+        raise UsageError(f'participants: {odd[0]!r} takes part in no run; leave it out')

@@ -33,6 +33,16 @@ def charged(detail: str) -> tuple[str, str, str] | None:
     return (found[1], found[2], found[3]) if found else None
 
 
+def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
+    """Whether two READYs of a node say the same of it; a node that comes back says it again."""
+    return (one.implementation, one.fingerprint) == (other.implementation, other.fingerprint)
+
+
+def two_of_a_name(node: str) -> InfraError:
+    """For a run in which READY came twice for a node, of two different ones."""
+    return InfraError(INTRUDER, node, -1, 'two different nodes say that they are this one')
+
+
 def obituary(
     run_id: str, name: str, detail: str, *, kind: str = 'died', seq: int = 0
 ) -> NodeStatus:

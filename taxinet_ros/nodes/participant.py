@@ -17,9 +17,9 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.matching import heard_by
-from taxinet_ros.nodes.notices import charge
+from taxinet_ros.nodes.notices import INTRUDER, charge
 from taxinet_ros.nodes.reading import read_here, reader_of
-from taxinet_ros.nodes.speakers import HeardSpeakers, first_stranger
+from taxinet_ros.nodes.speakers import UNKNOWN, HeardSpeakers, first_stranger
 from taxinet_ros.nodes.step_cdr import progress_cdr
 
 _READY_POLL_S = 0.005
@@ -62,7 +62,8 @@ class Participant(Node):
         self.listen(interface.SCENARIO, self._take)
         # Getting ready is about processes finding each other, so it runs on wall time.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._poll = self.create_timer(_READY_POLL_S, self._report_ready, clock=steady)
+        report_ready = functools.partial(self._guarded(self._report_ready), None)
+        self._poll = self.create_timer(_READY_POLL_S, report_ready, clock=steady)
         self._poll.cancel()
 
     def prepare(self, scenario: Scenario) -> None:
@@ -161,6 +162,10 @@ class Participant(Node):
         self._poll.reset()
 
     def _take(self, scenario: Scenario) -> None:
+        before = self._scenario
+        waits = before is not None and not self._begun and before.run_id == scenario.run_id
+        if waits and before != scenario:
+            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody sent another scenario for this run')
         if self.get_name() not in scenario.participants:
             return
         for heard in self._listeners:
@@ -172,7 +177,7 @@ class Participant(Node):
         self._poll.reset()
         self._report_ready()
 
-    def _report_ready(self) -> None:
+    def _report_ready(self, _: None = None) -> None:
         """Report ready as soon as every end has found all its other ends of this run.
 
         Both directions count: a reader that does not know its writer yet drops what that sends.
@@ -202,7 +207,8 @@ class Participant(Node):
     ) -> Callable[[Any], None]:
         @functools.wraps(callback)
         def guarded(message: Any) -> None:
-            self.silent_looks = 0
+            if message is not None:  # else a timer's
+                self.silent_looks = 0
             if begins:
                 self._begun = True
             try:

@@ -25,7 +25,7 @@ from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
@@ -36,10 +36,11 @@ from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.notices import lost_run
+from taxinet_ros.nodes.notices import INTRUDER, lost_run, same_ready, two_of_a_name
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
+from taxinet_ros.nodes.speakers import UNKNOWN
 from taxinet_ros.nodes.steps import Step, StepCollector
 
 _REST_LOOK_S = 0.05
@@ -114,6 +115,7 @@ class Recorder(Participant):
         self._writer: BagWriter | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
+        self._contested = ('', '')
         self._progress = self.speak(interface.PROGRESS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         await_rest = functools.partial(self._guarded(self._await_rest), None)
@@ -204,7 +206,11 @@ class Recorder(Participant):
 
     def _on_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, NodeStatus)
-        if status.state != NodeStatus.READY or status.node in self._ready_for(status.run_id):
+        if status.state != NodeStatus.READY:
+            return
+        told = self._ready_for(status.run_id).get(status.node)
+        if told is not None:
+            self._hear_again(deserialize_message(told, NodeStatus), status)
             return
         if status.node == self.get_name():
             # The bag's topics tell; and frames that are put in later shall leave no other trace.
@@ -215,6 +221,18 @@ class Recorder(Participant):
         if self._writer is not None and status.run_id == self.run_id and self._head_known():
             self._write_head()
             self._write_steps()
+
+    def _hear_again(self, before: NodeStatus, now: NodeStatus) -> None:
+        """Two READYs of one node for one run: one is somebody else's where they differ."""
+        if same_ready(before, now):
+            return
+        self._contested = (now.run_id, now.node)
+        if now.run_id == self.run_id:
+            self._check_contested()
+
+    def _check_contested(self) -> None:
+        if self._contested[0] == self.run_id:
+            raise two_of_a_name(self._contested[1])
 
     def _on_verdict(self, cdr: bytes) -> None:
         message = deserialize_message(cdr, interface.VERDICT.type)
@@ -238,6 +256,8 @@ class Recorder(Participant):
             self._done()
         if self._writer is None or status.run_id != self.run_id:
             return
+        if Outcome(status.outcome).judged and not self._begun:
+            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended')
         self._ended, self._ended_cdr = status, cdr
         self._finish_if_whole()
 
@@ -254,6 +274,7 @@ class Recorder(Participant):
         return {node: cdr for node, (run, cdr) in self._reports.items() if run == run_id}
 
     def _write_head(self) -> None:
+        self._check_contested()
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
         for _, cdr in sorted(self._ready_for(self.run_id).items()):
             self._write(interface.NODE_STATUS, cdr, 0)

@@ -7,13 +7,14 @@ from typing import Any
 
 from rclpy.task import Future
 from taxinet_msgs.action import RunScenario
-from taxinet_msgs.msg import RunStatus, Verdict
+from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.lockstep import Lockstep
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import parse_assumptions, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.spec_check import check_specs
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
@@ -32,9 +33,10 @@ class ActiveRun:
         """Build the world that the goal's scenario describes.
 
         Raises:
-            UsageError: the scenario has a value out of range, an unknown rule to stop, a formula
-                that is none or that a run of this length cannot be judged by, or lacks a node
-                that every run needs.
+            UsageError: the scenario has a value out of range, no name that a folder can have, an
+                unknown rule to stop, no formula, one that is none or that a run of this length
+                cannot be judged by, an assumption that is none, or lacks a node that every run
+                needs, or names one that no run has.
             InfraError: the world cannot be built.
         """
         message = goal.request.scenario
@@ -42,6 +44,11 @@ class ActiveRun:
         self.run_id: str = message.run_id
         self.participants = tuple(message.participants)
         check_participants(self.participants)
+        if not is_run_name(self.run_id):
+            raise UsageError(f'run_id {self.run_id!r}: letters, digits, _, - and . make a name')
+        if not message.specs:
+            raise UsageError('specs: a run needs a formula to be judged by')
+        parse_assumptions(message.bounds, message.rates)
         scenario = scenario_of(message)
         check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
         self.world = World(scenario)
@@ -54,6 +61,7 @@ class ActiveRun:
             enders=(interface.MTL_MONITOR,) if may_stop else (),
         )
         self.listens: dict[str, set[str]] = {}
+        self.ready: dict[str, NodeStatus] = {}
         self.perception = {'perception': '', 'fingerprint': ''}
         self.started = False
         self.command: TaxiCommand | None = None

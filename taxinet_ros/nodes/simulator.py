@@ -28,7 +28,7 @@ from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by
-from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged
+from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged, same_ready, two_of_a_name
 from taxinet_ros.nodes.observation_messages import observation_messages
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
@@ -179,7 +179,9 @@ class Simulator(Node):
             self._fail(run, 'sim', interface.SIMULATOR, one_line(error))
 
     def _on_status(self, run: ActiveRun, status: NodeStatus) -> None:
-        if status.state == NodeStatus.READY:
+        if status.state == NodeStatus.READY and status.node in run.participants:
+            if not same_ready(run.ready.setdefault(status.node, status), status):
+                raise two_of_a_name(status.node)
             run.listens[status.node] = set(status.listens)
             if status.node == interface.PERCEPTION:
                 run.perception = {
@@ -199,7 +201,9 @@ class Simulator(Node):
 
     def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
         """The recorder has closed its bag; a verdict stands only if the bag holds the same."""
-        if run.ending is None:
+        if (stranger := self._stranger(run)) is not None:
+            self._fail(run, INTRUDER, stranger.name, stranger.detail)
+        elif run.ending is None:
             detail = f'closed its bag as {done.detail} amid the run'
             self._fail(run, 'bag', interface.RECORDER, detail)
         elif Outcome(run.ending.outcome).judged and (done.detail, done.seq) != (

@@ -68,12 +68,14 @@ def folder(tmp_path_factory) -> Path:
 
 def of_example(name: str) -> list[int]:
     """Processes of an example of this very tree."""
-    found = []
-    for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error):
-            if str(EXAMPLES / name) in process.cmdline():
-                found.append(process.pid)
-    return found
+    example = str(EXAMPLES / name)
+    return [one.pid for one in psutil.process_iter() if example in words_of(one)]
+
+
+def words_of(process: psutil.Process) -> list[str]:
+    with contextlib.suppress(psutil.Error):
+        return process.cmdline()
+    return []
 
 
 def rows(folder: Path):
@@ -200,8 +202,21 @@ def test_given_a_killed_campaign_then_its_nodes_end_too(folder):
         time.sleep(0.05)
 
 
-def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder):
-    command = shlex.join([sys.executable, '-c', "raise SystemExit('out of paint')"])
-    done = taxinet('run', 'nominal', '--perception-cmd', command, *SHORT, '--out', 'd', cwd=folder)
+@pytest.mark.parametrize(('program', 'says'), [
+    ("raise SystemExit('out of paint')", 'exit code 1: out of paint'),
+    ('import os; os.kill(os.getpid(), 9)', 'killed by SIGKILL'),
+])
+def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder, program, says):
+    command, out = shlex.join([sys.executable, '-c', program]), f'd{len(says)}'
+    done = taxinet('run', 'nominal', '--perception-cmd', command, *SHORT, '--out', out, cwd=folder)
     assert done.returncode == 4
-    assert 'died perception: exit code 1: out of paint' in done.stdout
+    assert f'died perception: {says}' in done.stdout
+
+
+def test_given_a_command_that_starts_what_has_a_session_of_its_own_then_that_ends_too(folder):
+    other = f'setsid sh -c "while :; do sleep 1; done # {folder}" &'
+    command = shlex.join(['sh', '-c', f'{other} exec {CONTROLLER} "$@"', 'sh'])
+    words = ('--perception', 'truth', '--controller-cmd', command, *SHORT)
+    assert taxinet('run', 'nominal', *words, '--out', 'o', cwd=folder).returncode in (0, 1)
+    left = [one for one in psutil.process_iter() if str(folder) in ' '.join(words_of(one))]
+    assert not left

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import request, run, steps_in
+from fault_runs import once, request, run, steps_in
 from rclpy.action import ActionServer
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
@@ -23,9 +24,9 @@ from taxinet_ros.bag.facts import read_facts
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface, simulator, speakers
-from taxinet_ros.nodes.convert import time_of
+from taxinet_ros.nodes.convert import scenario_message, time_of
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
-from taxinet_ros.nodes.interface import RECORDER, Topic
+from taxinet_ros.nodes.interface import MTL_MONITOR, PERCEPTION, RECORDER, Topic
 from taxinet_ros.nodes.notices import obituary
 from taxinet_ros.nodes.participant import Participant
 
@@ -272,3 +273,54 @@ def test_f4_given_a_second_server_of_the_action_then_its_answers_are_no_results(
     assert [(result.kind, result.who) for result in (amid, after)] == [('intruder', PEER)] * 2
     assert read_info(tmp_path / 'run').complete
     assert not (tmp_path / 'after').exists()
+
+
+def scenario_of_somebody() -> Any:
+    """One that every run satisfies, under the name of this one."""
+    asked = scenario_message(request(duration=2.0))
+    asked.specs = ['phi_eventually=always(abs(cte) <= 100)']
+    return asked
+
+
+FORGED_BEFORE = {
+    'another scenario': (interface.SCENARIO, scenario_of_somebody),
+    'another perception': (interface.NODE_STATUS, lambda: NodeStatus(
+        run_id='run', node=PERCEPTION, state=NodeStatus.READY, implementation='truth',
+        fingerprint='ab' * 32, listens=['ground_truth/tracking_error'],
+    )),
+    'an end': (interface.RUN_STATUS, lambda: RunStatus(
+        run_id='run', state=RunStatus.ENDED, outcome='PASS', seq=20,
+    )),
+}
+
+
+@pytest.mark.parametrize('what', FORGED_BEFORE)
+@pytest.mark.parametrize('early', [False, True], ids=['while they get ready', 'before it is asked'])
+def test_f4_given_a_peer_that_speaks_before_the_first_step_and_leaves_then_no_verdict_is_kept(
+    what, early, tmp_path
+):
+    topic, message = FORGED_BEFORE[what]
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with composed_graph(options) as graph, peer(graph) as node:
+        heard = ears(graph, topic)
+        publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+        wait_for(lambda: publisher.get_subscription_count() >= len(heard))
+
+        def say_and_leave() -> None:
+            publisher.publish(message())
+            publisher.wait_for_all_acked(Duration(seconds=60))
+            node.destroy_publisher(publisher)
+
+        if early:
+            say_and_leave()
+        monitor = next(one for one in graph.nodes if one.get_name() == MTL_MONITOR)
+        waits = contextlib.nullcontext() if early else once(
+            lambda: monitor.run_id == 'run', say_and_leave)
+        with waits:
+            (result,) = run(graph, request(duration=2.0))
+    if early and what == 'an end':
+        assert result.outcome.judged  # of a run that nobody was at yet, so nobody heard it
+        assert read_facts(tmp_path / 'run').outcome == result.outcome
+        return
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert result.rho == {}
