@@ -36,7 +36,7 @@ from taxinet_ros.nodes.convert import stamp_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.notices import INTRUDER, lost_run, same_ready, two_of_a_name
+from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, lost_run, same_ready, two_of_a_name
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
@@ -194,9 +194,11 @@ class Recorder(Participant):
             return
         seq, off_ns = divmod(stamp_of_cdr(cdr), CONTROL_PERIOD_NS)
         if off_ns:
+            what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is no control step'
+            if topic.publishers != (interface.SIMULATOR,):
+                raise InfraError(PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
             raise RuntimeError(
-                f'{topic.name}: a message is stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which '
-                'is no control step; does a second simulator publish?'
+                f'{topic.name}: a message is {what}; does a second simulator publish?'
             )
         self._rest_looks = 0
         whole = self._steps.add(topic.name, seq, cdr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,21 @@ def test_r8_given_a_controller_that_answers_a_wrong_frame_by_itself_then_it_is_c
         tmp_path, COMMAND, lambda k, m: [changed(m, seq=STEP + 2)] if k == STEP else [m]
     )
     assert (result.kind, result.who) == (PROTOCOL, interface.STEERING_CONTROLLER)
+
+
+@pytest.mark.parametrize(('topic', 'who'), [
+    (ESTIMATE, PERCEPTION), (COMMAND, interface.STEERING_CONTROLLER),
+], ids=['estimate', 'command'])
+def test_r8_given_an_answer_stamped_off_every_step_then_who_sent_it_is_charged(
+    topic, who, tmp_path
+):
+    def how(step: int, message: Any) -> list[Any]:
+        late = copy.deepcopy(message)
+        late.header.stamp.nanosec += 7
+        return [late if step == STEP else message]
+
+    result = tampered_run(tmp_path, topic, how)
+    assert (result.kind, result.who) == (PROTOCOL, who), result
 
 
 def test_r8_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, monkeypatch):
