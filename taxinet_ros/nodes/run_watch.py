@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -25,6 +26,7 @@ class RunWatch:
         run_id: the run at hand, or ''.
         running: whether it has begun.
         seq: the control step that it has reached.
+        heard_s: when the simulator was heard last, by the monotonic clock [s].
         last_run: the run that ended last, or ''.
         outcomes: how many runs ended how.
     """
@@ -35,6 +37,7 @@ class RunWatch:
         self.run_id = self.last_run = ''
         self.running = self.closed = False
         self.seq = 0
+        self.heard_s = 0.0
         self.outcomes: collections.Counter[str] = collections.Counter()
         status, run_status = interface.NODE_STATUS, interface.RUN_STATUS
         node.create_subscription(RunStatus, run_status.name, self._on_run, run_status.qos)
@@ -83,5 +86,6 @@ class RunWatch:
             self.closed = True
 
     def _on_feedback(self, message: Any) -> None:
+        self.heard_s = time.monotonic()
         if self.run_id:
             self.seq = message.feedback.seq
