@@ -6,7 +6,11 @@ against its ledger, each bag against its row, each picture of a dataset against 
 drafts that a killed process has left.
 
 Mending trusts the ledger. Tables and ``campaign.json`` are written anew from it. A journal with
-damaged lines is put aside as it is, and its sound lines are written into a new one.
+damaged lines is put aside as it is, and its sound lines are written into a new one. A table or
+``campaign.json`` that said anything else is put aside too, and what is missing from the ledger is
+put down in it, so that neither doctor nor gate takes it for whole.
+
+Where ``campaign.json`` and the tables agree and the ledger is another campaign's, they are trusted.
 """
 
 from __future__ import annotations
@@ -26,7 +30,13 @@ from taxinet_ros.bag.facts import read_facts as read_run
 from taxinet_ros.bag.findings import Finding, ranges
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID, write_bytes_atomically
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
-from taxinet_ros.campaign.journal import JournalContent, chained_line, lost_end, parse_journal
+from taxinet_ros.campaign.journal import (
+    JournalContent,
+    JournalEnd,
+    chained_line,
+    lost_end,
+    parse_journal,
+)
 from taxinet_ros.campaign.judged_run import bag_differences
 from taxinet_ros.campaign.ledger import (
     LedgerContent,
@@ -36,7 +46,7 @@ from taxinet_ros.campaign.ledger import (
     read_ledger,
 )
 from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.sealed_json import file_sha256, read_sealed
+from taxinet_ros.campaign.sealed_json import SealedJson, file_sha256, read_sealed
 from taxinet_ros.campaign.table import (
     CSV_NAME,
     PARQUET_NAME,
@@ -170,7 +180,9 @@ def _content(folder: Path, parsed: JournalContent, found: Examination) -> Ledger
         where, _, what = str(error).partition(': ')
         if not any(where.startswith(one.where) for one in found.findings):
             found.wrong(where, what, MEND)
-    return ledger_content(path, possible_events(_sound_events(parsed)[0]))
+    facts = _trusted_facts(folder)
+    own = facts.values if facts else {}
+    return ledger_content(path, possible_events(_sound_events(parsed)[0], own))
 
 
 def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> None:
@@ -186,7 +198,22 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
         if path.is_file():
             found.saw('tables')
             if not same(path, expected):
-                found.wrong(path, 'does not say what the ledger says', MEND)
+                more = _only_there(path, content)
+                also = f': it has run {ranges(more)}, and the ledger has not' if more else ''
+                found.wrong(path, f'does not say what the ledger says{also}', MEND)
+
+
+def _only_there(path: Path, content: LedgerContent) -> list[int]:
+    """Runs that a table has and the ledger has not."""
+    import pandas as pd
+
+    try:
+        csv = path.name == CSV_NAME
+        frame = pd.read_csv(path, usecols=['index']) if csv else read_any_table(path)
+        there = {int(index) for index in frame['index']}
+    except (OSError, UsageError, ValueError, LookupError):
+        return []
+    return sorted(there - {row.index for row in content.rows})
 
 
 def _same_csv(path: Path, expected: Any) -> bool:
@@ -232,7 +259,10 @@ def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
 def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:
     """What has an intent and no result, a result and no intent, or a bag and neither."""
     for line in content.lost:
-        found.notes.append(f'{folder / LEDGER_NAME}: {line}')
+        if line in content.incomplete:
+            found.wrong(folder / LEDGER_NAME, line.replace('; ', ', '))
+        else:
+            found.notes.append(f'{folder / LEDGER_NAME}: {line}')
     if content.unfinished:
         said = f'run {ranges(content.unfinished)}: begun, without a result'
         if content.finished:
@@ -340,64 +370,188 @@ def _sound_events(content: JournalContent) -> tuple[list[dict[str, Any]], list[i
 
 def _mend_journal(path: Path) -> list[str]:
     """Put a damaged journal aside and write its sound lines anew; lines on what was done."""
-    content, is_ledger = parse_journal(path.read_bytes()), path.name == LEDGER_NAME
+    content = parse_journal(path.read_bytes())
     why = [f'line {number}: {words}' for number, words in content.troubles]
     events, damaged = _sound_events(content)
-    if is_ledger:
-        why += [words for words in [_lost_end(path, content)] if words]
-        sound, events = events, possible_events(events)
-        if len(events) < len(sound):
-            why.append(f'{len(sound) - len(events)} lines say what cannot be')
+    if path.name == LEDGER_NAME:
+        return _mend_ledger(path, content, why)
     if not why:
         return []
-    aside = _free_name(path)
-    if is_ledger:
-        events.append(lost_event(f'{"; ".join(why)}; as it was it is kept as {aside.name}'))
-    text, link = b'', JournalContent().end.link
-    for event in events:
-        line, link = chained_line(link, event)
-        text += line
+    return [_write_anew(path, events, damaged, _free_name(path))]
+
+
+def _write_anew(path: Path, events: list[dict[str, Any]], damaged: list[int], aside: Path) -> str:
     shutil.copyfile(path, aside)
-    write_bytes_atomically(path, text)
+    write_bytes_atomically(path, b''.join(_chained(events)[0]))
     lost = f'; lost: line {ranges(damaged)}' if damaged else ''
-    return [f'{path}: kept as it was as {aside.name}; its sound lines were written anew{lost}']
+    return f'{path}: kept as it was as {aside.name}; its sound lines were written anew{lost}'
 
 
-def _lost_end(path: Path, content: JournalContent) -> str:
-    try:
-        facts = read_facts(path.parent)
-    except UsageError:
-        return ''
+def _chained(events: list[dict[str, Any]]) -> tuple[list[bytes], list[str]]:
+    """The lines of a new journal, and the link after each number of them."""
+    lines, links = [], [JournalContent().end.link]
+    for event in events:
+        line, link = chained_line(links[-1], event)
+        lines.append(line)
+        links.append(link)
+    return lines, links
+
+
+def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[str]:
+    """As :func:`_mend_journal`; what is lost for good is put down in the ledger."""
+    sound, damaged = _sound_events(content)
+    trusted, facts = _trusted_facts(path.parent), _sealed_facts(path.parent)
+    events = possible_events(sound, trusted.values if trusted else {})
+    if len(events) < len(sound):
+        why.append(
+            f"{len(sound) - len(events)} lines say what cannot be, or are another campaign's"
+        )
+    foreign = any(event['event'] == 'campaign' and event not in events for event in sound)
+    if restored := _with_facts(events, facts):
+        events = restored
+        why.append(f'what the campaign is was put back from {FACTS_NAME}')
     ended = facts.journals.get(path.name) if facts else None
-    return lost_end(content, ended) if ended else ''
+    end = _end_trouble(content, events, ended)
+    missing = _missing_runs(path.parent, events)
+    if ended is None and (why or _needs_tables(path.parent, events)):
+        why.append(f'no {FACTS_NAME} said where it had ended, so its end is unverified')
+    if missing:
+        why.append(f'without a result that was in the tables: run {ranges(missing)}')
+    why += [end] if end else []
+    if not why:
+        return []
+    incomplete = bool(missing or foreign or (end and not _told_by_tables(path.parent, events)))
+    aside = _free_name(path)
+    said = f'{"; ".join(why)}; as it was it is kept as {aside.name}'
+    events.append(lost_event(said, missing, incomplete=incomplete))
+    return [_write_anew(path, events, damaged, aside)]
+
+
+def _with_facts(
+    events: list[dict[str, Any]], facts: SealedJson | None
+) -> list[dict[str, Any]] | None:
+    """A ledger that has lost what the campaign is, with that put back; None if it has not."""
+    if facts is None or any(event['event'] == 'campaign' for event in events):
+        return None
+    restored = possible_events([{'event': 'campaign', 'campaign': facts.values}, *events])
+    return restored if len(restored) == 1 + len(events) else None
+
+
+def _needs_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
+    """Whether mending will write ``campaign.json`` and the tables anew."""
+    trouble = Examination()
+    _check_sealed(folder, trouble)
+    _check_tables(folder, ledger_content(folder / LEDGER_NAME, events), trouble)
+    return bool(trouble.findings)
+
+
+def _end_trouble(
+    content: JournalContent, events: list[dict[str, Any]], ended: JournalEnd | None
+) -> str:
+    """What the sound lines in their order lack of a ledger that ended there once, or ''."""
+    why = lost_end(content, ended) if ended else ''
+    if not ended or content.unprotected:
+        return why
+    links = _chained(events)[1]
+    if len(links) > ended.lines >= 0:
+        same = links[ended.lines] == ended.link
+        return '' if same else f'its first {ended.lines} lines are not those that it had'
+    return why or f'{ended.lines + 1 - len(links)} of the {ended.lines} lines that it had are lost'
+
+
+def _sealed_facts(folder: Path) -> SealedJson | None:
+    """A sound ``campaign.json`` with a checksum."""
+    try:
+        facts = read_facts(folder)
+    except UsageError:
+        return None
+    return facts if facts and facts.sealed else None
+
+
+def _trusted_facts(folder: Path) -> SealedJson | None:
+    """A sound ``campaign.json`` to whose campaign the tables belong, all of them sound too."""
+    facts = _sealed_facts(folder)
+    if facts is None or not facts.files:
+        return None
+    there = [folder / name for name in facts.files]
+    same = all(path.is_file() and file_sha256(path) == facts.files[path.name] for path in there)
+    return facts if same else None
+
+
+def _missing_runs(folder: Path, events: list[dict[str, Any]]) -> list[int]:
+    """Runs that a table has and these events have not."""
+    content = ledger_content(folder / LEDGER_NAME, events)
+    there = (folder / name for name in (CSV_NAME, PARQUET_NAME))
+    return sorted({
+        index for path in there if path.is_file() for index in _only_there(path, content)
+    })
+
+
+def _told_by_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
+    """Whether tables that somebody vouches for have no more than these events."""
+    content = ledger_content(folder / LEDGER_NAME, events)
+    expected = table(content.rows, list(content.campaign.get('specs', {})))
+    path = folder / PARQUET_NAME
+    return bool(_trusted_facts(folder) and path.is_file() and _same_parquet(path, expected))
 
 
 def _mend_campaign(folder: Path) -> list[str]:
     """Write tables and ``campaign.json`` anew from a sound ledger; lines on what was done."""
-    done: list[str] = []
     path, trouble = folder / FACTS_NAME, Examination()
     events = [line.event for line in parse_journal((folder / LEDGER_NAME).read_bytes()).lines]
     content = ledger_content(folder / LEDGER_NAME, [event for event in events if event])
     _check_sealed(folder, trouble)
     _check_tables(folder, content, trouble)
-    try:
-        facts = read_facts(folder)
-        told = [event['campaign'] for event in events if event and event['event'] == 'campaign']
-        foreign = facts is not None and facts.sealed and told and facts.values not in told
-    except UsageError:
-        foreign = True
+    told = [event['campaign'] for event in events if event and event['event'] == 'campaign']
+    foreign = _is_foreign(folder, told)
+    if not foreign and not trouble.findings:
+        return []
+    if not (content.campaign or path.is_file()):
+        return [f'{folder}: its ledger does not say what the campaign is; no {FACTS_NAME}']
+    done = _put_aside(folder, content, foreign)
     if foreign:
-        aside = _free_name(path)
-        path.rename(aside)
-        done.append(f'{path}: put aside as {aside.name}')
-    elif not trouble.findings:
-        return done
+        path.unlink()
+        if not content.campaign:
+            return [*done, f'{folder}: its ledger does not say what the campaign is']
     if content.campaign:
         write_facts(folder, content.campaign)
-    elif not path.is_file():
-        return [*done, f'{folder}: its ledger does not say what the campaign is; no {FACTS_NAME}']
     write_tables(content.rows, folder, list(content.campaign.get('specs', {})))
     return [*done, f'{folder}: {FACTS_NAME}, {CSV_NAME} and {PARQUET_NAME} written anew']
+
+
+def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
+    """Whether ``campaign.json`` is damaged, or says what the ledger never did."""
+    try:
+        facts = read_facts(folder)
+    except UsageError:
+        return True
+    return bool(facts is not None and facts.sealed and told and facts.values not in told)
+
+
+def _put_aside(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
+    """Keep a copy of what is to be written over and says anything else; lines on what was done."""
+    expected = table(content.rows, list(content.campaign.get('specs', {})))
+    changed = [folder / FACTS_NAME] if foreign or _other_facts(folder, content) else []
+    for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
+        if (folder / name).is_file() and not same(folder / name, expected):
+            changed.append(folder / name)
+    done = []
+    for path in changed:
+        aside = _free_name(path)
+        shutil.copyfile(path, aside)
+        done.append(f'{path}: put aside as {aside.name}')
+    return done
+
+
+def _other_facts(folder: Path, content: LedgerContent) -> bool:
+    """Whether a sound ``campaign.json`` knows more than the one to be written in its place."""
+    facts = read_facts(folder)
+    if facts is None:
+        return False
+    ended = facts.journals.get(LEDGER_NAME)
+    parsed = parse_journal((folder / LEDGER_NAME).read_bytes())
+    changed = bool(content.campaign) and facts.values != content.campaign
+    return changed or bool(ended and lost_end(parsed, ended))
 
 
 def _free_name(path: Path) -> Path:

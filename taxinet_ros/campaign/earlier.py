@@ -73,6 +73,11 @@ def read_earlier(out: Path, facts: Mapping[str, Any]) -> Earlier:
             than are asked for now.
     """
     content = read_ledger(out / LEDGER_NAME)
+    if content.rows and not content.campaign:
+        raise UsageError(
+            f'--resume: {out / LEDGER_NAME}: has runs, and does not say of which campaign; see '
+            f'taxinet doctor {out}, then mend it: taxinet doctor --mend {out}'
+        )
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     if content.campaign:
         _check_same(out, content.campaign, {k: v for k, v in facts.items() if k not in of_graph})

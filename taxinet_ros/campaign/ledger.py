@@ -36,6 +36,7 @@ class LedgerContent:
             are none.
         finished: whether the campaign has ended in good order since its last line.
         lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
+        incomplete: those of them after which something is missing to this day.
     """
 
     campaign: Mapping[str, Any]
@@ -46,7 +47,14 @@ class LedgerContent:
     unasked: tuple[int, ...] = ()
     finished: bool = False
     lost: tuple[str, ...] = ()
+    incomplete: tuple[str, ...] = ()
 
+
+_IDENTITY = (
+    'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
+    'controller_sha256', 'specs',
+)
+"""Facts that no sitting of a campaign changes."""
 
 _DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
 
@@ -167,23 +175,64 @@ def ledger_content(
             if rows[index].outcome is not Outcome.REJECTED
         ),
         finished=finished,
-        lost=tuple(found.lost),
+        lost=tuple(what for what, _, _ in found.lost),
+        incomplete=tuple(
+            what for what, incomplete, runs in found.lost
+            if incomplete and not (runs and runs <= set(rows))
+        ),
     )
 
 
-def possible_events(events: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A ledger's events without those that say what cannot be."""
-    found, kept = _Events(), []
+def possible_events(
+    events: Iterable[Mapping[str, Any]], facts: Mapping[str, Any] | None = None
+) -> list[dict[str, Any]]:
+    """A ledger's events without those that say what cannot be, and without another campaign's.
+
+    Args:
+        events: what its lines say, in order.
+        facts: of the campaign whose ledger it is, where more than its first line tells of that.
+    """
+    found, kept, own = _Events(), [], dict(facts or {})
+    foreign = False
     for event in events:
         with contextlib.suppress(*_DAMAGED):
-            found.take(event)
-            kept.append(dict(event))
+            if event['event'] == 'campaign':
+                foreign = bool(other_campaign(own, event['campaign']))
+                own = own if foreign else {**own, **event['campaign']}
+            if not foreign and _may_be_of(own, event):
+                found.take(event)
+                kept.append(dict(event))
     return kept
 
 
-def lost_event(what: str) -> dict[str, Any]:
-    """An event for a ledger of which damaged lines were left out."""
-    return {'event': 'lost', 'what': what}
+def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
+    """Whether a line can be one of the campaign, as far as a seed tells."""
+    return event['event'] != 'result' or facts.get('seed', event['row']['seed']) == (
+        event['row']['seed']
+    )
+
+
+def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
+    """Name of the first fact by which two are of different campaigns, or ''."""
+    for name in _IDENTITY:
+        one, other = before.get(name), facts.get(name)
+        told = name in before and name in facts and (name != 'perception' or (one and other))
+        if told and one != other:  # a graph's perception is known from its first answer on
+            return name
+    return ''
+
+
+def lost_event(what: str, runs: Iterable[int] = (), *, incomplete: bool = False) -> dict[str, Any]:
+    """An event for a ledger of which damaged lines were left out.
+
+    Args:
+        what: was the matter.
+        runs: those whose results were lost, as far as is known.
+        incomplete: whether something is missing until these runs have results, or for ever where
+            none are known.
+    """
+    told = {'runs': sorted(runs), 'incomplete': True} if incomplete else {}
+    return {'event': 'lost', 'what': what, **told}
 
 
 class _Events:
@@ -194,14 +243,14 @@ class _Events:
         self.rows: dict[int, RunRow] = {}
         self.begun: Counter[int] = Counter()
         self.added: dict[str, str] = {}
-        self.lost: list[str] = []
+        self.lost: list[tuple[str, bool, set[int]]] = []
         self._names: dict[str, int] = {}
 
     def take(self, event: Mapping[str, Any]) -> None:
         """One more line."""
         match event['event']:
             case 'campaign':
-                self.campaign.update(event['campaign'])
+                self._campaign(event['campaign'])
             case 'intent':
                 self._intent(event)
             case 'result':
@@ -209,9 +258,15 @@ class _Events:
             case 'requirement':
                 self._judge(event)
             case 'lost':
-                self.lost.append(str(event['what']))
+                runs = {int(index) for index in event.get('runs', ())}
+                self.lost.append((str(event['what']), bool(event.get('incomplete')), runs))
             case other:
                 raise ValueError(f'unknown event {other!r:.80}')
+
+    def _campaign(self, facts: Mapping[str, Any]) -> None:
+        if name := other_campaign(self.campaign, facts):
+            raise ValueError(f"another campaign's line: its {name} is another")
+        self.campaign.update(facts)
 
     def _intent(self, event: Mapping[str, Any]) -> None:
         index = event['index']

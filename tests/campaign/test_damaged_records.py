@@ -21,6 +21,7 @@ from taxinet_ros.analysis.campaign_runs import read_runs
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.campaign.counterexamples import failed_runs, scenario_of_row
 from taxinet_ros.campaign.doctor import examine, mend
+from taxinet_ros.campaign.earlier import read_earlier
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.journal import parse_journal, read_journal
 from taxinet_ros.campaign.judged_run import find_run
@@ -422,9 +423,133 @@ def test_doctor_given_a_damaged_table_or_index_then_it_is_written_anew_from_the_
     assert f'mended by: taxinet doctor --mend {campaign}' in out
     code, out, _ = taxinet('doctor', campaign, '--mend')
     assert code == 0, out
-    assert (campaign / LEDGER_NAME).read_bytes() == ledger
+    mended = (campaign / LEDGER_NAME).read_bytes()
+    assert mended.startswith(ledger)
+    assert (mended == ledger) == (name != FACTS_NAME), 'else nobody vouched for its end'
+    assert ('its end is unverified' in out) == (name == FACTS_NAME)
     pd.testing.assert_frame_equal(read_table(campaign), before)
     what_readers_say(campaign)
+
+
+def everything(folder: Path) -> set[bytes]:
+    return {path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def of_another(campaign: Path, tmp_path: Path) -> bytes:
+    """The ledger of the same program with another seed."""
+    path = tmp_path / 'other.jsonl'
+    events = read_journal(campaign / LEDGER_NAME)
+    for event in events:
+        if event['event'] == 'campaign':
+            event['campaign']['seed'] = 9
+        elif event['event'] == 'result':
+            event['row'] |= {'seed': 9, 'run_id': event['row']['run_id'].replace('s3', 's9')}
+        else:
+            event['run_id'] = event['run_id'].replace('s3', 's9')
+    write_events(path, events)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize('kept', [0, 1, 5, 'other'])
+def test_doctor_given_a_ledger_that_lost_its_end_then_no_byte_goes_and_the_loss_is_said_for_ever(
+    campaign, taxinet, tmp_path, kept
+):
+    path = campaign / LEDGER_NAME
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(of_another(campaign, tmp_path) if kept == 'other' else b''.join(lines[:kept]))
+    before = everything(campaign)
+    rows = len(read_table(campaign))
+    code, out, _ = taxinet('doctor', campaign)
+    assert code == 3
+    assert 'does not say what the ledger says: it has run' in out or kept == 'other'
+    code, out, _ = taxinet('doctor', campaign, '--mend')
+    assert (code, 'sound' in out.splitlines()[-1]) == (3, False)
+    assert before <= everything(campaign), 'all that was there is there'
+    content = read_ledger(path)
+    assert (len(content.rows) < rows, content.campaign['seed']) == (True, 3)
+    assert 'without a result that was in the tables: run ' in out
+    again = everything(campaign)
+    assert taxinet('doctor', campaign, '--mend')[0] == 3
+    assert everything(campaign) == again, 'once is enough'
+    if content.rows:
+        notes = taxinet('gate', campaign, '--min-satisfaction', '0.1')[1]
+        assert 'without a result that was in the tables' in notes
+
+
+def test_doctor_given_lost_runs_that_have_results_again_then_it_is_sound(campaign):
+    path = campaign / LEDGER_NAME
+    events = read_journal(path)
+    path.write_bytes(b''.join(path.read_bytes().splitlines(keepends=True)[:5]))
+    mend(campaign)
+    assert read_ledger(path).incomplete
+    done = {row.index for row in read_ledger(path).rows}
+    begun = set(read_ledger(path).attempts)
+    rows = [event for event in events if event['event'] == 'result'
+            and event['row']['index'] not in done]
+    with Ledger(path) as ledger:
+        for event in rows:
+            if event['row']['index'] not in begun:
+                ledger.intent(event['row']['index'], event['row']['run_id'])
+            ledger._append(event)
+    mend(campaign)
+    assert not read_ledger(path).incomplete
+    assert read_ledger(path).lost
+    assert not examine(campaign).findings
+
+
+@pytest.mark.parametrize('first', [True, False])
+def test_doctor_given_two_campaigns_in_one_ledger_then_the_others_lines_are_put_aside(
+    campaign, taxinet, tmp_path, first
+):
+    path = campaign / LEDGER_NAME
+    own, other = path.read_bytes(), of_another(campaign, tmp_path)
+    rows = read_ledger(path).rows
+    path.write_bytes(other + own if first else own + other)
+    before = everything(campaign)
+    assert taxinet('doctor', campaign)[0] == 3
+    code, out, _ = taxinet('doctor', campaign, '--mend')
+    assert (code, "or are another campaign's" in out) == (3, True)
+    assert read_ledger(path).rows == rows
+    assert path.read_bytes().startswith(own)
+    assert before <= everything(campaign)
+
+
+def test_f2_given_a_campaign_line_of_another_campaign_then_the_line_is_refused(campaign):
+    under_way(campaign)
+    path = campaign / LEDGER_NAME
+    facts = dict(read_ledger(path).campaign)
+    for name, value in (('seed', 9), ('sampler', 'cem'), ('program_sha256', 'f' * 64)):
+        rewrite(path, lambda events, changed={**facts, name: value}: events.append(
+            {'event': 'campaign', 'campaign': changed}))
+        with pytest.raises(UsageError, match=rf"jsonl:10: .*another campaign's line: its {name}"):
+            read_ledger(path)
+        rewrite(path, lambda events: events.pop())
+
+
+def test_doctor_given_a_lost_first_line_then_what_the_campaign_is_is_put_back(campaign, taxinet):
+    path = campaign / LEDGER_NAME
+    facts, whole = read_facts(campaign).values, path.read_bytes()
+    path.write_bytes(whole.partition(b'\n')[2])
+    taxinet('doctor', campaign, '--mend')
+    assert read_ledger(path).campaign == facts
+    assert len(read_ledger(path).rows) == RUNS
+    write_events(path, [one for one in read_journal(path) if one['event'] != 'campaign'])
+    (campaign / FACTS_NAME).unlink()
+    with pytest.raises(UsageError, match='does not say of which campaign') as caught:
+        read_earlier(campaign, facts)
+    assert f'taxinet doctor --mend {campaign}' in str(caught.value)
+
+
+def test_doctor_given_a_cut_ledger_that_nobody_vouches_for_then_a_note_on_its_end_remains(
+    campaign, taxinet
+):
+    path = campaign / LEDGER_NAME
+    path.write_bytes(b''.join(path.read_bytes().splitlines(keepends=True)[:5]))
+    for name in (FACTS_NAME, CSV_NAME, PARQUET_NAME):
+        (campaign / name).unlink()
+    taxinet('doctor', campaign, '--mend')
+    for words in (('doctor', campaign), ('gate', campaign, '--min-satisfaction', '0.1')):
+        assert 'its end is unverified' in taxinet(*words)[1]
 
 
 def test_doctor_given_a_table_that_was_forged_with_its_digests_then_the_ledger_says_otherwise(
