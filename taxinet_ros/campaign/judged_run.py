@@ -164,7 +164,8 @@ def bag_differences(row: RunRow, bag: Path) -> list[str]:
             f'rho of {name}': ((one.lower, one.upper), row.interval(name))
             for name, one in told.judged.items()
         }
-        prints = {node.fingerprint for node in told.nodes.values()} - {''}
+        eyes = told.nodes.get('perception')
+        prints = {eyes.fingerprint if eyes else ''} - {''}
         pairs['network'] = (prints, {row.perception_fingerprint} - {''})
     return [
         f'its {name} is {_short(here)}, the row has {_short(there)}'

@@ -54,12 +54,13 @@ def fails(estimate):
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
-    """Campaigns of two runs: ``p`` with functions of a Python file, ``n`` with nodes."""
+    """Campaigns of two runs: ``p`` with functions of a Python file, ``n`` with nodes, ``t`` mixed."""
     folder = tmp_path_factory.mktemp('own')
     (folder / 'mine.py').write_text(MINE)
     for out, words in {
         'p': ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer'),
         'n': ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER),
+        't': ('--perception', 'truth', '--controller', 'mine.py:steer'),
     }.items():
         done = taxinet('run', 'nominal', *words, *SHORT, '--runs', '2', '--out', out, cwd=folder)
         assert done.returncode in (0, 1), done.stdout + done.stderr
@@ -93,6 +94,16 @@ def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
     done = taxinet('run', *words, '--runs', '2', '--processes', '--out', 'pp', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     assert rows(folder / 'pp').equals(rows(folder / 'p'))
+
+
+@pytest.mark.parametrize('campaign', ['p', 'n', 't'])
+def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campaign):
+    done = taxinet('doctor', campaign, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    spec = 'soon=always(cte < 100)'
+    done = taxinet('monitor', campaign, '--spec', spec, '--add', cwd=folder)
+    assert (done.returncode, done.stderr) == (0, ''), done.stdout
+    assert f'{campaign}: rho_soon added for 2 runs' in done.stdout
 
 
 def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
