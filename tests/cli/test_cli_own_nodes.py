@@ -54,7 +54,7 @@ def fails(estimate):
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
-    """Campaigns of two runs: ``p`` with functions of a Python file, ``n`` with nodes, ``t`` mixed."""
+    """Campaigns of two runs: ``p`` with functions of a file, ``n`` with nodes, ``t`` the truth."""
     folder = tmp_path_factory.mktemp('own')
     (folder / 'mine.py').write_text(MINE)
     for out, words in {
