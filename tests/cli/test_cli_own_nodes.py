@@ -216,3 +216,33 @@ def test_given_a_node_that_dies_then_it_is_named_with_its_last_words(folder):
     done = taxinet('run', 'nominal', '--perception-cmd', command, *SHORT, '--out', 'd', cwd=folder)
     assert done.returncode == 4
     assert 'died perception: exit code 1: out of paint' in done.stdout
+
+
+CHANGES = """
+import os
+from pathlib import Path
+
+
+def steer(estimate):
+    with Path(__file__).open('a') as file:
+        file.write('#')
+    {ending}
+"""
+
+
+@pytest.mark.parametrize(('words', 'ending'), [
+    (('run',), '1 / 0'), (('run', '--processes'), '1 / 0'),
+    (('falsify', '--sampler', 'random', '--workers', '1'), 'os._exit(1)'),
+])
+def test_given_a_controller_that_changes_amid_a_campaign_then_it_is_not_mixed_in(
+    tmp_path, words, ending
+):
+    (tmp_path / 'turns.py').write_text(CHANGES.format(ending=ending))
+    name, *more = words
+    done = taxinet(
+        name, 's_falsif', *more, '--perception', 'truth', '--controller', 'turns.py:steer',
+        *SHORT, '--runs', '3', '--out', 'c', cwd=tmp_path,
+    )
+    last = done.stderr.splitlines()[-1]
+    assert (done.returncode, 'controller turns.py:steer has changed since' in last) == (2, True), \
+        done.stdout + done.stderr
