@@ -33,6 +33,7 @@ class Campaign:
     Attributes:
         rows: one row per run taken, in order.
         notes: lines on what the program may mean otherwise than it is run; within the ``with``.
+        controller_sha256: of somebody's controller, as it is on record; only within the ``with``.
         check: what is said of the requirements before the first run; only within the ``with``.
     """
 
@@ -52,6 +53,7 @@ class Campaign:
         self.options = options
         self.rows: list[RunRow] = []
         self.notes: tuple[str, ...] = ()
+        self.controller_sha256 = ''
         self.check: SpecCheck
         self._participants = participants
         self._on_row = on_row
@@ -77,6 +79,7 @@ class Campaign:
             self.check = self.options.check(first_duration_s(self._source))
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
+            self.controller_sha256 = facts['controller_sha256']
             facts['warnings'] = list(self.check.warnings)
             self._record = Record(self.options.out, [spec.name for spec in self._specs])
             try:

@@ -6,6 +6,7 @@ the scenario to the last bit; else the campaign's ledger, so a bag that was dele
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +70,7 @@ def find_run(path: Path) -> JudgedRun:
     Raises:
         UsageError: there is none, its bag is damaged, or it has no scenario.
     """
-    whole = path.resolve()
+    whole = _place(path)
     if (whole / LEDGER_NAME).is_file():
         raise UsageError(f'{path}: a campaign{_example(path)}')
     ledger = whole.parent / LEDGER_NAME
@@ -87,6 +88,12 @@ def find_run(path: Path) -> JudgedRun:
     if whole.name not in rows:
         raise UsageError(f'{path}: no such run; name it <campaign>/<run>, as its bag is named')
     return _of_row(rows[whole.name], facts)
+
+
+def _place(path: Path) -> Path:
+    """Where a run's folder is: in the campaign as it is named, before that of a link's target."""
+    named = Path(os.path.abspath(path))
+    return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
 
 
 def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
@@ -145,8 +152,13 @@ def _example(campaign: Path) -> str:
     return f'; name one of its {len(failed)} failed runs, as in {campaign / worst.run_id}'
 
 
-def bag_differences(row: RunRow, bag: Path) -> list[str]:
+def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
     """In what a bag tells of another run than its row does.
+
+    Args:
+        row: of the run.
+        bag: its bag.
+        whole: the bag is, so what came of the run counts too.
 
     Raises:
         BagError, UsageError: it cannot be read.
@@ -158,13 +170,14 @@ def bag_differences(row: RunRow, bag: Path) -> list[str]:
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
         'seed': (told.seed, row.seed),
     }
-    if row.outcome.judged:
+    if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
             f'rho of {name}': ((one.lower, one.upper), row.interval(name))
             for name, one in told.judged.items()
         }
-        prints = {node.fingerprint for node in told.nodes.values()} - {''}
+        eyes = told.nodes.get('perception')
+        prints = {eyes.fingerprint if eyes else ''} - {''}
         pairs['network'] = (prints, {row.perception_fingerprint} - {''})
     return [
         f'its {name} is {_short(here)}, the row has {_short(there)}'
@@ -178,15 +191,64 @@ def _short(value: Any) -> str:
     return f'{value}'
 
 
-def check_same_run(row: RunRow, bag: Path) -> None:
+def check_same_run(row: RunRow, bag: Path, *, whole: bool = True) -> None:
     """See that a bag is that of a row, before what it holds is taken for the row's run.
+
+    Args:
+        row: of the run.
+        bag: its bag.
+        whole: as of :func:`bag_differences`.
 
     Raises:
         UsageError: it is of another run.
         BagError: it cannot be read.
     """
-    for what in bag_differences(row, bag):
+    for what in bag_differences(row, bag, whole=whole):
         raise UsageError(
             f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
             f'campaign? taxinet doctor {bag.parent} checks all of them'
         )
+
+
+class BagPlaces:
+    """Bags held against the records of the campaigns in whose folders they lie, if any."""
+
+    def __init__(self) -> None:
+        """No record is read yet."""
+        self._rows: dict[Path, dict[str, RunRow]] = {}
+
+    def check(self, bag: Path, *, whole: bool = True) -> None:
+        """See that a bag is that of the run whose place it has.
+
+        Args:
+            bag: a run's folder or an ``.mcap`` file.
+            whole: as of :func:`bag_differences`.
+
+        Raises:
+            UsageError: it is of another run.
+            BagError: it cannot be read.
+        """
+        folder = _place(bag.parent if bag.is_file() else bag)
+        ledger = folder.parent / LEDGER_NAME
+        if not ledger.is_file():
+            return
+        if ledger not in self._rows:
+            self._rows[ledger] = _rows_by_bag(ledger)
+        row = self._rows[ledger].get(folder.name)
+        if row is not None:
+            check_same_run(row, bag, whole=whole)
+            return
+        told = read_facts(bag)
+        if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
+            raise UsageError(
+                f'{bag}: is not the bag of its run: its run_id is {told.run_id}; '
+                f'taxinet doctor {folder.parent} checks all of them'
+            )
+
+
+def _rows_by_bag(ledger: Path) -> dict[str, RunRow]:
+    """None where the record is damaged: a bag can be read without it."""
+    try:
+        return {row.bag: row for row in read_ledger(ledger).rows if row.bag}
+    except UsageError:
+        return {}

@@ -72,6 +72,7 @@ class Shrinking:
         self.broken: RunRow | None = None
         self.interrupted = False
         self.warning = ''
+        self.controller_sha256 = ''
         self._participants = participants
         self._on_row = on_row
         self._campaign = options.campaign
@@ -92,6 +93,7 @@ class Shrinking:
             UsageError: the folder cannot be used, or what it holds is something else.
         """
         out, facts = self._campaign.out, self._facts()
+        self.controller_sha256 = str(facts['controller_sha256'])
         if self.options.resume:
             check_resumable(out)
         names = [parse_spec(text).name for text in self._campaign.specs]

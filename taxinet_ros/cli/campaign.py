@@ -16,6 +16,8 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.core import camera
+from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import command_of
 from taxinet_ros.core.perception import GroundTruth
 from taxinet_ros.nodes.names import PARTICIPANTS
@@ -63,6 +65,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             told_if_lost(progress.console, campaign.rows, shown=True),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.give_up),
         ):
+            graphs.check(campaign.controller_sha256)
             lines = [heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in check_lines(campaign.check):
@@ -107,6 +110,7 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
+        self._controller_sha256 = check_controller(options.controller, options.gains, graph=True)
 
     def __enter__(self) -> Self:
         return self
@@ -133,6 +137,16 @@ class _Graphs:
             camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
+    def check(self, controller_sha256: str) -> None:
+        """See that the controller is the one that is on record.
+
+        Raises:
+            UsageError: its file has changed between.
+        """
+        if controller_sha256 != self._controller_sha256:
+            word = self._options.controller
+            raise UsageError(f'controller {word} has changed while the campaign began')
+
     @contextlib.contextmanager
     def next(self) -> Iterator[Graph]:
         """A graph for the ``with``."""
@@ -152,6 +166,7 @@ class _Graphs:
         graph = GraphOptions(
             perception=options.perception, out=options.out, make_out=False,
             images=options.images, gains=options.gains, controller=options.controller,
+            controller_sha256=self._controller_sha256,
         )
         if options.processes:
             return process_graph(graph, options.out / 'logs')

@@ -86,7 +86,7 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),
-            Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+            Crew(_command(search), options.workers, options.campaign.out / 'logs') as crew,
         ):
             run_search(search, crew)
     return search
@@ -123,9 +123,10 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def _command(options: SearchOptions) -> list[str]:
-    campaign = options.campaign
+def _command(search: Search) -> list[str]:
+    campaign = search.options.campaign
     return worker_command(GraphOptions(
         perception=campaign.perception, out=campaign.out, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller,
+        controller_sha256=search.facts['controller_sha256'],
     ))

@@ -56,7 +56,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
         with (
             interrupts(search.interrupt),
             search_view(console, search, shown=live),
-            Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+            Crew(_command(search), options.workers, options.campaign.out / 'logs') as crew,
         ):
             run_search(search, crew)
         learned = write_learned(search)
@@ -67,9 +67,10 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     return exit_code(search.rows)
 
 
-def _command(options: SearchOptions) -> list[str]:
-    campaign = options.campaign
+def _command(search: Search) -> list[str]:
+    campaign = search.options.campaign
     return worker_command(GraphOptions(
         perception=campaign.perception, out=campaign.out, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller,
+        controller_sha256=search.facts['controller_sha256'],
     ))

@@ -18,6 +18,7 @@ from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.bag.run_samples import read_run_samples
 from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.campaign.facts import LEDGER_NAME
+from taxinet_ros.campaign.judged_run import BagPlaces
 from taxinet_ros.campaign.lines import check_lines
 from taxinet_ros.campaign.options import check_assumptions
 from taxinet_ros.campaign.requirements import add_requirements, addable, campaign_bags
@@ -116,12 +117,15 @@ def _judged(
     console = Console(highlight=False, stderr=as_json)
     chosen = None if run is None else read_recording(bags[0]).choose(run).name
     judged: list[JudgedBag] = []
+    places = BagPlaces()
     with stage_bars(console) as show:
         for bag in judge_bags(bags, specs, workers, vouched):
             if bag.foreign and bag.path in named:
                 raise UsageError(bag.trouble)
             if chosen is not None and bag.run not in ('', chosen):
                 continue
+            if bag.verdicts and not bag.run:
+                places.check(bag.path, whole=not bag.trouble)
             judged.append(bag)
             news = told.of(bag)
             if not as_json:

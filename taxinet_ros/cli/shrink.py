@@ -62,7 +62,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
                 console.print(shrink_heading(options), soft_wrap=True)
             with (
                 interrupts(shrinking.interrupt),
-                Crew(_command(options), options.workers, options.campaign.out / 'logs') as crew,
+                Crew(_command(shrinking), options.workers, options.campaign.out / 'logs') as crew,
             ):
                 run_search(shrinking, crew)
     found = report(shrinking)
@@ -107,11 +107,12 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
     )
 
 
-def _command(options: ShrinkOptions) -> list[str]:
-    campaign = options.campaign
+def _command(shrinking: Shrinking) -> list[str]:
+    campaign = shrinking.options.campaign
     return worker_command(GraphOptions(
         perception=campaign.perception, out=campaign.out, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller,
+        controller_sha256=shrinking.controller_sha256,
     ))
 
 

@@ -56,6 +56,8 @@ class GraphOptions:
         timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
         patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
         controller: ``steering``, ``FILE.py:NAME``, or a word of node_words.
+        controller_sha256: what the controller's file has to be, with those that it lists, so that
+            one that changes amid a campaign is not mixed in; '' where it may be any.
         alone: whether runs are asked for by this process alone, so that no other is recorded.
     """
 
@@ -67,6 +69,7 @@ class GraphOptions:
     timeouts: Mapping[str, float] = field(default_factory=dict)
     patience: Mapping[str, float] = field(default_factory=dict)
     controller: str = STEERING
+    controller_sha256: str = ''
     alone: bool = True
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
@@ -75,7 +78,9 @@ class GraphOptions:
             perception: tuple[NodeClass, dict[str, Any]] = (GroundTruthPerception, {})
         else:
             perception = (TaxinetPerception, {'weights': self.perception})
-        steering = {} if self.controller == STEERING else {'controller': self.controller}
+        steering = {} if self.controller == STEERING else {
+            'controller': self.controller, 'controller_sha256': self.controller_sha256,
+        }
         every: dict[str, tuple[NodeClass, dict[str, Any]]] = {
             interface.SIMULATOR: (Simulator, dict(self.timeouts)),
             interface.PERCEPTION: perception,

@@ -9,6 +9,7 @@ from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.recorded_run import words_of_gains
 from taxinet_ros.core.controller import STEERING, check_controller, make_controller
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains
 from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.nodes import interface
@@ -31,6 +32,9 @@ class SteeringController(Participant):
         word = declare(
             self, 'controller', STEERING, 'steering, the handwritten law; or FILE.py:NAME'
         )
+        sha256 = declare(
+            self, 'controller_sha256', '', "what that file's has to be; empty: whatever it is"
+        )
         self.gains = SteeringGains(**{
             name: declare(
                 self, name, getattr(SteeringGains(), name), f'{gain.description} [{gain.unit}]',
@@ -43,6 +47,11 @@ class SteeringController(Participant):
         tuned = {name: x for name, x in asdict(self.gains).items() if x != usual[name]}
         check_controller(word, tuned)
         self._controller = make_controller(word, self.gains)
+        if sha256 and self._controller.fingerprint != sha256:
+            raise UsageError(
+                f'controller {word} has changed since this began: its sha256 is '
+                f'{self._controller.fingerprint[:12]}…, it was {sha256[:12]}…; put it back'
+            )
         self.implementation = words_of_gains(tuned) if word == STEERING else IMPLEMENTATION
         self.fingerprint = self._controller.fingerprint
         self._commands = self.speak(interface.COMMAND)

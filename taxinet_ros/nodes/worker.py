@@ -34,7 +34,7 @@ def worker_command(options: GraphOptions) -> list[str]:
         sys.executable, '-P', '-m', 'taxinet_ros.nodes.worker',
         f'--perception={options.perception}', f'--out={options.out}',
         f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
-        f'--controller={options.controller}',
+        f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
     ]
 
 
@@ -116,7 +116,7 @@ def main(words: Sequence[str] | None = None) -> int:
     options = GraphOptions(
         perception=arguments.perception, out=arguments.out, make_out=False,
         images=arguments.images, gains=json.loads(arguments.gains),
-        controller=arguments.controller,
+        controller=arguments.controller, controller_sha256=arguments.controller_sha256,
     )
     outbox = _Outbox(arguments.answers)
     try:
@@ -155,6 +155,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--images', required=True)
     parser.add_argument('--gains', required=True)
     parser.add_argument('--controller', required=True)
+    parser.add_argument('--controller-sha256', default='')
     return parser.parse_args(words)
 
 

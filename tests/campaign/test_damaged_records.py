@@ -631,3 +631,51 @@ def test_doctor_given_somebody_at_work_then_nothing_is_mended(campaign, taxinet)
     with Ledger(campaign / LEDGER_NAME):
         code, _, err = taxinet('doctor', campaign, '--mend')
     assert (code, 'somebody is at work on it' in err) == (2, True)
+
+
+# Bags beside the record ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('linked', [False, True])
+def test_f2_given_the_bag_of_another_run_then_no_command_gives_its_numbers(
+    campaign, taxinet, tmp_path, linked
+):
+    failed = failed_runs(campaign).rows[0]
+    other = next(row for row in read_ledger(campaign / LEDGER_NAME).rows if row.outcome == 'PASS')
+    bag = campaign / failed.run_id
+    if linked:
+        shutil.rmtree(bag)
+        bag.symlink_to(other.run_id)
+    else:
+        swap_bags(campaign, failed.run_id, other.run_id)
+    mcap = next(bag.glob('*.mcap'))
+    said = f'is not the bag of its run: its run_id is {other.run_id}'
+    again = ('run', '--from', bag, '--out', tmp_path / 'again')
+    for words in (('monitor', campaign), ('monitor', bag), ('monitor', mcap),
+                  ('monitor', campaign, '--json'), again, ('shrink', bag)):
+        code, out, err = taxinet(*words)
+        assert (code, said in err, len(err.splitlines())) == (2, True, 1), (words, out, err)
+        assert f'{failed.run_id}  ' not in out
+
+
+def test_f2_given_the_bag_of_the_same_run_of_another_campaign_then_monitor_refuses_it(
+    campaign, taxinet
+):
+    under_way(campaign)
+    rewrite(campaign / LEDGER_NAME, lambda events: lie(events, 'FAIL', {'rho': {'tight': -9.0}}))
+    row = next(row for row in failed_runs(campaign).rows if row.rho['tight'] == -9.0)
+    for place in (campaign, campaign / row.run_id):
+        code, _, err = taxinet('monitor', place)
+        assert (code, 'is not the bag of its run: its rho of tight is' in err) == (2, True), err
+
+
+@pytest.mark.parametrize('share', [0.5, 0.98])
+def test_f2_given_a_cut_bag_in_its_place_then_monitor_reads_what_there_is(
+    campaign, taxinet, share
+):
+    failed = failed_runs(campaign).rows[0]
+    mcap = next((campaign / failed.run_id).glob('*.mcap'))
+    mcap.write_bytes(mcap.read_bytes()[:int(mcap.stat().st_size * share)])
+    code, out, err = taxinet('monitor', campaign)
+    assert (code, err) == (3, ''), out
+    assert 'bags' in out.splitlines()[-1]

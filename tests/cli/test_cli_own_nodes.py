@@ -54,12 +54,13 @@ def fails(estimate):
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
-    """Campaigns of two runs: ``p`` with functions of a Python file, ``n`` with nodes."""
+    """Campaigns of two runs: ``p`` with functions of a file, ``n`` with nodes, ``t`` the truth."""
     folder = tmp_path_factory.mktemp('own')
     (folder / 'mine.py').write_text(MINE)
     for out, words in {
         'p': ('--perception', 'mine.py:Guess', '--controller', 'mine.py:steer'),
         'n': ('--perception-cmd', PERCEPTION, '--controller-cmd', CONTROLLER),
+        't': ('--perception', 'truth', '--controller', 'mine.py:steer'),
     }.items():
         done = taxinet('run', 'nominal', *words, *SHORT, '--runs', '2', '--out', out, cwd=folder)
         assert done.returncode in (0, 1), done.stdout + done.stderr
@@ -95,6 +96,16 @@ def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
     done = taxinet('run', *words, '--runs', '2', '--processes', '--out', 'pp', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     assert rows(folder / 'pp').equals(rows(folder / 'p'))
+
+
+@pytest.mark.parametrize('campaign', ['p', 'n', 't'])
+def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campaign):
+    done = taxinet('doctor', campaign, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    spec = 'soon=always(cte < 100)'
+    done = taxinet('monitor', campaign, '--spec', spec, '--add', cwd=folder)
+    assert (done.returncode, done.stderr) == (0, ''), done.stdout
+    assert f'{campaign}: rho_soon added for 2 runs' in done.stdout
 
 
 def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
@@ -220,3 +231,33 @@ def test_given_a_command_that_starts_what_has_a_session_of_its_own_then_that_end
     assert taxinet('run', 'nominal', *words, '--out', 'o', cwd=folder).returncode in (0, 1)
     left = [one for one in psutil.process_iter() if str(folder) in ' '.join(words_of(one))]
     assert not left
+
+
+CHANGES = """
+import os
+from pathlib import Path
+
+
+def steer(estimate):
+    with Path(__file__).open('a') as file:
+        file.write('#')
+    {ending}
+"""
+
+
+@pytest.mark.parametrize(('words', 'ending'), [
+    (('run',), '1 / 0'), (('run', '--processes'), '1 / 0'),
+    (('falsify', '--sampler', 'random', '--workers', '1'), 'os._exit(1)'),
+])
+def test_given_a_controller_that_changes_amid_a_campaign_then_it_is_not_mixed_in(
+    tmp_path, words, ending
+):
+    (tmp_path / 'turns.py').write_text(CHANGES.format(ending=ending))
+    name, *more = words
+    done = taxinet(
+        name, 's_falsif', *more, '--perception', 'truth', '--controller', 'turns.py:steer',
+        *SHORT, '--runs', '3', '--out', 'c', cwd=tmp_path,
+    )
+    last = done.stderr.splitlines()[-1]
+    assert (done.returncode, 'controller turns.py:steer has changed since' in last) == (2, True), \
+        done.stdout + done.stderr
