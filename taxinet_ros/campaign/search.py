@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.earlier import UNTOLD, Earlier, read_earlier
-from taxinet_ros.campaign.facts import STACKS, campaign_facts
+from taxinet_ros.campaign.facts import FACTS_NAME, STACKS, campaign_facts
 from taxinet_ros.campaign.graph_perception import met
 from taxinet_ros.campaign.put_aside import put_aside
 from taxinet_ros.campaign.record import Record, check_resumable
@@ -93,6 +93,7 @@ class Search:
         self._earlier = Earlier()
         self._attempts: Counter[int] = Counter()
         self._asked = 0
+        self._due = False
         self._broken = 0
 
     def __enter__(self) -> Self:
@@ -132,7 +133,11 @@ class Search:
             row for index, row in sorted(self._record.rows.items())
             if index not in counted and row.outcome is not Outcome.INTERRUPTED
         ]
-        self._record.__exit__(kind, error, trace)
+        try:
+            if error is None:
+                self._accept()
+        finally:
+            self._record.__exit__(kind, error, trace)
 
     @property
     def space(self) -> SearchSpace:
@@ -258,6 +263,7 @@ class Search:
 
     def _begin(self, request: RunRequest, scenario_sha256: str = '') -> RunRequest:
         """Put on record that a run begins, under the name that this attempt has."""
+        self._accept()
         index = request.index
         self._attempts[index] += 1
         name = run_name(self._campaign, index, self._attempts[index])
@@ -268,6 +274,7 @@ class Search:
     # Answers -----------------------------------------------------------------------------------
 
     def _keep(self, row: RunRow) -> None:
+        self._accept()
         row = row.chosen(
             sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
             weight=self._weight(row.index), drawn=self._sampler.drawn(row.index),
@@ -330,13 +337,24 @@ class Search:
         self._attempts.update(earlier.attempts)
         self._record.rows.update({**earlier.rows, **earlier.again})
         untold = {UNTOLD: sorted(earlier.untold)} if earlier.untold else {}
-        self._put_down({
+        self._facts = {
             **asked, **earlier.facts, **untold, STACKS: {**earlier.stacks, **asked[STACKS]},
-        })
+        }
+        self._due = True
+        if not earlier.rows or not (self._campaign.out / FACTS_NAME).is_file():
+            self._put_down(self._facts)
 
     def _put_down(self, facts: dict[str, Any]) -> None:
-        self._facts = facts
+        self._facts, self._due = facts, False
         self._record.facts(facts)
+
+    def _accept(self) -> None:
+        """Put down what is asked for now, once something is added to what there is.
+
+        Until then a sampler that chooses other points than before refuses all of it.
+        """
+        if self._due:
+            self._put_down(self._facts)
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

@@ -14,6 +14,7 @@ from journal_samples import rewrite, under_way
 
 from taxinet_ros.campaign import scene_source
 from taxinet_ros.campaign import search as search_module
+from taxinet_ros.campaign.facts import read_facts
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.samplers.lagged import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
@@ -370,8 +371,12 @@ def test_given_a_sampler_that_chooses_another_point_when_resumed_then_it_is_refu
 
     under_way(whole)
     rewrite(whole / 'ledger.jsonl', elsewhere)
+    ledger = (whole / 'ledger.jsonl').read_bytes()
+    values = read_facts(whole).values
     with pytest.raises(UsageError, match='another point for run 7'):
         toy.finish(toy.options(whole, resume=True))
+    assert (whole / 'ledger.jsonl').read_bytes() == ledger
+    assert read_facts(whole).values == values
 
 
 @pytest.mark.parametrize('sampler', ['halton', 'sobol', 'grid', 'ce-verifai'])
