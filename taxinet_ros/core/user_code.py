@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import is_node_elsewhere
@@ -33,8 +33,6 @@ IMPLEMENTATION = 'python'
 _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
-_FAILURES = (Exception, SystemExit)
-"""Somebody's ``sys.exit()`` is to end a run, not the bench with an exit code of his."""
 
 
 class UserCodeError(RuntimeError):
@@ -64,9 +62,11 @@ class UserCode:
         """
         found = self._found
         try:
-            with _same_folder():
+            with _same_place():
                 made = found() if _is_maker(found) else found
-        except _FAILURES as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise UsageError(self.failure(error)) from error
         if not callable(made):
             raise UsageError(
@@ -83,7 +83,7 @@ class UserCode:
                 line = trace.tb_lineno
             trace = trace.tb_next
         place = f'{self.path}:{line}' if line else f'{self.path}: {self.name}'
-        text = str(error).partition('\n')[0]
+        text = _text(error, str).partition('\n')[0]
         return f'{place}: {type(error).__name__}' + (f': {text}' if text else '')
 
     @cached_property
@@ -95,10 +95,12 @@ class UserCode:
         if folder not in sys.path:
             sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
         try:
-            with _same_folder():
+            with _same_place():
                 exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
             found = getattr(module, self.name)
-        except _FAILURES as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise UsageError(self.failure(error)) from error
         if not callable(found):
             raise UsageError(
@@ -128,15 +130,17 @@ class RunCode:
         """
         if self._fresh:
             return
-        reset = getattr(self.function, 'reset', None)
         try:
+            reset = getattr(self.function, 'reset', None)
             if reset is None:
                 self.function = self.code.make()
             else:
                 reset()
         except UsageError as error:
             raise UserCodeError(str(error)) from error
-        except _FAILURES as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a sys.exit() too is to end a run, not the bench
             raise UserCodeError(self.code.failure(error)) from error
 
     def answer(self, argument: Any) -> Any:
@@ -148,12 +152,14 @@ class RunCode:
         self._fresh = False
         try:
             return self.function(argument)
-        except _FAILURES as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a sys.exit() too is to end a run, not the bench
             raise UserCodeError(self.code.failure(error)) from error
 
     def misfit(self, answer: object, expected: str) -> UserCodeError:
         """What to raise where an answer is none."""
-        shown = f'{answer!r:.60}'
+        shown = _text(answer, repr)[:60]
         return UserCodeError(
             f'{self.code.path}: {self.code.name} answered {shown}; expected {expected}'
         )
@@ -164,7 +170,9 @@ def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
     try:
         first, second = answer
         return float(first), float(second)
-    except (TypeError, ValueError):
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # an answer of somebody's may have an __iter__ or __float__ of his
         return None
 
 
@@ -186,18 +194,31 @@ def find_user_code(word: str, role: str) -> UserCode:
     match = _WORD.fullmatch(word)
     path = Path(match['file'] if match else word.removesuffix(':'))
     source = _source(path, role)
-    try:
-        tree = ast.parse(source, str(path))
-    except (SyntaxError, ValueError) as error:
-        line = f':{error.lineno}' if isinstance(error, SyntaxError) and error.lineno else ''
-        said = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise UsageError(f'{path}{line}: {said}') from error
+    tree = _parsed(path, source)
     names = _names(tree)
     if match is None or match['name'] not in names:
         what = 'say which function' if match is None else f'no {match["name"]} in it'
         known = ', '.join(sorted(name for name in names if not name.startswith('_'))) or 'nothing'
         raise UsageError(f'{role} {path}: {what}, as in {path}:NAME; it has: {known}')
+    for node in tree.body:
+        if isinstance(node, ast.AsyncFunctionDef) and node.name == match['name']:
+            raise UsageError(
+                f'{path}:{node.lineno}: {node.name} is an async function; expected a plain one'
+            )
     return UserCode(path, match['name'], _digest(path, source, tree))
+
+
+def _parsed(path: Path, source: bytes) -> ast.Module:
+    try:
+        return ast.parse(source, str(path))
+    except (SyntaxError, ValueError) as error:
+        line = f':{error.lineno}' if isinstance(error, SyntaxError) and error.lineno else ''
+        said = error.msg if isinstance(error, SyntaxError) else str(error)
+        raise UsageError(f'{path}{line}: {said}') from error
+    except (RecursionError, MemoryError) as error:
+        raise UsageError(
+            f'{path}: an expression in it is too long or too deep for Python to read'
+        ) from error
 
 
 def _source(path: Path, role: str = '') -> bytes:
@@ -208,20 +229,34 @@ def _source(path: Path, role: str = '') -> bytes:
 
 
 @contextlib.contextmanager
-def _same_folder() -> Iterator[None]:
-    """Stay in the working folder, whatever somebody's code does: our paths count from there."""
-    before = os.getcwd()
+def _same_place() -> Iterator[None]:
+    """Keep the working folder, whatever somebody's code does, for our paths count from there.
+
+    What is printed goes where it went, too.
+    """
+    before, streams = os.getcwd(), (sys.stdout, sys.stderr)
     try:
         yield
     finally:
         os.chdir(before)
+        sys.stdout, sys.stderr = streams
+
+
+def _text(value: object, how: Callable[[object], str]) -> str:
+    """Something of somebody's in words, also where that fails."""
+    try:
+        return how(value)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return f'<{type(value).__name__} whose {how.__name__}() fails: {type(error).__name__}>'
 
 
 def _names(tree: ast.Module) -> set[str]:
     """What a module binds by name, wherever at its top level."""
     found: set[str] = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             found.add(node.id)
@@ -232,20 +267,43 @@ def _names(tree: ast.Module) -> set[str]:
 
 def _digest(path: Path, source: bytes, tree: ast.Module) -> str:
     digest = hashlib.sha256(source)
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and any(
-            isinstance(target, ast.Name) and target.id == _FILES for target in node.targets
-        ):
-            for name in _listed(path, node):
-                content = _source(path.parent / name, f'{path}: {_FILES}')
-                digest.update(hashlib.sha256(content).digest())
+    node = _files(path, tree)
+    for name in _listed(path, node) if node is not None else ():
+        content = _source(path.parent / name, f'{path}: {_FILES}')
+        digest.update(hashlib.sha256(content).digest())
     return digest.hexdigest()
 
 
-def _listed(path: Path, node: ast.Assign) -> list[str]:
+def _files(path: Path, tree: ast.Module) -> ast.Assign | ast.AnnAssign | None:
+    """Where the file lists others; None where it lists none.
+
+    Raises:
+        UsageError: it does so in another way than once, by a plain assignment at its top level.
+    """
+    bound = [node for node in ast.walk(tree) if _binds_files(node)]
+    plain = {
+        id(target): node for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+    }
+    for node in bound[-1:]:
+        if len(bound) > 1 or id(node) not in plain:
+            raise UsageError(
+                f'{path}:{node.lineno}: {_FILES}: expected one assignment of a list, at the '
+                'top of the file'
+            )
+    return plain[id(bound[0])] if bound else None
+
+
+def _binds_files(node: ast.AST) -> TypeGuard[ast.Name | ast.alias]:
+    if isinstance(node, ast.alias):
+        return (node.asname or node.name) == _FILES
+    return isinstance(node, ast.Name) and node.id == _FILES and not isinstance(node.ctx, ast.Load)
+
+
+def _listed(path: Path, node: ast.Assign | ast.AnnAssign) -> list[str]:
     try:
-        names = ast.literal_eval(node.value)
-    except ValueError:
+        names = ast.literal_eval(node.value) if node.value is not None else None
+    except (ValueError, TypeError, RecursionError, MemoryError):
         names = None
     if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
         raise UsageError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,21 @@ def test_given_a_file_then_its_hash_is_its_own_and_that_of_what_it_lists(file, t
         check_controller(file(f"FILES = ['net.bin']\n{text}"))
 
 
+def test_given_a_list_of_files_with_its_type_then_they_are_hashed_too(file, tmp_path):
+    text = "from typing import Final\nFILES: Final = ['net.bin']\ndef make(x): return 0.0, 0.0"
+    (tmp_path / 'net.bin').write_bytes(b'1')
+    first = check_controller(file(text))
+    (tmp_path / 'net.bin').write_bytes(b'2')
+    assert check_controller(file(text)) != first
+
+
+def test_given_a_file_that_closes_the_streams_when_loaded_then_ours_stay(file):
+    before = sys.stdout, sys.stderr
+    text = 'import sys\nsys.stdout = None\ndef make():\n    sys.stderr = None\n    return print'
+    make_perception(file(text))
+    assert (sys.stdout, sys.stderr) == before
+
+
 def test_given_a_file_when_checked_then_it_is_not_run(file, tmp_path):
     text = f"import pathlib\npathlib.Path('{tmp_path}/ran').touch()\n"
     word = file(f'{text}def make(x): return 0.0, 0.0')
@@ -127,6 +143,14 @@ def test_given_a_file_when_checked_then_it_is_not_run(file, tmp_path):
     ('def make(x: return', 'make', r'mine\.py:1: '),
     ('def steer(x): return 0', 'make', r'mine\.py: no make in it, as in .*:NAME; it has: steer$'),
     ('FILES = 3\ndef make(x): pass', 'make', r'mine\.py:1: FILES: expected a list of file names'),
+    ('FILES: list\ndef make(x): pass', 'make', r'mine\.py:1: FILES: expected a list of file names'),
+    *((f'def make(x): pass\n{text}', 'make', r'mine\.py:\d: FILES: expected one assignment')
+      for text in ("if make:\n    FILES = ['a']", "FILES = ['a']\nFILES += ['b']",
+                   "FILES = ['a']\nFILES = ['b']", "FILES, other = ['a'], 1",
+                   'from mine import FILES', "(FILES := ['a'])")),
+    ('async def make(x): pass', 'make', r'mine\.py:1: make is an async function; expected a plain'),
+    ('def make(x): return ' + '1+' * 100_000 + '1', 'make', r'mine\.py: an expression .* too long'),
+    ('def make(x): return ' + '-' * 100_000 + '1', 'make', r'mine\.py: an expression .* too long'),
 ])
 def test_given_a_file_that_cannot_be_read_when_checked_then_one_line(file, text, name, complaint):
     with pytest.raises(UsageError, match=complaint):
@@ -153,6 +177,8 @@ def test_given_a_file_without_a_name_then_its_functions_are_listed(file):
     ('def make(): return 3', r'mine\.py: make\(\) gave int, which cannot be called'),
     ('make = 3', r'mine\.py: make is int; expected a function or class'),
     ('raise SystemExit(0)\ndef make(x): pass', r'mine\.py:1: SystemExit: 0'),
+    ('def make(): raise GeneratorExit', r'mine\.py:1: GeneratorExit$'),
+    ('class Odd(BaseException): pass\nraise Odd(1)\ndef make(x): pass', r'mine\.py:2: Odd: 1'),
 ])
 def test_given_a_file_that_fails_when_loaded_then_one_line(file, text, complaint):
     with pytest.raises(UsageError, match=complaint):
@@ -163,6 +189,13 @@ def test_given_a_file_that_fails_when_loaded_then_one_line(file, text, complaint
     ('def make(x):\n    return x.nothing', r'mine\.py:2: AttributeError: '),
     ('def make(x):\n    raise SystemExit(1)', r'mine\.py:2: SystemExit: 1'),
     ('def make(x): return 3', r'mine\.py: make answered 3; expected a pair \(steering_rad, '),
+    ('def make(x):\n    raise GeneratorExit', r'mine\.py:2: GeneratorExit$'),
+    ('class Odd(BaseException):\n    def __str__(self): return 1 / 0\ndef make(x): raise Odd',
+     r'mine\.py:3: Odd: <Odd whose str\(\) fails: ZeroDivisionError>$'),
+    ('class Odd:\n    def __repr__(self): return 1 / 0\ndef make(x): return Odd()',
+     r'mine\.py: make answered <Odd whose repr\(\) fails: ZeroDivisionError>; expected a pair'),
+    ('class Odd:\n    def __iter__(self): raise SystemExit(0)\ndef make(x): return Odd()',
+     r'mine\.py: make answered <.*Odd object at .*; expected a pair'),
     ('def make(x): return "left", 1', r"make answered \('left', 1\); expected a pair"),
     ('def make(x): return None', r'make answered None; expected a pair'),
 ])
