@@ -100,7 +100,7 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     """
     found = Examination()
     for place in _places(folder):
-        journals = sorted(place.glob('*.jsonl'))
+        journals = _files(place, '*.jsonl', found)
         for path in journals:
             found.saw('journals')
             if path.name != LEDGER_NAME:
@@ -129,6 +129,7 @@ def mend(folder: Path) -> list[str]:
     """
     done: list[str] = []
     for place in _places(folder):
+        _check_regular(place)
         for path in sorted(place.glob('*.jsonl')):
             with _locked(path):
                 done += _mend_journal(path)
@@ -145,6 +146,25 @@ def _places(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.is_symlink() and not any(path.glob(f'*.{STORAGE_ID}')):
             yield from _places(path)
+
+
+def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
+    """Regular files by name; what else has such a name may never end, and is not read."""
+    files = []
+    for path in sorted(place.glob(pattern)):
+        if path.is_file():
+            files.append(path)
+        else:
+            found.saw('entries that are no files')
+            found.wrong(path, 'is no regular file, and was not read')
+    return files
+
+
+def _check_regular(place: Path) -> None:
+    for path in sorted(place.iterdir()):  # a glob for a name skips links to nowhere
+        known = path.suffix == '.jsonl' or path.name in (FACTS_NAME, CSV_NAME, PARQUET_NAME)
+        if known and not path.is_file():
+            raise UsageError(f'{path}: is no regular file; move it away, then mend the rest')
 
 
 # Campaigns ---------------------------------------------------------------------------------------
@@ -295,7 +315,7 @@ def _verdict_of(bag: Path) -> str:
 
 def _check_sealed(place: Path, found: Examination) -> None:
     """Sealed JSON files, and the files and journals that they vouch for."""
-    for path in sorted(place.glob('*.json')):
+    for path in _files(place, '*.json', found):
         data = path.read_bytes()
         if b'"seal"' not in data and b'"checksum"' not in data:
             if path.name == FACTS_NAME:

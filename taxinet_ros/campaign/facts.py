@@ -101,6 +101,8 @@ def read_facts(folder: Path) -> SealedJson | None:
         UsageError: it is damaged, or cannot be read.
     """
     path = folder / FACTS_NAME
+    if (path.is_symlink() or path.exists()) and not path.is_file():
+        raise UsageError(f'{path}: is no regular file')
     try:
         return read_sealed(path)
     except (FileNotFoundError, NotADirectoryError):

@@ -552,6 +552,23 @@ def test_doctor_given_a_cut_ledger_that_nobody_vouches_for_then_a_note_on_its_en
         assert 'its end is unverified' in taxinet(*words)[1]
 
 
+@pytest.mark.parametrize('name', [LEDGER_NAME, FACTS_NAME, 'x.jsonl', PARQUET_NAME])
+@pytest.mark.parametrize('make', [
+    os.mkfifo, os.mkdir, lambda path: path.symlink_to(path.with_name('none'))])
+def test_doctor_given_what_is_no_regular_file_then_it_is_named_and_neither_read_nor_mended(
+    campaign, taxinet, name, make
+):
+    (campaign / name).unlink(missing_ok=True)
+    make(campaign / name)
+    before = everything(campaign)
+    code, out, _ = taxinet('doctor', campaign)
+    assert (code, name in out) == (3, True)
+    code, _, err = taxinet('doctor', campaign, '--mend')
+    assert (code, err.count('\n')) == (2, 1)
+    assert f'{campaign / name}: is no regular file' in err
+    assert everything(campaign) == before
+
+
 def test_doctor_given_a_table_that_was_forged_with_its_digests_then_the_ledger_says_otherwise(
     campaign,
 ):
