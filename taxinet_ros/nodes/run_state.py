@@ -45,7 +45,7 @@ class ActiveRun:
         self.participants = tuple(message.participants)
         check_participants(self.participants)
         if not is_run_name(self.run_id):
-            raise UsageError(f'run_id {self.run_id!r}: letters, digits, _, - and . make a name')
+            raise UsageError(f'run_id {self.run_id!r}: use letters, digits, _, - and . only')
         if not message.specs:
             raise UsageError('specs: a run needs a formula to be judged by')
         parse_assumptions(message.bounds, message.rates)

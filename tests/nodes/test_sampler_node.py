@@ -227,6 +227,9 @@ def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupt
         assert complaint(lines).removeprefix('error: ').startswith(known)
         assert 'the simulator is busy' in complaint(lines_of_third)
         assert first.poll() is None
+        # One that is nearly over would come to its end.
+        begun = len(list(graph.bags.iterdir()))
+        wait_for(lambda: len(list(graph.bags.iterdir())) > begun)
         first.send_signal(signal.SIGINT)
         code, lines = ended(first)
     assert code == 130, lines
