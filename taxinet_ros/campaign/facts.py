@@ -45,7 +45,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'seed': options.seed,
         'perception': options.perception,
         'controller': options.controller,
-        'controller_sha256': _controller_sha256(options),
+        'controller_sha256': check_controller(options.controller, options.gains, graph=True),
         'overrides': dict(options.overrides),
         'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
@@ -56,11 +56,6 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'processes': options.processes,
         'images': options.images,
     }
-
-
-def _controller_sha256(options: CampaignOptions) -> str:
-    """Of somebody's Python file; '' for the law, and where only a node can tell."""
-    return check_controller(options.controller, options.gains, graph=True)
 
 
 def this_stack() -> str:

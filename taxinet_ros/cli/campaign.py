@@ -159,15 +159,11 @@ class _Graphs:
                 yield graph
 
     def _new(self) -> contextlib.AbstractContextManager[Graph]:
-        from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+        from taxinet_ros.nodes.graph import campaign_graph, composed_graph
         from taxinet_ros.nodes.processes import process_graph
 
         options = self._options
-        graph = GraphOptions(
-            perception=options.perception, out=options.out, make_out=False,
-            images=options.images, gains=options.gains, controller=options.controller,
-            controller_sha256=self._controller_sha256,
-        )
+        graph = campaign_graph(options, self._controller_sha256)
         if options.processes:
             return process_graph(graph, options.out / 'logs')
         return composed_graph(graph)

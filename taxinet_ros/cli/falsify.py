@@ -17,7 +17,7 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.cli.search_view import search_view
 from taxinet_ros.nodes.domain import check_workers
-from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.graph import campaign_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
 
@@ -69,8 +69,4 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
 
 def _command(search: Search) -> list[str]:
     campaign = search.options.campaign
-    return worker_command(GraphOptions(
-        perception=campaign.perception, out=campaign.out, images=campaign.images,
-        gains=campaign.gains, controller=campaign.controller,
-        controller_sha256=search.facts['controller_sha256'],
-    ))
+    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -11,9 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.bench.intervals import measure_intervals
-from taxinet_ros.cli.progress import stage_bars
-
-_WIDTH = 100
+from taxinet_ros.cli.progress import measured
 
 
 def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> int:
@@ -30,16 +27,10 @@ def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> in
     Raises:
         UsageError: an unknown sampler, or no repetition.
     """
-    with stage_bars(Console(stderr=as_json)) as show:
-        found = measure_intervals(samplers, repeats, partial(show, 'searching'))
-    print(json.dumps(found, indent=2)) if as_json else _print(found)
-    return 0
+    return measured(partial(measure_intervals, samplers, repeats), _print, as_json=as_json)
 
 
-def _print(found: dict[str, Any]) -> None:
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = _WIDTH
+def _print(found: dict[str, Any], console: Console) -> None:
     runs = ', '.join(f'{number:,}' for number in found['runs'])
     console.print(
         f'{found["repeats"]} searches for each line, {", ".join(found["landscapes"])} in turn; '

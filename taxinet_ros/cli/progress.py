@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -20,6 +23,8 @@ from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.errors import RecordError
+
+_PAGE_WIDTH = 100
 
 
 @contextlib.contextmanager
@@ -46,6 +51,32 @@ def told_if_lost(
         if isinstance(error, RecordError):
             raise
         raise RecordError(f'{error.filename or "output"}: {disk_words(error)}') from error
+
+
+def measured(
+    measure: Callable[[Callable[[int, int], None]], dict[str, Any]],
+    show: Callable[[dict[str, Any], Console], None], *, as_json: bool,
+) -> int:
+    """Measure with a bar, and print what was found.
+
+    Args:
+        measure: given what to tell of its progress, done and total.
+        show: prints the figures for people, on a console as wide as a page where it is no terminal.
+        as_json: print JSON instead.
+
+    Returns:
+        Exit code 0.
+    """
+    with stage_bars(Console(stderr=as_json)) as bars:
+        found = measure(partial(bars, 'searching'))
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return 0
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _PAGE_WIDTH
+    show(found, console)
+    return 0
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -12,9 +11,7 @@ from rich.table import Table
 
 from taxinet_ros.bench.landscapes import APART, LANDSCAPES
 from taxinet_ros.bench.searches import measure_searches
-from taxinet_ros.cli.progress import stage_bars
-
-_WIDTH = 100
+from taxinet_ros.cli.progress import measured
 
 
 def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
@@ -31,16 +28,10 @@ def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
     Raises:
         UsageError: an unknown word, or no repetition.
     """
-    with stage_bars(Console(stderr=as_json)) as show:
-        found = measure_searches(words, repeats, partial(show, 'searching'))
-    print(json.dumps(found, indent=2)) if as_json else _print(found)
-    return 0
+    return measured(partial(measure_searches, words, repeats), _print, as_json=as_json)
 
 
-def _print(found: dict[str, Any]) -> None:
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = _WIDTH
+def _print(found: dict[str, Any], console: Console) -> None:
     console.print(f'{found["repeats"]} searches of {found["runs"]} runs for each line')
     table = Table(box=None, pad_edge=False)
     for heading in ('landscape', 'sampler'):

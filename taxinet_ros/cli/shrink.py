@@ -29,7 +29,7 @@ from taxinet_ros.campaign.shrinking import Shrinking
 from taxinet_ros.cli.progress import told_if_lost
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.nodes.domain import check_workers
-from taxinet_ros.nodes.graph import GraphOptions
+from taxinet_ros.nodes.graph import campaign_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
 
@@ -109,11 +109,7 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
 
 def _command(shrinking: Shrinking) -> list[str]:
     campaign = shrinking.options.campaign
-    return worker_command(GraphOptions(
-        perception=campaign.perception, out=campaign.out, images=campaign.images,
-        gains=campaign.gains, controller=campaign.controller,
-        controller_sha256=shrinking.controller_sha256,
-    ))
+    return worker_command(campaign_graph(campaign, shrinking.controller_sha256))
 
 
 @contextlib.contextmanager

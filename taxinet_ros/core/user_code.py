@@ -97,7 +97,7 @@ class UserCode:
         try:
             with _same_place():
                 exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
-            found = getattr(module, self.name)
+            found: Any = getattr(module, self.name)
         except KeyboardInterrupt:
             raise
         except BaseException as error:
@@ -106,7 +106,8 @@ class UserCode:
             raise UsageError(
                 f'{self.path}: {self.name} is {type(found).__name__}; expected a function or class'
             )
-        return found  # type: ignore[no-any-return]
+        function: Callable[..., Any] = found
+        return function
 
 
 class RunCode:

@@ -19,6 +19,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
+from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import command_of, is_node_elsewhere
@@ -111,6 +112,19 @@ class GraphOptions:
             name: [*words, '--ros-args', '-r', f'__node:={name}']
             for name, words in found.items() if words
         }
+
+
+def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
+    """What the graphs of a campaign are made of.
+
+    Args:
+        campaign: whose folder is there.
+        controller_sha256: of its controller, as it is on record.
+    """
+    return GraphOptions(
+        perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
+        gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
+    )
 
 
 class Graph(Protocol):
