@@ -221,6 +221,7 @@ class Recorder(Participant):
         # Another node may be ready before this one has even heard of the run.
         self._reports[status.node] = (status.run_id, cdr)
         if self._writer is not None and status.run_id == self.run_id and self._head_known():
+            self._check_contested()
             self._write_head()
             self._write_steps()
 
@@ -276,7 +277,6 @@ class Recorder(Participant):
         return {node: cdr for node, (run, cdr) in self._reports.items() if run == run_id}
 
     def _write_head(self) -> None:
-        self._check_contested()
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
         for _, cdr in sorted(self._ready_for(self.run_id).items()):
             self._write(interface.NODE_STATUS, cdr, 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from fault_runs import once, request, run, steps_in
+from fault_runs import PARTICIPANTS, once, request, run, steps_in
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -324,3 +324,19 @@ def test_f4_given_a_peer_that_speaks_before_the_first_step_and_leaves_then_no_ve
         return
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
     assert result.rho == {}
+
+
+def test_f4_given_a_forged_ready_before_all_are_ready_then_the_bag_of_the_run_is_closed(tmp_path):
+    """The recorder has not written how its bag begins by then, and one participant is lacking."""
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    _, another_perception = FORGED_BEFORE['another perception']
+    with composed_graph(options) as graph, peer(graph) as node:
+        heard = ears(graph, interface.NODE_STATUS)
+        topic = interface.NODE_STATUS
+        publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+        wait_for(lambda: publisher.get_subscription_count() >= len(heard))
+        recorder = node_of(graph, RECORDER)
+        with once(lambda: recorder.run_id == 'run', lambda: publisher.publish(another_perception())):
+            (result,) = run(graph, request(participants=(*PARTICIPANTS, 'nobody')))
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
+    assert read_facts(tmp_path / 'run').outcome == Outcome.INFRA_ERROR
