@@ -336,7 +336,8 @@ def test_f4_given_a_forged_ready_before_all_are_ready_then_the_bag_of_the_run_is
         publisher = node.create_publisher(topic.type, topic.name, topic.qos)
         wait_for(lambda: publisher.get_subscription_count() >= len(heard))
         recorder = node_of(graph, RECORDER)
-        with once(lambda: recorder.run_id == 'run', lambda: publisher.publish(another_perception())):
+        publish = functools.partial(publisher.publish, another_perception())
+        with once(lambda: recorder.run_id == 'run', publish):
             (result,) = run(graph, request(participants=(*PARTICIPANTS, 'nobody')))
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
     assert read_facts(tmp_path / 'run').outcome == Outcome.INFRA_ERROR
