@@ -8,26 +8,35 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
+from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.campaign.earlier import read_earlier
+from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.shrink_options import make_shrink_options
 from taxinet_ros.campaign.shrinking import Shrinking
 from taxinet_ros.campaign.table import read_table
+from taxinet_ros.cli.rerun import check_options
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.perception import GroundTruth
 from taxinet_ros.nodes.graph import campaign_graph
 from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
-LATE = ('--latency', 'perception=normal(0.9,0.3)', '--latency', 'controller=0.1')
 WORDS = 'latency perception=normal(0.9,0.3) controller=0.1'
-SCENES = ('--perception', 'truth', '--set', 'duration=4', '--set', 'cross_track=8',
-          '--spec', 'near=always[3 s:inf](abs(cte) <= 1.5)')
 
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory) -> Path:
-    """A search with latency, of which every run fails."""
+    """A search with latency by two workers, of which every run fails."""
     folder = tmp_path_factory.mktemp('late')
-    done = taxinet('falsify', 'nominal', *SCENES, *LATE, '--runs', '3', '--sampler', 'random',
-                   '--images', 'none', '--out', 's', cwd=folder)
+    done = taxinet(
+        'falsify', 'nominal', '--perception', 'truth', '--set', 'duration=4',
+        '--set', 'cross_track=8', '--spec', 'near=always[3 s:inf](abs(cte) <= 1.5)',
+        '--latency', 'perception=normal(0.9,0.3)', '--latency', 'controller=0.1', '--runs', '3',
+        '--sampler', 'random', '--images', 'none', '--workers', '2', '--out', 's', cwd=folder,
+    )
     assert done.returncode == 1, done.stdout + done.stderr
     assert WORDS in done.stdout.splitlines()[0]
     return folder
@@ -40,20 +49,24 @@ def test_r5_given_a_latency_then_facts_rows_and_bag_info_say_it(folder):
     assert f'timing     {WORDS}' in done.stdout.splitlines()
 
 
-def test_r5_given_another_number_of_workers_then_the_rows_are_the_same(folder):
-    done = taxinet('falsify', 'nominal', *SCENES, *LATE, '--runs', '3', '--sampler', 'random',
-                   '--images', 'none', '--workers', '2', '--out', 'w', cwd=folder)
-    assert done.returncode == 1, done.stdout + done.stderr
-    one, two = (read_table(folder / name).set_index('index')['rho_near'] for name in ('s', 'w'))
-    assert len(set(one)) == 3
-    assert one.sort_index().equals(two.sort_index())
+def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(folder):
+    rows = read_table(folder / 's').set_index('run_id')
+    assert len(rows) == len(set(rows['rho_near'])) == 3
+    for name, row in rows.iterrows():
+        run = read_run(folder / 's' / str(name))
+        judged = run_closed_loop(
+            run.request.scenario, GroundTruth(), specs=[parse_spec(run.request.specs[0])],
+            timing=run.timing, draws=(run.request.seed, run.request.index),
+        )
+        assert judged.readings[0].lower == row['rho_near']
 
 
 def test_r5_given_another_latency_then_resume_refuses_it_by_name(folder):
-    done = taxinet('falsify', 'nominal', *SCENES, *LATE[:2], '--runs', '3', '--sampler', 'random',
-                   '--images', 'none', '--resume', '--out', 's', cwd=folder)
-    assert done.returncode == 2
-    assert f's was begun with timing "{WORDS}", not' in done.stderr
+    facts = json.loads((folder / 's' / 'campaign.json').read_text())
+    assert len(read_earlier(folder / 's', facts).rows) == 3
+    for other in ('', 'latency perception=0.9'):
+        with pytest.raises(UsageError, match='was begun with timing "latency perception=normal'):
+            read_earlier(folder / 's', {**facts, 'timing': other})
 
 
 def test_r5_given_a_run_with_latency_when_run_again_then_it_is_the_same_to_the_bit(folder):
@@ -62,28 +75,22 @@ def test_r5_given_a_run_with_latency_when_run_again_then_it_is_the_same_to_the_b
     assert WORDS in done.stdout.splitlines()[0]
 
 
-@pytest.mark.parametrize(('words', 'says'), [
-    (('--from', 's/nominal-s0-00002', '--latency', 'perception=1'),
-     '--from: the bag already says --latency'),
-    (('nominal', '--latency', 'camera=1'), '--latency camera=1: expected NAME=LATENCY'),
-])
-def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(folder, words, says):
-    done = taxinet('run', *words, '--out', 'never', cwd=folder)
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert says in done.stderr
-    assert not (folder / 'never').exists()
+def test_r5_given_a_latency_that_cannot_be_then_one_line_says_so(tmp_path):
+    with pytest.raises(UsageError, match=r'^--from: the bag already says --latency$'):
+        check_options(['bag', 'latency'])
+    with pytest.raises(UsageError, match=r'^--latency camera=1: expected NAME=LATENCY'):
+        make_options(program='nominal', runs=1, seed=0, perception='truth', settings=(), specs=(),
+                     out=tmp_path / 'never', processes=False, latency=['camera=1'])
 
 
 def test_r5_given_failures_with_latency_when_localized_then_the_control_fails_as_recorded(folder):
     done = taxinet('localize', 's', '--with', 'truth', '--out', 'whose', cwd=folder)
     assert done.returncode in (0, 1), done.stdout + done.stderr
-    trials = [json.loads(line) for line in (folder / 'whose' / 'trials.jsonl').open()]
-    control = {t['trial']['run_id']: t['trial'] for t in trials
-               if t['event'] == 'trial' and t['trial']['word'] == 'as-recorded'}
-    rows = read_table(folder / 's').set_index('run_id')
-    assert len(control) == 3
-    for name, trial in control.items():
-        assert trial['rho_upper'] == rows.loc[name, 'rho_near']
+    lines = (folder / 'whose' / 'trials.jsonl').read_text().splitlines()
+    trials = [event['trial'] for event in map(json.loads, lines) if event['event'] == 'trial']
+    control = {trial['run_id']: trial['rho_upper'] for trial in trials
+               if trial['word'] == 'as-recorded'}
+    assert control == read_table(folder / 's').set_index('run_id')['rho_near'].to_dict()
 
 
 def test_r5_given_a_failed_run_when_shrunk_then_every_run_has_its_draws(folder):

@@ -93,7 +93,7 @@ def test_r5_given_drawn_latencies_then_loop_processes_and_composed_graph_agree_t
 
 
 def test_r5_given_no_latency_or_0_s_then_the_bag_has_the_bytes_of_always(tmp_path, short_request):
-    """The simulator reports nothing of itself, so a bag is what it was before there was a choice."""
+    """The simulator reports nothing of itself then, so bags are what they were before."""
     for name, latency in (('none', ''), ('zero', 'perception=0')):
         result = run(composed_graph(graph_of(tmp_path / name, latency)), short_request)
         assert result.timing == ''
