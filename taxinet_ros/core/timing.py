@@ -102,6 +102,11 @@ class Timing:
         return ' '.join(words)
 
     @property
+    def options(self) -> list[str]:
+        """What to type after ``taxinet run``."""
+        return [text for word in self.latency.split() for text in (f'--{_LATENCY}', word)]
+
+    @property
     def words(self) -> str:
         """For bags, tables and records: '' where every answer takes effect at once."""
         return f'{_LATENCY} {self.latency}' if self.laws else ''

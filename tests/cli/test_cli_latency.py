@@ -10,6 +10,7 @@ from taxinet_process import taxinet
 
 from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.campaign.earlier import read_earlier
+from taxinet_ros.campaign.facts import read_facts
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.shrink_options import make_shrink_options
 from taxinet_ros.campaign.shrinking import Shrinking
@@ -62,7 +63,9 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
 
 
 def test_r5_given_another_latency_then_resume_refuses_it_by_name(folder):
-    facts = json.loads((folder / 's' / 'campaign.json').read_text())
+    told = read_facts(folder / 's')
+    assert told is not None
+    facts = told.values
     assert len(read_earlier(folder / 's', facts).rows) == 3
     for other in ('', 'latency perception=0.9'):
         with pytest.raises(UsageError, match='was begun with timing "latency perception=normal'):
