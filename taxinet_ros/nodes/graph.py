@@ -24,6 +24,7 @@ from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import command_of, is_node_elsewhere
 from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.timing import AT_ONCE, Timing
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
@@ -60,6 +61,7 @@ class GraphOptions:
         controller_sha256: what the controller's file has to be, with those that it lists, so that
             one that changes amid a campaign is not mixed in; '' where it may be any.
         alone: whether runs are asked for by this process alone, so that no other is recorded.
+        timing: when answers take effect.
     """
 
     perception: str
@@ -72,6 +74,7 @@ class GraphOptions:
     controller: str = STEERING
     controller_sha256: str = ''
     alone: bool = True
+    timing: Timing = AT_ONCE
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of ours but the sampler, by node name."""
@@ -83,7 +86,7 @@ class GraphOptions:
             'controller': self.controller, 'controller_sha256': self.controller_sha256,
         }
         every: dict[str, tuple[NodeClass, dict[str, Any]]] = {
-            interface.SIMULATOR: (Simulator, dict(self.timeouts)),
+            interface.SIMULATOR: (Simulator, {**self.timeouts, **self._simulator()}),
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, {**self.gains, **steering}),
             interface.MTL_MONITOR: (MtlMonitor, {}),
@@ -93,6 +96,9 @@ class GraphOptions:
             }),
         }
         return {name: node for name, node in every.items() if name not in self.elsewhere}
+
+    def _simulator(self) -> dict[str, Any]:
+        return {'latency': self.timing.latency} if self.timing.laws else {}
 
     @property
     def elsewhere(self) -> dict[str, str]:
@@ -124,6 +130,7 @@ def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOp
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
+        timing=campaign.timing,
     )
 
 
