@@ -38,6 +38,7 @@ from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
+from taxinet_ros.nodes.transforms import TransformBroadcaster
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -90,6 +91,7 @@ class Simulator(Node):
             *self._listeners,
             *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
         ]
+        self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
         self.create_subscription(topic.type, topic.name, told, topic.qos)
@@ -311,6 +313,8 @@ class Simulator(Node):
         run.lockstep.begin(now.seq)
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
+            if topic is interface.ODOMETRY:
+                self._transforms.follow(message)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):
