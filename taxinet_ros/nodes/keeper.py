@@ -24,6 +24,9 @@ _ASKED_S, _TOLD_S = 1.5, 1.0
 Shorter than what whoever ends a keeper waits: what is in another session is known to it alone.
 """
 
+CHILDREN_LEFT = 'keeper: ended what the command left behind: '
+"""How the line begins that a keeper prints on processes which outlived its command."""
+
 
 def keeper_command(command: list[str], parent: int) -> list[str]:
     """What starts a keeper of a command; ``parent`` is the process that starts it."""
@@ -82,9 +85,13 @@ def _end_group(number: int, frame: FrameType | None) -> None:
 
 def _end_what_is_left() -> None:
     """End what the command has started, in whatever session it is."""
+    names = []
     for process in _descendants():
         with contextlib.suppress(psutil.NoSuchProcess):
+            names.append(f'{process.name()} (pid {process.pid})')
             process.kill()
+    if names:
+        print(CHILDREN_LEFT + ', '.join(names), flush=True)
 
 
 def _descendants() -> list[psutil.Process]:
