@@ -687,7 +687,9 @@ def test_f2_given_the_bag_of_another_run_then_no_command_gives_its_numbers(
     said = f'is not the bag of its run: its run_id is {other.run_id}'
     again = ('run', '--from', bag, '--out', tmp_path / 'again')
     for words in (('monitor', campaign), ('monitor', bag), ('monitor', mcap),
-                  ('monitor', campaign, '--json'), again, ('shrink', bag)):
+                  ('monitor', campaign, '--json'), again, ('shrink', bag),
+                  ('explain', bag, '--perception', 'original', '--out', tmp_path / 'explained'),
+                  ('bag', 'replay', bag, '--into', 'mtl_monitor', '--out', tmp_path / 'replayed')):
         code, out, err = taxinet(*words)
         assert (code, said in err, len(err.splitlines())) == (2, True, 1), (words, out, err)
         assert f'{failed.run_id}  ' not in out
