@@ -293,3 +293,53 @@ def up(
         free=free, real_time_factor=real_time_factor,
     )
     raise typer.Exit(run_up(options))
+
+
+def check_node(
+    command: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='COMMAND',
+            help="what starts your node, as in 'ros2 run my_pkg my_node'; or FILE.py:NAME",
+        ),
+    ] = None,
+    role: Annotated[
+        str | None,
+        typer.Option(
+            metavar='ROLE',
+            help='perception or controller; by default what the node seems to be',
+        ),
+    ] = None,
+    external: Annotated[
+        bool, typer.Option('--external', help='the node is started by you, not by COMMAND')
+    ] = False,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help='ROS domain; else one of its own')
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=8, max=500, help='messages that a run asks')
+    ] = 24,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=3600.0, metavar='SECONDS',
+            help='how long an answer is waited for; READY three times as long',
+        ),
+    ] = 10.0,
+    log: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='takes what the node prints')
+    ] = None,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> None:
+    """Drive a node of your own through the protocol, and say what it does wrong.
+
+    The kit plays all other nodes: several runs of a few frames, an odd message, SIGINT and SIGTERM.
+    For each clause of the contract in docs/own_nodes.md a line: PASS, FAIL with what was expected,
+    what came and how to mend it, or not tried. Exit code: 0 nothing is broken, 2 something is.
+    """
+    from taxinet_ros.cli.check_node import run_check
+
+    raise typer.Exit(run_check(
+        command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
+        log=log, as_json=as_json,
+    ))

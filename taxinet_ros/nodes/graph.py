@@ -22,13 +22,14 @@ from rclpy.parameter import Parameter
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.node_words import command_of, is_node_elsewhere
+from taxinet_ros.core.node_words import is_node_elsewhere, node_command
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.timing import AT_ONCE, Timing
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.node_process import NodeProcess, command_processes
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
@@ -41,6 +42,9 @@ NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
 _POLL_S = 0.1
+_PERCEPTIONS: dict[str, NodeClass] = {
+    'ground_truth_perception': GroundTruthPerception, 'taxinet_perception': TaxinetPerception,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,10 +82,8 @@ class GraphOptions:
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of ours but the sampler, by node name."""
-        if self.perception == 'truth':
-            perception: tuple[NodeClass, dict[str, Any]] = (GroundTruthPerception, {})
-        else:
-            perception = (TaxinetPerception, {'weights': self.perception})
+        executable, parameters = perception_executable(self.perception)
+        perception = (_PERCEPTIONS[executable], parameters)
         steering = {} if self.controller == STEERING else {
             'controller': self.controller, 'controller_sha256': self.controller_sha256,
         }
@@ -115,11 +117,8 @@ class GraphOptions:
 
         The node is given the name that the graph knows it by.
         """
-        found = {name: command_of(word) for name, word in self.elsewhere.items()}
-        return {
-            name: [*words, '--ros-args', '-r', f'__node:={name}']
-            for name, words in found.items() if words
-        }
+        found = {name: node_command(word, name) for name, word in self.elsewhere.items()}
+        return {name: words for name, words in found.items() if words}
 
 
 def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:

@@ -22,6 +22,7 @@ from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -64,7 +65,8 @@ def bag_name(topic: Topic) -> str:
     return '/' + topic.name.lstrip('/')
 
 
-_BAG_NAMES = {topic.name: bag_name(topic) for topic in interface.TOPICS}
+_TOPICS = (*interface.TOPICS, *interface.TRANSFORMS)
+_BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
 
 
 @functools.cache
@@ -85,7 +87,7 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
                 durability=topic.qos.durability.name.lower(),
             ),
         )
-        for topic in interface.TOPICS
+        for topic in _TOPICS
         if topic.recorded and (images or topic is not interface.IMAGE)
     )
 
@@ -115,6 +117,7 @@ class Recorder(Participant):
             topic for topic in _STEPPED if images == 'all' or topic is not interface.IMAGE
         )
         self._canonical = Canonical(self._topics)
+        self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
@@ -319,6 +322,7 @@ class Recorder(Participant):
                 if not timing:
                     continue  # Every answer takes effect at once: nothing to say.
             self._write(interface.NODE_STATUS, cdr, 0)
+        self._write(interface.TF_STATIC, camera_transform(), 0)
 
     def _write_steps(self) -> None:
         """Write what is whole, once the head of the bag is on disk."""
@@ -337,6 +341,8 @@ class Recorder(Participant):
         for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
+                if topic is interface.ODOMETRY:
+                    self._write(interface.TF, self._transform_of(cdr), seq * CONTROL_PERIOD_NS)
         self._writer.flush()
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:

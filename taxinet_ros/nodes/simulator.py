@@ -48,6 +48,7 @@ from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
+from taxinet_ros.nodes.transforms import TransformBroadcaster
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -105,6 +106,7 @@ class Simulator(Node):
             *self._listeners,
             *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
         ]
+        self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
         self.create_subscription(topic.type, topic.name, told, topic.qos)
@@ -333,6 +335,8 @@ class Simulator(Node):
         run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
+            if topic is interface.ODOMETRY:
+                self._transforms.follow(message)
         if run.free is not None:
             self._held = run.command or ROLLING_ON
             self._say(interface.TIMING, settled_message(run.free, run.run_id))
