@@ -194,8 +194,11 @@ def _unanswered(record: RunRecord, last: int) -> str:
 def last_seq(record: RunRecord) -> int:
     """The last control step that is to be whole: the run's, or of an aborted run the one before.
 
+    Of a free run those count that were judged: which frames have no answer is settled later.
     -1 where the bag does not tell of any.
     """
+    if record.free and (record.ending is None or record.ending.outcome not in ('PASS', 'FAIL')):
+        return max(record.robustness, default=-1)
     if record.ending is None:
         return max((step for steps in record.counts.values() for step in steps), default=0) - 1
     seq = int(record.ending.seq)

@@ -454,8 +454,9 @@ class Recorder(Participant):
         begun = self._begun or self._ended.seq > 0
         if not begun or self._whole > self._ended.seq:
             return False
-        interrupted = self._ended.outcome == Outcome.INTERRUPTED
-        return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)
+        # Of a free run steps are not whole that nobody has answered, however long one waits.
+        patient = self._ended.outcome == Outcome.INTERRUPTED and not self._free
+        return self._rest_looks < (_REST_LOOKS if patient else _BROKEN_LOOKS)
 
     def _await_rest(self, _: None) -> None:
         self._rest_looks += 1

@@ -172,6 +172,7 @@ def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and
     counts = read_info(tmp_path / 'free').counts
     assert counts['/taxi_command'] == 3
     assert counts['/ground_truth/odom'] >= 3
+    assert check_bag(tmp_path / 'free').findings == ()
 
 
 def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp_path):
