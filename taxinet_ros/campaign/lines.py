@@ -177,8 +177,8 @@ def free_words(rows: Sequence[RunRow]) -> list[str]:
     late = f'; {overruns:.0f} frames out late: not the pace asked for' if overruns else ''
     return [
         f'free runs, which need not come out so again: {unanswered:.0f} of {frames:.0f} frames '
-        f'unanswered, loop {statistics.median(one["loop_wall_median_s"] for one in free):.2f} s by '
-        f'the clock, at most {max(one["loop_wall_max_s"] for one in free):.2f} s, '
+        f'unanswered, loop {statistics.median(one["loop_wall_median_s"] for one in free):.3f} s by '
+        f'the clock, at most {max(one["loop_wall_max_s"] for one in free):.3f} s, '
         f'{statistics.median(one.get("factor", math.nan) for one in free):.2f}x real time{late}'
     ]
 

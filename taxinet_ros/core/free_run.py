@@ -115,7 +115,7 @@ def free_run_words(free: Mapping[str, float]) -> str:
     words = [f'{free["unanswered"]:.0f} of {free["frames"]:.0f} frames unanswered']
     if 'loop_wall_median_s' in free:
         words.append(
-            f'loop {free["loop_wall_median_s"]:.2f} s, at most {free["loop_wall_max_s"]:.2f} s'
+            f'loop {free["loop_wall_median_s"]:.3f} s, at most {free["loop_wall_max_s"]:.3f} s'
         )
     if free['overruns']:
         words.append(f'{free["overruns"]:.0f} frames out late, so the pace was not that asked for')
