@@ -101,7 +101,7 @@ def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
 
 @pytest.mark.parametrize('campaign', ['p', 'n', 't'])
 def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campaign):
-    done = taxinet_apart('doctor', campaign, cwd=folder)
+    done = taxinet('doctor', campaign, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     spec = 'soon=always(cte < 100)'
     done = taxinet('monitor', campaign, '--spec', spec, '--add', cwd=folder)
@@ -150,7 +150,7 @@ def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
 
 def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(folder):
     words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
-    done = taxinet_apart(*words, '--controller', 'mine.py:steer', cwd=folder)
+    done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert 'the same to the bit' in done.stdout
 
