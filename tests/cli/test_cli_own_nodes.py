@@ -261,3 +261,17 @@ def test_given_a_controller_that_changes_amid_a_campaign_then_it_is_not_mixed_in
     last = done.stderr.splitlines()[-1]
     assert (done.returncode, 'controller turns.py:steer has changed since' in last) == (2, True), \
         done.stdout + done.stderr
+
+
+def test_r11_given_an_experiment_whose_arms_differ_in_the_controller_then_its_tables_say_so(folder):
+    (folder / 'e.yaml').write_text(
+        'program: nominal\nruns: 2\nperception: truth\nset: {duration: 1}\n'
+        'arms: {law: {}, mine: {controller: "mine.py:steer"}}\n'
+    )
+    done = taxinet('experiment', 'e.yaml', '--out', 'e', cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    facts = [json.loads((folder / 'e' / arm / 'campaign.json').read_text())
+             for arm in ('law', 'mine')]
+    assert [one['controller'] for one in facts] == ['steering', 'mine.py:steer']
+    assert 'controller mine.py:steer' in (folder / 'e' / 'experiment.html').read_text()
+    assert not rows(folder / 'e' / 'law')['rho'].equals(rows(folder / 'e' / 'mine')['rho'])
