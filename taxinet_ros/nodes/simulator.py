@@ -101,7 +101,7 @@ class Simulator(Node):
             interface.RUN_SCENARIO,
             self._execute,
             goal_callback=self._accept,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            cancel_callback=self._cancel,
             result_timeout=_RESULT_KEPT_S,
         )
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
@@ -130,6 +130,12 @@ class Simulator(Node):
         if busy:
             self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
+
+    def _cancel(self, goal: Any) -> CancelResponse:
+        """Refuse for a run that is over: one that is told to be cancelled gets no verdict."""
+        run = self._run
+        over = run is not None and run.goal is goal and run.ending is not None
+        return CancelResponse.REJECT if over else CancelResponse.ACCEPT
 
     async def _execute(self, goal: Any) -> Any:
         result = interface.RUN_SCENARIO_TYPE.Result()
@@ -297,13 +303,16 @@ class Simulator(Node):
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
             return
-        if run.unwanted_s and run.command is not None:
+        if run.goal.is_cancel_requested and not run.unwanted_s:
+            run.unwanted_s = time.monotonic()
+        over = run.lockstep.complete and run.verdict is not None
+        if run.unwanted_s and (over or run.command is not None):
             self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
             run.world.advance(run.commands.at(run.lockstep.seq, command))
             self._publish_frame(run)
-        elif run.lockstep.complete and run.verdict is not None:
+        elif over and run.verdict is not None:
             self._conclude(run, run.verdict)
 
     def _publish_frame(self, run: ActiveRun) -> None:
