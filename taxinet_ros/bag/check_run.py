@@ -35,6 +35,9 @@ PERIOD_NS = NS_PER_S // 10
 MOST_STEPS = 100_000
 """Steps beyond are not looked at: no run is nearly as long."""
 
+SIMULATOR = 'simulator'
+"""It reports too, of a run whose answers do not take effect at once."""
+
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
 _ENDED = 2
 
@@ -190,7 +193,9 @@ def _once_troubles(record: RunRecord) -> Iterator[Finding]:
     judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
     expected = {SCENARIO: 1, RUN_STATUS: 1}
     if judged:
-        expected |= {VERDICT: 1, NODE_STATUS: len(record.scenario.participants)}
+        told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
+        nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
+        expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
     for topic, number in expected.items():
         there = len(record.once.get(topic, ()))
         if there != number:
@@ -252,6 +257,8 @@ def _check_fields(once: str, message: Any) -> None:
     """
     if once == SCENARIO:
         _ = len(message.participants), [str(spec) for spec in message.specs]
+    elif once == NODE_STATUS:
+        _ = str(message.node), str(message.implementation)
     elif once == RUN_STATUS:
         _ = int(message.state), str(message.outcome), int(message.seq)
     elif once == VERDICT:

@@ -36,7 +36,15 @@ from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.given import asks_for, given_options
 from taxinet_ros.cli.monitor_command import monitor, spec
-from taxinet_ros.cli.run_commands import demo, falsify, learned, run, shrink, up
+from taxinet_ros.cli.run_commands import (
+    check_node,
+    demo,
+    falsify,
+    learned,
+    run,
+    shrink,
+    up,
+)
 from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.terminal import OutputUnreadError, flush_output, standard_streams
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
@@ -58,8 +66,8 @@ app = typer.Typer(
     help=(__doc__ or '').replace('``', ''),
 )
 for command in (
-    run, up, falsify, learned, shrink, analyze, localize, explain, experiment, gate, doctor,
-    monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
+    doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

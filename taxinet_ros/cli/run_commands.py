@@ -17,6 +17,7 @@ from taxinet_ros.cli.option_types import (
     FoxgloveOption,
     FromOption,
     ImagesOption,
+    LatencyOption,
     MostRunsOption,
     NeededRunsOption,
     NominalOption,
@@ -64,6 +65,7 @@ def run(
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
+    latency: LatencyOption = None,
     foxglove: FoxgloveOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
@@ -88,7 +90,7 @@ def run(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'),
+        controller=word_of(context, 'controller'), latency=latency or (),
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -133,6 +135,7 @@ def falsify(
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
+    latency: LatencyOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -149,7 +152,7 @@ def falsify(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
         resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'),
+        controller=word_of(context, 'controller'), latency=latency or (),
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -228,6 +231,7 @@ def up(
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
     ] = True,
     images: ImagesOption = 'all',
+    latency: LatencyOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -270,6 +274,56 @@ def up(
     options = make_up_options(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
-        domain=domain, silent_s=silent_after,
+        domain=domain, silent_s=silent_after, latency=latency or (),
     )
     raise typer.Exit(run_up(options))
+
+
+def check_node(
+    command: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='COMMAND',
+            help="what starts your node, as in 'ros2 run my_pkg my_node'; or FILE.py:NAME",
+        ),
+    ] = None,
+    role: Annotated[
+        str | None,
+        typer.Option(
+            metavar='ROLE',
+            help='perception or controller; by default what the node seems to be',
+        ),
+    ] = None,
+    external: Annotated[
+        bool, typer.Option('--external', help='the node is started by you, not by COMMAND')
+    ] = False,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help='ROS domain; else one of its own')
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=8, max=500, help='messages that a run asks')
+    ] = 24,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=3600.0, metavar='SECONDS',
+            help='how long an answer is waited for; READY three times as long',
+        ),
+    ] = 10.0,
+    log: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='takes what the node prints')
+    ] = None,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> None:
+    """Drive a node of your own through the protocol, and say what it does wrong.
+
+    The kit plays all other nodes: several runs of a few frames, an odd message, SIGINT and SIGTERM.
+    For each clause of the contract in docs/own_nodes.md a line: PASS, FAIL with what was expected,
+    what came and how to mend it, or not tried. Exit code: 0 nothing is broken, 2 something is.
+    """
+    from taxinet_ros.cli.check_node import run_check
+
+    raise typer.Exit(run_check(
+        command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
+        log=log, as_json=as_json,
+    ))

@@ -112,7 +112,7 @@ class Topic:
     def speakers(self, participants: Sequence[str]) -> set[str]:
         """Those of the nodes of a run that publish, one end each."""
         if self.recorded == PER_NODE:
-            return set(participants) - {SIMULATOR}
+            return {SIMULATOR, *participants}
         return set(self.publishers) & {SIMULATOR, *participants}
 
 
@@ -122,7 +122,7 @@ SCENARIO = Topic(
     carries='the test case; every participant sets itself up for it',
 )
 NODE_STATUS = Topic(
-    name='node_status', type=NodeStatus, qos=LATCHED, publishers=PARTICIPANTS,
+    name='node_status', type=NodeStatus, qos=LATCHED, publishers=(SIMULATOR, *PARTICIPANTS),
     subscribers=(SIMULATOR,), recorded=PER_NODE,
     carries='ready, done or error of one participant, with implementation and weights hash',
 )

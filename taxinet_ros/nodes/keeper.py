@@ -21,6 +21,9 @@ from taxinet_ros.core.parent_death import adopt_orphans, die_with_parent
 _GRACE_S = 3.0
 """Shorter than that of whoever ends a keeper, for what is in another session is its alone."""
 
+CHILDREN_LEFT = 'keeper: ended what the command left behind: '
+"""How the line begins that a keeper prints on processes which outlived its command."""
+
 
 def keeper_command(command: list[str], parent: int) -> list[str]:
     """What starts a keeper of a command; ``parent`` is the process that starts it."""
@@ -71,9 +74,13 @@ def _end_group(number: int, frame: FrameType | None) -> None:
 
 def _end_what_is_left() -> None:
     """End what the command has started, in whatever session it is."""
+    names = []
     for process in _descendants():
         with contextlib.suppress(psutil.NoSuchProcess):
+            names.append(f'{process.name()} (pid {process.pid})')
             process.kill()
+    if names:
+        print(CHILDREN_LEFT + ', '.join(names), flush=True)
 
 
 def _descendants() -> list[psutil.Process]:

@@ -19,7 +19,7 @@ import yaml
 from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.parent_death import die_with_parent
-from taxinet_ros.nodes.keeper import keeper_command
+from taxinet_ros.nodes.keeper import CHILDREN_LEFT, keeper_command
 
 _LAST_GRACE_S = 10.0
 _LAST_BYTES = 4096
@@ -80,7 +80,7 @@ class NodeProcess:
 
     @classmethod
     def of_ours(
-        cls, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, logs: Path,
+        cls, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, log: Path,
         scratch: Path,
     ) -> Self:
         """Start a node of this package.
@@ -90,7 +90,7 @@ class NodeProcess:
             kind: node class whose module is the program.
             parameters: the node's ROS parameters.
             domain: ROS domain that it joins.
-            logs: folder of its log.
+            log: file that takes what it prints.
             scratch: folder of its parameter file, which must last as long as the process.
         """
         # -P: a module in the user's folder must not stand in for one of ours.
@@ -100,7 +100,7 @@ class NodeProcess:
             file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
             words += ['--ros-args', '--params-file', str(file)]
         return cls(
-            name, words, domain=domain, log=logs / f'{name}.log', before=dying_with_parent()
+            name, words, domain=domain, log=log, before=dying_with_parent()
         )
 
     def start(self) -> None:
@@ -135,7 +135,8 @@ class NodeProcess:
         with self.log.open('rb') as log:
             log.seek(max(0, self.log.stat().st_size - _LAST_BYTES))
             lines = log.read().decode(errors='replace').strip().splitlines()
-        return lines[-1] if lines else ''
+        own = [line for line in lines if not line.startswith(CHILDREN_LEFT)]
+        return own[-1] if own else ''
 
     def complaint(self) -> str:
         """What it said before it left for a mistake of the user's, exit code 2."""

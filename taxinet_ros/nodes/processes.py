@@ -51,7 +51,8 @@ def node_processes(
             for name, (kind, parameters) in options.nodes().items():
                 if name not in without:
                     children.append(NodeProcess.of_ours(
-                        name, kind, parameters, domain=domain, logs=logs, scratch=Path(scratch),
+                        name, kind, parameters, domain=domain, log=logs / f'{name}.log',
+                        scratch=Path(scratch),
                     ))
             yield [*children, *of_others]
         finally:

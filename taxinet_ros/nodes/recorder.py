@@ -272,7 +272,8 @@ class Recorder(Participant):
     def _head_known(self) -> bool:
         if not self._head_complete:
             heard = set(self._ready_for(self.run_id))
-            self._head_complete = heard == set(self._scenario_message.participants)
+            speakers = interface.NODE_STATUS.speakers(self._scenario_message.participants)
+            self._head_complete = heard == speakers
         return self._head_complete
 
     def _ready_for(self, run_id: str) -> dict[str, bytes]:
@@ -281,8 +282,10 @@ class Recorder(Participant):
 
     def _write_head(self) -> None:
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
-        for _, cdr in sorted(self._ready_for(self.run_id).items()):
-            self._write(interface.NODE_STATUS, cdr, 0)
+        for node, cdr in sorted(self._ready_for(self.run_id).items()):
+            # Of the simulator there is nothing to say in a run whose answers take effect at once.
+            if node != interface.SIMULATOR or deserialize_message(cdr, NodeStatus).implementation:
+                self._write(interface.NODE_STATUS, cdr, 0)
         self._write(interface.TF_STATIC, camera_transform(), 0)
 
     def _write_steps(self) -> None:

@@ -29,6 +29,7 @@ Ask = Callable[[list[str], str], Answer]
 DOES_NOTHING = {
     'analyze': ['nowhere'], 'bag': ['info', 'nowhere'], 'bench': ['nothing'],
     'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
+    'check-node': ['no_such_program'],
     'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
     'evaluate': ['nothing'],
     'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],

@@ -54,7 +54,7 @@ def start(tmp_path, monkeypatch):
     def start(name: str, program: str, domain: int = 0) -> NodeProcess:
         kind = type('Kind', (), {'__module__': f'{program}_program'})
         process = NodeProcess.of_ours(
-            name, kind, {}, domain=domain, logs=tmp_path, scratch=tmp_path
+            name, kind, {}, domain=domain, log=tmp_path / f'{name}.log', scratch=tmp_path
         )
         started.append(process)
         return process
