@@ -26,6 +26,7 @@ from taxinet_ros.core.timing import LAWS, parse_latency
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
@@ -64,6 +65,8 @@ class Simulator(Node):
         self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
         text = f'how late answers take effect, perception= and controller= [s]: {LAWS}'
         self._timing = parse_latency([declare(self, 'latency', '', text)])
+        self._health = RunHealth()
+        self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._leaving = False
@@ -149,6 +152,7 @@ class Simulator(Node):
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
             speakers.release()
@@ -308,6 +312,7 @@ class Simulator(Node):
 
     def _publish_frame(self, run: ActiveRun) -> None:
         # A frame takes longer than all else, so it is not made for nobody.
+        begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq)
@@ -315,6 +320,8 @@ class Simulator(Node):
             self._say(topic, message)
             if topic is interface.ODOMETRY:
                 self._transforms.follow(message)
+        if begun_s:
+            self._health.frames.took(time.perf_counter() - begun_s)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):
@@ -367,6 +374,14 @@ class Simulator(Node):
         self._say(interface.RUN_STATUS, status)
         if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()
+
+    def _diagnose(self) -> Health:
+        """How this node is doing."""
+        run = self._run
+        if run is None:
+            return self._health.look(None, '')
+        waits_for = ', '.join(run.lockstep.missing()) if run.started else self._unready(run)[1]
+        return self._health.look(run, waits_for)
 
     def _watch(self) -> None:
         run = self._run
