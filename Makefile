@@ -136,7 +136,7 @@ $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.t
 	@touch $@
 
 $(DONE)/messages: $(DONE)/packages $(INTERFACES)
-	@echo 'make: building the messages (half a minute when they changed)'
+	@echo 'make: building the messages (a minute when they changed)'
 	@$(BIN)/python msg_defs/build_with_wheels.py
 	@touch $@
 
