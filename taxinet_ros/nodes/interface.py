@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -227,6 +228,13 @@ TRANSFORMS = (TF_STATIC, TF)
 By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
 the recorder does not listen: what a bag has of them is made of its odometry.
 """
+
+DIAGNOSTICS = Topic(
+    # Not relative: robots gather all diagnostics there, and names tell whose they are.
+    name='/diagnostics', type=DiagnosticArray, qos=LOCKSTEP, publishers=(SIMULATOR, *PARTICIPANTS),
+    subscribers=(), recorded=None,
+    carries='how each node is doing, by the wall clock; anybody may speak here',
+)
 
 SCENE_RUNWAY = Topic(
     name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),

@@ -16,11 +16,11 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
-from taxinet_ros.core.mtl import Spec, parse_spec
+from taxinet_ros.core.mtl import Reading, Spec, parse_spec
 from taxinet_ros.core.perception import NO_ESTIMATE
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
-from taxinet_ros.nodes import interface
+from taxinet_ros.nodes import diagnostics, interface
 from taxinet_ros.nodes.convert import (
     header,
     robustness_message,
@@ -48,6 +48,7 @@ class MtlMonitor(Participant):
         self._verdict = self.speak(interface.VERDICT)
         self._progress = self.speak(interface.PROGRESS)
         self._specs: tuple[Spec, ...] = ()
+        self._readings: tuple[Reading, ...] = ()
         self._last_seq = -1
         self._stop_on = StopOn.NEVER
         for topic in _INPUTS:
@@ -69,6 +70,12 @@ class MtlMonitor(Participant):
         self._arrived = {interface.ODOMETRY.name: -1, interface.TRUTH.name: -1}
         self._judged = 0
         self._command = ROLLING_ON
+        self._readings = ()
+
+    def figures(self) -> dict[str, object]:
+        """See :class:`Participant`: each formula's interval so far."""
+        judged = zip(self._specs, self._readings, strict=False)
+        return {spec.name: f'{now.lower:+.3f} ... {now.upper:+.3f}' for spec, now in judged}
 
     def clear(self) -> None:
         """See :class:`Participant`."""
@@ -122,7 +129,7 @@ class MtlMonitor(Participant):
             estimate=estimate[0].value if estimate else NO_ESTIMATE,
             command=self._command,  # the last one holds
         )
-        readings = self._judge.push(stamp_ns, sample)
+        readings = self._readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
             self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
         for spec, reading in zip(self._specs, readings, strict=True):
@@ -154,7 +161,12 @@ class MtlMonitor(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
-    run_node(lambda: (MonitorAlone if any_given(interface.MTL_MONITOR) else MtlMonitor)())
+    run_node(lambda: (MonitorAlone if stands_alone() else MtlMonitor)())
+
+
+def stands_alone() -> bool:
+    """Whether the command line makes it a monitor of topics of its own, outside any graph."""
+    return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER])
 
 
 if __name__ == '__main__':

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import functools
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
@@ -19,7 +22,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 from taxinet_ros import __version__
 from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
 from taxinet_ros.bag.definitions import describe_topic
-from taxinet_ros.bag.layout import run_folder
+from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
@@ -36,6 +39,7 @@ from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import stamp_of
+from taxinet_ros.nodes.diagnostics import Health
 from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
@@ -172,6 +176,29 @@ class Recorder(Participant):
         self._arrived = {
             topic.name: -1 for topic in self._stepped if topic.publishers == (interface.SIMULATOR,)
         }
+
+    def figures(self) -> dict[str, object]:
+        """See :class:`Participant`: of the bag at hand, and of the disk."""
+        bag = mcap_path(self._writer.folder) if self._writer is not None else None
+        return {
+            'bag': str(bag or ''), 'bag size [MB]': bag.stat().st_size / 1e6 if bag else 0.0,
+            'steps written': self._written if bag else 0,
+            'disk free [MB]': self._free_bytes() / 1e6,
+            'disk free, least [MB]': self._min_free / 1e6,
+        }
+
+    def health(self) -> Health:
+        """See :class:`Participant`; and whether there is room for another bag."""
+        health, free = super().health(), self._free_bytes()
+        if health.level == DiagnosticStatus.OK and free < self._min_free:
+            line = f'{self._out}: {free / 1e6:.0f} MB free, min_free is {self._min_free / 1e6:.0f}'
+            return replace(health, level=DiagnosticStatus.WARN, message=line)
+        return health
+
+    def _free_bytes(self) -> int:
+        """Free space where bags go, or will once their folder is made."""
+        there = next((at for at in (self._out, *self._out.parents) if at.is_dir()), Path())
+        return shutil.disk_usage(there).free
 
     def may_leave(self) -> bool:
         """Whether the bag is closed, or nothing more is heard of its run."""

@@ -30,6 +30,7 @@ from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.free_run import (
     FREE_TICK_S,
@@ -79,6 +80,8 @@ class Simulator(Node):
         text = 'simulated seconds per second of a free run (lockstep false); 0: as fast as it goes'
         factor = declare(self, 'real_time_factor', 1.0, text, (0.0, MOST_FACTOR))
         self._timing = chosen_timing(self._timing, lockstep=lockstep, factor=factor)
+        self._health = RunHealth()
+        self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._leaving = False
@@ -116,7 +119,7 @@ class Simulator(Node):
             interface.RUN_SCENARIO,
             self._execute,
             goal_callback=self._accept,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            cancel_callback=self._cancel,
             result_timeout=_RESULT_KEPT_S,
         )
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
@@ -149,6 +152,12 @@ class Simulator(Node):
             self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
 
+    def _cancel(self, goal: Any) -> CancelResponse:
+        """Refuse for a run that is over: one that is told to be cancelled gets no verdict."""
+        run = self._run
+        over = run is not None and run.goal is goal and run.ending is not None
+        return CancelResponse.REJECT if over else CancelResponse.ACCEPT
+
     async def _execute(self, goal: Any) -> Any:
         result = interface.RUN_SCENARIO_TYPE.Result()
         scenario = goal.request.scenario
@@ -169,6 +178,7 @@ class Simulator(Node):
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
             speakers.release()
@@ -319,17 +329,21 @@ class Simulator(Node):
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
             return
-        if run.unwanted_s and run.command is not None:
+        if run.goal.is_cancel_requested and not run.unwanted_s:
+            run.unwanted_s = time.monotonic()
+        over = run.lockstep.complete and run.verdict is not None
+        if run.unwanted_s and (over or run.command is not None):
             self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
             run.world.advance(run.commands.at(run.lockstep.seq, command))
             self._publish_frame(run)
-        elif run.lockstep.complete and run.verdict is not None:
+        elif over and run.verdict is not None:
             self._conclude(run, run.verdict)
 
     def _publish_frame(self, run: ActiveRun) -> None:
         # A frame takes longer than all else, so it is not made for nobody.
+        begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
         run.lockstep.begin(now.seq, time.monotonic())
@@ -340,6 +354,8 @@ class Simulator(Node):
         if run.free is not None:
             self._held = run.command or ROLLING_ON
             self._say(interface.TIMING, settled_message(run.free, run.run_id))
+        if begun_s:
+            self._health.frames.took(time.perf_counter() - begun_s)
 
     def _tick(self) -> None:
         """Go on with a free run, if its time has come."""
@@ -417,6 +433,14 @@ class Simulator(Node):
         self._say(interface.RUN_STATUS, status)
         if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()
+
+    def _diagnose(self) -> Health:
+        """How this node is doing."""
+        run = self._run
+        if run is None:
+            return self._health.look(None, '')
+        waits_for = ', '.join(run.lockstep.missing()) if run.started else self._unready(run)[1]
+        return self._health.look(run, waits_for)
 
     def _watch(self) -> None:
         run = self._run
