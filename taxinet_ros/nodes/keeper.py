@@ -18,7 +18,7 @@ import psutil
 
 from taxinet_ros.core.parent_death import adopt_orphans, die_with_parent
 
-_GRACE_S = 3.0
+_GRACE_S = 4.0
 """Shorter than that of whoever ends a keeper, for what is in another session is its alone."""
 
 CHILDREN_LEFT = 'keeper: ended what the command left behind: '

@@ -134,7 +134,7 @@ CLAUSES: Final = (
     Clause('lives', 'the node lives on from run to run', 'see its output'),
     Clause('sigint', 'ends within 5 s of SIGINT, without a traceback, and leaves no process',
            'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
-    Clause('sigterm', 'ends within 3 s of SIGTERM, without a traceback, and leaves no process',
+    Clause('sigterm', 'ends within 4 s of SIGTERM, without a traceback, and leaves no process',
            'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
     Clause('reproducible', 'a fresh process gives the same answers', informative=True),
     Clause('time', 'how long an answer takes', informative=True),
