@@ -32,7 +32,7 @@ VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
 NATIVE := $(wildcard taxinet_ros/core/native/*)
-INTERFACES := $(wildcard msg_defs/* msg_defs/*/*)
+INTERFACES := $(wildcard msg_defs/* msg_defs/*/* msg_defs/*/*/*)
 
 # One ROS at a time: what a sourced installation, or another environment's Python, has left in the
 # shell would mix its libraries with those in .venv.

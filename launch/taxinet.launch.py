@@ -1,96 +1,111 @@
 """Start the whole graph, every node a process, and run a campaign of one Scenic program.
 
-``ros2 launch taxinet_ros taxinet.launch.py perception:=truth program:=s_falsif runs:=10``, and with
-``sampler:=ce`` a search for failures; it ends when the last run has ended.
+``ros2 launch taxinet_ros taxinet.launch.py perception:=truth scenario:=s_falsif runs:=10``, and
+with ``sampler:=ce`` a search for failures; it ends when the last run has ended, with the exit code
+of ``taxinet run``. ``--show-args`` lists the arguments.
 """
 
 from __future__ import annotations
 
-from datetime import datetime
+import os
+import sys
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    ExecuteProcess,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+)
+from launch.event_handlers import OnProcessExit, OnProcessStart
+from launch.events import Shutdown
+from launch.events.process import ProcessExited, ProcessStarted
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.utilities import prefix_namespace
+
+from taxinet_ros.core.errors import UsageError
+from taxinet_ros.nodes.launch_plan import (
+    ARGUMENTS,
+    CLOCK_REMAP,
+    Ending,
+    NodePlan,
+    check_names,
+    environment,
+    namespace,
+    parameter_file,
+    plan,
+)
 
 PACKAGE = 'taxinet_ros'
-PERCEPTIONS = {'taxinet': 'taxinet_perception', 'truth': 'ground_truth_perception'}
-"""Executable behind each word of ``perception:=``."""
 
 
-def arguments() -> list[DeclareLaunchArgument]:
-    """What may be set on the command line; a word that is not a choice is refused with the list."""
-    config = Path(get_package_share_directory(PACKAGE)) / 'config' / 'nodes.yaml'
-    described = {
-        'weights': ('taxinet', 'the network: taxinet (shipped), or a .safetensors or .onnx file'),
-        'program': ('s_falsif', 'Scenic program to draw scenarios from: a shipped name or a file'),
-        'runs': ('10', 'number of runs'),
-        'seed': ('0', 'seed of the draws'),
-        'sampler': ('', 'ce, random, …: searches for failures; empty: what the program draws'),
-        'until': ('', 'a search stops early: failures=K or half-width=W'),
-        'budget': ('0.0', 'a search begins no run after so long [min]; 0: ever'),
-        'resume': ('false', 'continues the search that was interrupted in out'),
-        'out': (f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}', 'new folder for table and bags'),
-        'namespace': ('', 'prefix of every topic of the graph but /clock'),
-        'params': (str(config), "file with the nodes' parameters"),
-    }
-    return [
-        DeclareLaunchArgument(
-            'perception', default_value='taxinet', choices=list(PERCEPTIONS), description='who sees'
-        ),
-        *(
-            DeclareLaunchArgument(name, default_value=default, description=text)
-            for name, (default, text) in described.items()
-        ),
-    ]
+def process(node: NodePlan, params: str, within: str, more: dict[str, str]) -> ExecuteProcess:
+    """What starts one node."""
+    if node.command:
+        from taxinet_ros.nodes.keeper import keeper_command  # which takes a library more
 
-
-def value(name: str, kind: type = str) -> ParameterValue:
-    """A node parameter that takes a launch argument's value; unquoted digits stay text."""
-    return ParameterValue(LaunchConfiguration(name), value_type=kind)
-
-
-def node(executable: str, name: str | None = None, **more: object) -> Node:
-    """One node of this package with its parameters from the file, and these on top."""
-    parameters = [LaunchConfiguration('params'), more.pop('parameters', {})]
+        # A keeper ends with its command all that this has started; it hears SIGTERM only.
+        words = keeper_command([*node.command], os.getpid())
+        return ExecuteProcess(
+            cmd=words, name=node.name, additional_env=more, output='screen', sigterm_timeout='0.1'
+        )
     return Node(
-        package=PACKAGE,
-        executable=executable,
-        name=name or executable,
-        namespace=LaunchConfiguration('namespace'),
-        parameters=parameters,
+        package=PACKAGE, executable=node.executable, name=node.name, namespace=within,
+        parameters=[params, dict(node.parameters)], remappings=[CLOCK_REMAP], additional_env=more,
         output='screen',
-        **more,
     )
 
 
-def graph(context: LaunchContext) -> list[Node]:
-    """The six nodes, with the perception that was asked for."""
-    word = LaunchConfiguration('perception').perform(context)
-    weights = {'weights': value('weights')} if word == 'taxinet' else {}
-    campaign = {
-        'program': value('program'),
-        'runs': value('runs', int),
-        'seed': value('seed', int),
-        'sampler': value('sampler'),
-        'until': value('until'),
-        'budget': value('budget', float),
-        'resume': value('resume', bool),
-        'out': value('out'),
-    }
+def until_the_end(
+    ending: Ending, processes: dict[ExecuteProcess, str]
+) -> list[RegisterEventHandler]:
+    """End everything with the campaign, or with a node that does not take what it was given."""
+
+    def over(event: ProcessExited, context: LaunchContext) -> list[LogInfo | EmitEvent]:
+        ends = ending.over(event.pid, processes.get(event.action, ''), event.returncode)
+        if ending.exit_code is not None and context.is_shutdown:
+            # Launch itself knows 0 and 1 only. Nothing is left that it would have to end.
+            raise SystemExit(ending.exit_code)
+        if not ends:
+            return []
+        return [LogInfo(msg=ending.why), EmitEvent(event=Shutdown(reason=ending.why))]
+
+    def begun(event: ProcessStarted, context: LaunchContext) -> None:
+        ending.begun(event.pid)
+
     return [
-        node('simulator'),
-        node(PERCEPTIONS[word], 'perception', parameters=weights),
-        node('steering_controller'),
-        node('mtl_monitor'),
-        node('recorder', parameters={'out': value('out')}),
-        node('scenario_sampler', parameters=campaign, on_exit=Shutdown()),
+        RegisterEventHandler(OnProcessStart(on_start=begun)),
+        RegisterEventHandler(OnProcessExit(on_exit=over)),
     ]
+
+
+def graph(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHandler]:
+    """Every node of the graph, as the arguments say."""
+    try:
+        # Where another launch file includes this one, what was typed is for that one.
+        if Path(__file__).name in (Path(word).name for word in sys.argv):
+            check_names(context.argv)
+        words = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+        outer = context.launch_configurations.get('ros_namespace')
+        words['namespace'] = namespace({'namespace': prefix_namespace(outer, words['namespace'])})
+        params = parameter_file(words, Path(get_package_share_directory(PACKAGE)))
+        more, nodes = environment(words), plan(words)
+    except UsageError as error:
+        print(f'error: {error}', file=sys.stderr)
+        raise SystemExit(2) from None
+    processes = {process(node, params, words['namespace'], more): node.name for node in nodes}
+    return [*until_the_end(Ending(nodes), processes), *processes]
 
 
 def generate_launch_description() -> LaunchDescription:
     """What ``ros2 launch`` starts."""
-    return LaunchDescription([*arguments(), OpaqueFunction(function=graph)])
+    declared = (
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    )
+    return LaunchDescription([*declared, OpaqueFunction(function=graph)])

@@ -1,8 +1,10 @@
-"""Build taxinet_msgs into a virtual environment whose ROS 2 came as wheels (no ROS installation).
+"""Build messages into a virtual environment whose ROS 2 came as wheels (no ROS installation).
 
-Run it with the environment's own Python, ``.venv/bin/python msg_defs/build_with_wheels.py``. It
-does nothing when the installed messages stem from the present sources already. Where a ROS 2
-installation is sourced, use ``colcon build`` instead.
+They are taxinet_msgs, and of geometry2's tf2_msgs, which is not among the wheels, what a graph
+says. Run it with the environment's own Python, ``.venv/bin/python msg_defs/build_with_wheels.py``.
+It does nothing when the installed messages stem from the present sources already, and leaves a
+tf2_msgs alone that somebody else has installed. Where a ROS 2 installation is sourced, use
+``colcon build`` instead; that finds the genuine tf2_msgs.
 """
 
 from __future__ import annotations
@@ -15,26 +17,64 @@ import subprocess
 import sys
 import sysconfig
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
-PACKAGE = 'taxinet_msgs'
 SOURCE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
-BUILD = PREFIX / 'build' / PACKAGE
-LOG = BUILD / 'build.log'
-STAMP = PREFIX / 'share' / PACKAGE / 'sources.sha256'
 LOG_TAIL_LINES = 30
+
+
+@dataclass(frozen=True)
+class Package:
+    """One interface package: its name, and the folder of its sources."""
+
+    name: str
+    source: Path
+
+    @property
+    def build(self) -> Path:
+        """Where CMake works."""
+        return PREFIX / 'build' / self.name
+
+    @property
+    def log(self) -> Path:
+        """What CMake and the compiler say."""
+        return self.build / 'build.log'
+
+    @property
+    def share(self) -> Path:
+        """Where its definitions are laid down."""
+        return PREFIX / 'share' / self.name
+
+    @property
+    def stamp(self) -> Path:
+        """Tells which sources the installed messages stem from."""
+        return self.share / 'sources.sha256'
+
+    @property
+    def foreign(self) -> bool:
+        """Whether somebody else has installed a package of this name."""
+        manifest = self.share / 'package.xml'
+        own = self.stamp, self.source / 'package.xml'  # A build that was cut short leaves no stamp.
+        return manifest.exists() and not (
+            own[0].exists() or manifest.read_bytes() == own[1].read_bytes()
+        )
+
+
+PACKAGES = (Package('taxinet_msgs', SOURCE), Package('tf2_msgs', SOURCE / 'tf2_msgs'))
 
 
 class BuildError(Exception):
     """The build cannot go on; the message is what to tell the user."""
 
 
-def sources_digest() -> str:
+def sources_digest(package: Package) -> str:
     """SHA-256 over everything that decides what gets installed, the Python version included."""
     digest = hashlib.sha256(sys.version.encode())
-    kinds = ('*.txt', '*.xml', '*.py', 'msg/*.msg', 'srv/*.srv', 'action/*.action')
-    for path in sorted(path for kind in kinds for path in SOURCE.glob(kind)):
+    kinds = ('*.txt', '*.xml', 'msg/*.msg', 'srv/*.srv', 'action/*.action')
+    found = {path for kind in kinds for path in package.source.glob(kind)}
+    for path in sorted({*found, Path(__file__).resolve()}):
         digest.update(f'{path.relative_to(SOURCE)}\0{path.stat().st_size}\0'.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -77,65 +117,74 @@ def build_environment() -> dict[str, str]:
     return environment
 
 
-def run_logged(command: list[str]) -> None:
+def run_logged(package: Package, command: list[str]) -> None:
     """Run one build step with its output in the log; on failure show the log's tail."""
-    with LOG.open('a', encoding='utf-8') as log:
+    with package.log.open('a', encoding='utf-8') as log:
         log.write(f'$ {" ".join(command)}\n')
         log.flush()
         done = subprocess.run(
             command, stdout=log, stderr=subprocess.STDOUT, env=build_environment(), check=False
         )
     if done.returncode != 0:
-        tail = LOG.read_text(encoding='utf-8', errors='replace').splitlines()[-LOG_TAIL_LINES:]
-        shown = '\n'.join(tail)
-        raise BuildError(f'{shown}\n{PACKAGE}: {command[0]} failed; whole log: {LOG}')
+        lines = package.log.read_text(encoding='utf-8', errors='replace').splitlines()
+        shown = '\n'.join(lines[-LOG_TAIL_LINES:])
+        raise BuildError(f'{shown}\n{package.name}: {command[0]} failed; whole log: {package.log}')
 
 
-def installed_files() -> set[Path]:
+def installed_files(package: Package) -> set[Path]:
     """Files that the last build installed, after CMake's own list."""
-    manifest = BUILD / 'install_manifest.txt'
+    manifest = package.build / 'install_manifest.txt'
     if not manifest.exists():
         return set()
     return {Path(line) for line in manifest.read_text(encoding='utf-8').splitlines() if line}
 
 
-def build() -> None:
+def build(package: Package) -> None:
     """Configure, compile and install into this environment; drop files of deleted messages."""
-    BUILD.mkdir(parents=True, exist_ok=True)
-    LOG.write_text('', encoding='utf-8')
-    before = installed_files()
+    package.build.mkdir(parents=True, exist_ok=True)
+    package.log.write_text('', encoding='utf-8')
+    before = installed_files(package)
     cmake = str(PREFIX / 'bin' / 'cmake')
     run_logged(
+        package,
         [
-            *(cmake, '-S', str(SOURCE), '-B', str(BUILD), '-G', 'Ninja', '-Wno-dev'),
-            *(f'-DCMAKE_INSTALL_PREFIX={PREFIX}', '-DCMAKE_BUILD_TYPE=Release'),
+            *(cmake, '-S', str(package.source), '-B', str(package.build), '-G', 'Ninja'),
+            *('-Wno-dev', f'-DCMAKE_INSTALL_PREFIX={PREFIX}', '-DCMAKE_BUILD_TYPE=Release'),
             *('-DBUILD_TESTING=OFF', '-DPython3_FIND_VIRTUALENV=ONLY'),
             f'-DPython3_EXECUTABLE={sys.executable}',
-        ]
+        ],
     )
-    run_logged([cmake, '--build', str(BUILD), '--target', 'install'])
-    for stale in before - installed_files():
+    run_logged(package, [cmake, '--build', str(package.build), '--target', 'install'])
+    for stale in before - installed_files(package):
         stale.unlink(missing_ok=True)
 
 
-def main() -> int:
-    """Build unless up to date; 0 on success, 1 when a build step failed."""
-    if sys.prefix == sys.base_prefix:
-        print(f'{PACKAGE}: {sys.executable} is not in a virtual environment', file=sys.stderr)
-        return 1
-    digest = sources_digest()
-    if STAMP.exists() and STAMP.read_text(encoding='utf-8') == digest:
-        print(f'{PACKAGE}: up to date in {PREFIX}')
-        return 0
-    started = time.monotonic()
-    try:
+def bring_up_to_date(package: Package) -> None:
+    """Build a package unless it is there already, and say which."""
+    digest = sources_digest(package)
+    if package.foreign:
+        print(f'{package.name}: another one is installed in {PREFIX}, and is used')
+    elif package.stamp.exists() and package.stamp.read_text(encoding='utf-8') == digest:
+        print(f'{package.name}: up to date in {PREFIX}')
+    else:
+        started = time.monotonic()
         mend_include_paths()
-        build()
+        build(package)
+        package.stamp.write_text(digest, encoding='utf-8')
+        print(f'{package.name}: built into {PREFIX} in {time.monotonic() - started:.0f} s')
+
+
+def main() -> int:
+    """Build what is not up to date; 0 on success, 1 when a build step failed."""
+    if sys.prefix == sys.base_prefix:
+        print(f'messages: {sys.executable} is not in a virtual environment', file=sys.stderr)
+        return 1
+    try:
+        for package in PACKAGES:
+            bring_up_to_date(package)
     except BuildError as error:
         print(error, file=sys.stderr)
         return 1
-    STAMP.write_text(digest, encoding='utf-8')
-    print(f'{PACKAGE}: built into {PREFIX} in {time.monotonic() - started:.0f} s')
     return 0
 
 

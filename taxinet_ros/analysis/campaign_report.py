@@ -205,6 +205,7 @@ def _facts(findings: Findings) -> Mapping[str, str]:
     found = {
         'program': runs.program, 'network': runs.perception,
         'network, SHA-256': str(facts.get('perception_sha256') or '')[:16],
+        'timing': str(facts.get('timing') or ''),
         'sampler': runs.sampler or 'none, drawn from the program',
         'seed': str(facts.get('seed', '')),
         'formula': f'{runs.spec}: {_formula(runs)}' if _formula(runs) else runs.spec,

@@ -15,6 +15,7 @@ from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.causes import Cause
 from taxinet_ros.analysis.failure_region import Either, Kinds, Part, Slant
 from taxinet_ros.campaign.programs import SUFFIX, find_program, known_programs
+from taxinet_ros.core.timing import parse_timing
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
@@ -73,6 +74,7 @@ def confirming(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str |
         words += ['--set', f'{key}={value}']
     specs = runs.facts.get('specs', {})
     words += ['--spec', f'{runs.spec}={specs[runs.spec]}' if runs.spec in specs else runs.spec]
+    words += parse_timing(str(runs.facts.get('timing', ''))).options
     return shlex.join([*words, '--images', 'none'])
 
 

@@ -30,6 +30,7 @@ from taxinet_ros.analysis.report_parts import (
 from taxinet_ros.campaign.experiment_file import Experiment
 from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
 
@@ -186,6 +187,7 @@ def _facts(experiment: Experiment) -> dict[str, str]:
             *(f'{key}={value}' for key, value in arm.laid_over.items()),
             *(f'steering.{key}={value:g}' for key, value in arm.gains.items()),
             f'perception {arm.perception}',
+            *([f'controller {arm.controller}'] if arm.controller != STEERING else []),
         ])
         for arm in experiment.arms
     }

@@ -20,6 +20,7 @@ from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import words
 from taxinet_ros.core.scenario import HUMAN_KEYS
+from taxinet_ros.core.timing import parse_timing
 
 # Char of XML 1.0 (fifth edition, production 2), negated.
 _ILLEGAL = re.compile('[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]')
@@ -68,7 +69,8 @@ def again(row: RunRow, folder: Path, facts: Mapping[str, Any]) -> str:
         words += ['--spec', f'{name}={formula}']
     for setting in settings:
         words += ['--set', setting]
-    return shlex.join(words)
+    timing = parse_timing(row.timing).of_run(row.seed, row.index)
+    return shlex.join([*words, *timing.options])
 
 
 def _add_properties(
@@ -76,7 +78,7 @@ def _add_properties(
 ) -> None:
     names = (
         'taxinet_ros_version', 'program', 'program_sha256', 'seed', 'sampler', 'perception',
-        'perception_sha256',
+        'perception_sha256', 'timing',
     )
     values = {name: facts[name] for name in names if name in facts} | {
         **{f'stack_{name}': words(one) for name, one in stacks_in(facts).items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from taxinet_ros.bag.run_topics import (
     ROBUSTNESS,
     RUN_STATUS,
     SCENARIO,
+    TF,
     TRUTH,
     VERDICT,
     is_topic,
@@ -32,6 +34,9 @@ PERIOD_NS = NS_PER_S // 10
 
 MOST_STEPS = 100_000
 """Steps beyond are not looked at: no run is nearly as long."""
+
+SIMULATOR = 'simulator'
+"""It reports too, of a run whose answers do not take effect at once."""
 
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
 _ENDED = 2
@@ -87,7 +92,7 @@ class RunRecord:
             return
         try:
             self._keep(name, stamp, message)
-        except (AttributeError, TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError, struct.error) as error:
             self._wrong(name, stamp, f'{name}: {error}')
 
     def _keep(self, name: str, stamp: int, message: Any) -> None:
@@ -111,6 +116,10 @@ class RunRecord:
         kept = next((topic for topic in _KEPT if is_topic(name, topic)), None)
         if kept is not None:
             self.values.setdefault(kept, {}).setdefault(step, message)
+        # It is written behind the odometry of its step, and made of that.
+        odometry = self.values.get(ODOMETRY, {}).get(step)
+        if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
+            self._wrong(name, stamp, f'{name}: is not where {ODOMETRY} says')
 
     def _wrong(self, name: str, stamp: int, what: str) -> None:
         if len(self.stamps) < MOST_STEPS:
@@ -184,7 +193,9 @@ def _once_troubles(record: RunRecord) -> Iterator[Finding]:
     judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
     expected = {SCENARIO: 1, RUN_STATUS: 1}
     if judged:
-        expected |= {VERDICT: 1, NODE_STATUS: len(record.scenario.participants)}
+        told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
+        nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
+        expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
     for topic, number in expected.items():
         there = len(record.once.get(topic, ()))
         if there != number:
@@ -246,11 +257,32 @@ def _check_fields(once: str, message: Any) -> None:
     """
     if once == SCENARIO:
         _ = len(message.participants), [str(spec) for spec in message.specs]
+    elif once == NODE_STATUS:
+        _ = str(message.node), str(message.implementation)
     elif once == RUN_STATUS:
         _ = int(message.state), str(message.outcome), int(message.seq)
     elif once == VERDICT:
         for spec in message.specs:
             _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
+
+
+def _follows(transforms: Any, odometry: Any) -> bool:
+    """Whether a message of transforms tells the pose of odometry, and nothing else."""
+    told = [
+        (one.header.frame_id, one.child_frame_id, _stamp(one.header.stamp),
+         _bits(one.transform.translation, one.transform.rotation))
+        for one in transforms.transforms
+    ]
+    at = odometry.pose.pose
+    header = odometry.header
+    return told == [(
+        header.frame_id, odometry.child_frame_id, _stamp(header.stamp),
+        _bits(at.position, at.orientation),
+    )]
+
+
+def _bits(place: Any, turned: Any) -> bytes:
+    return struct.pack('<7d', place.x, place.y, place.z, turned.x, turned.y, turned.z, turned.w)
 
 
 def _stamp(time: Any) -> int:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.run_topics import is_of_frames
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 
 _NAMES = frozenset({'run_id'})
@@ -84,13 +85,19 @@ def compare_bags(
         skip: topics to leave out.
 
     Returns:
-        A comparison for every topic of either bag that has messages, in the order of the bags.
+        A comparison for every topic of either bag that has messages, in the order of the bags;
+        of transforms, only where both bags have them.
 
     Raises:
         BagError, UsageError: a bag cannot be read.
     """
     counts = [read_info(path).counts for path in (one, other)]
-    names = [name for name in dict.fromkeys([*counts[0], *counts[1]]) if name not in skip]
+    names = [
+        name for name in dict.fromkeys([*counts[0], *counts[1]])
+        # Bags of before have no transforms; where there are, odometry tells the same.
+        if name not in skip and not (
+            is_of_frames(name) and not all(name in count for count in counts))
+    ]
     found = {
         name: TopicComparison(
             topic=name, counts=(counts[0].get(name, 0), counts[1].get(name, 0))

@@ -24,6 +24,7 @@ from taxinet_ros.bag.reader import (
     stored_messages,
 )
 from taxinet_ros.bag.resimulate import observations
+from taxinet_ros.bag.run_topics import ONCE
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -31,7 +32,7 @@ from taxinet_ros.core.errors import UsageError
 
 IMAGE, CAMERA_INFO = '/camera/image_raw', '/camera/camera_info'
 _IMAGE_TYPE = 'sensor_msgs/msg/Image'
-_PER_RUN = frozenset({'/scenario', '/node_status', '/monitor/verdict', '/run_status'})
+_PER_RUN = frozenset(f'/{name}' for name in ONCE)
 _DRAFT = '.with-frames'
 
 

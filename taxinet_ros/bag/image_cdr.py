@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.types import NS_PER_S
 
-_ENCAPSULATION = b'\x00\x01\x00\x00'  # CDR, little endian
+ENCAPSULATION = b'\x00\x01\x00\x00'  # CDR, little endian
 _ENCODING = b'rgb8'
 _COUNT, _PAIR = struct.Struct('<I'), struct.Struct('<II')
 
@@ -28,11 +28,11 @@ def image_cdr(pixels: NDArray[np.uint8], stamp_ns: int, frame_id: str) -> bytes:
     """
     height, width, channels = pixels.shape
     body = struct.pack('<iI', stamp_ns // NS_PER_S, stamp_ns % NS_PER_S)
-    body = _text(body, frame_id.encode())
-    body = _aligned(body) + struct.pack('<II', height, width)
-    body = _text(body, _ENCODING) + b'\x00'  # the byte: not big-endian
-    body = _aligned(body) + struct.pack('<II', width * channels, pixels.size)
-    return b''.join((_ENCAPSULATION, body, np.ascontiguousarray(pixels).data))
+    body = with_text(body, frame_id.encode())
+    body = aligned(body) + struct.pack('<II', height, width)
+    body = with_text(body, _ENCODING) + b'\x00'  # the byte: not big-endian
+    body = aligned(body) + struct.pack('<II', width * channels, pixels.size)
+    return b''.join((ENCAPSULATION, body, np.ascontiguousarray(pixels).data))
 
 
 def frame_of_cdr(cdr: bytes) -> tuple[int, NDArray[np.uint8]]:
@@ -41,7 +41,7 @@ def frame_of_cdr(cdr: bytes) -> tuple[int, NDArray[np.uint8]]:
     Raises:
         ValueError: the encoding is another one, or size, step and data do not agree.
     """
-    if cdr[:2] != _ENCAPSULATION[:2]:
+    if cdr[:2] != ENCAPSULATION[:2]:
         raise ValueError('image is not little-endian CDR')
     try:
         sec, nanosec = _PAIR.unpack_from(cdr, 4)
@@ -67,9 +67,11 @@ def _after_text(cdr: bytes, at: int, *, align: bool = True) -> int:
     return end + -end % 4 if align else end
 
 
-def _text(body: bytes, text: bytes) -> bytes:
-    return _aligned(body) + struct.pack('<I', len(text) + 1) + text + b'\x00'
+def with_text(body: bytes, text: bytes) -> bytes:
+    """A message as far as it goes, less its encapsulation, and a text behind that."""
+    return aligned(body) + struct.pack('<I', len(text) + 1) + text + b'\x00'
 
 
-def _aligned(body: bytes) -> bytes:
-    return body + bytes(-len(body) % 4)
+def aligned(body: bytes, size: int = 4) -> bytes:
+    """A message as far as it goes, filled up with zeros to a multiple of ``size`` bytes."""
+    return body + bytes(-len(body) % size)

@@ -15,6 +15,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import parse_stop_on
+from taxinet_ros.core.timing import AT_ONCE, Timing, parse_timing
 
 _HEAD = ('/scenario', '/node_status', '/clock')
 
@@ -30,6 +31,7 @@ class RecordedRun:
         gains: steering gains that differed from the law's defaults.
         controller: what another controller than the steering law said of itself; '' for the law.
         controller_fingerprint: the sha256 that it told, or ''.
+        timing: when its answers took effect.
     """
 
     request: RunRequest
@@ -38,6 +40,7 @@ class RecordedRun:
     gains: Mapping[str, float]
     controller: str = ''
     controller_fingerprint: str = ''
+    timing: Timing = AT_ONCE
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -63,6 +66,7 @@ def read_run(path: Path) -> RecordedRun:
         raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
     try:
         eyes, law = kinds.get('perception'), kinds.get('steering_controller')
+        world = kinds.get('simulator')
         words = law.implementation if law else ''
         ours = is_steering_law(words)
         return RecordedRun(
@@ -72,6 +76,7 @@ def read_run(path: Path) -> RecordedRun:
             gains=gains_of_words(words) if ours else {},
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
+            timing=parse_timing(world.implementation) if world else AT_ONCE,
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error

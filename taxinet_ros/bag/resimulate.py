@@ -18,6 +18,7 @@ from taxinet_ros.bag.recorded_run import read_run
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import Observation, World
 
@@ -42,7 +43,9 @@ def observations(
         BagError, UsageError: the bag cannot be read, see :func:`.recorded_run.read_run`.
     """
     recorded, commands = _states_and_commands(path)
-    world = World(read_run(path).request.scenario)
+    run = read_run(path)
+    world = World(run.request.scenario)
+    late = LateCommands(run.timing, run.request.seed, run.request.index)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
             return
@@ -52,7 +55,7 @@ def observations(
         if seq not in commands:
             return
         try:
-            world.advance(commands[seq])
+            world.advance(late.at(seq, commands[seq]))
         except InfraError:  # The simulator broke here when it was recorded, too.
             return
 

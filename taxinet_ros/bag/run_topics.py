@@ -17,11 +17,21 @@ COMMAND = 'taxi_command'
 ROBUSTNESS = 'monitor/robustness'
 VERDICT = 'monitor/verdict'
 RUN_STATUS = 'run_status'
+TF, TF_STATIC = 'tf', 'tf_static'
 
-ONCE = frozenset({SCENARIO, NODE_STATUS, VERDICT, RUN_STATUS})
+MAP_FRAME = 'map'
+BASE_FRAME = 'base_link'
+CAMERA_FRAME = 'camera_optical'
+
+ONCE = frozenset({SCENARIO, NODE_STATUS, TF_STATIC, VERDICT, RUN_STATUS})
 """Topics that do not speak in every control step; all others of a run do."""
 
 
 def is_topic(name: str, relative: str) -> bool:
     """Whether ``name`` is the topic ``relative``, whatever namespace it was recorded in."""
     return name == relative or name.endswith('/' + relative)
+
+
+def is_of_frames(name: str) -> bool:
+    """Whether a topic is of transforms, which follow from odometry, and on which anybody speaks."""
+    return is_topic(name, TF) or is_topic(name, TF_STATIC)

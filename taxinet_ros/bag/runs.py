@@ -39,6 +39,7 @@ from taxinet_ros.bag.run_topics import (
     SCENARIO,
     TRUTH,
     VERDICT,
+    is_of_frames,
     is_topic,
 )
 from taxinet_ros.bag.scan import OnDamage
@@ -315,7 +316,8 @@ class _Index:
         """Take in a message."""
         relative, namespace = _parts(stored.topic.name)
         if not relative:
-            self._others = True
+            # Of transforms, odometry tells ours, and others' are no affair of a run.
+            self._others |= not is_of_frames(stored.topic.name)
             return
         self._others |= bool(namespace)
         place = len(self.owners)

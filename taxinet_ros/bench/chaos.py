@@ -101,11 +101,13 @@ class Fault:
         codes: exit codes that the campaign may end with because of it; it may always end as if
             nothing had been.
         afterwards: mends what a person would, once the campaign has ended.
+        too_early: with exit code 2 and one of these words it came before the campaign looked.
     """
 
     act: Callable[[_Sitting], None]
     codes: frozenset[int] = frozenset()
     afterwards: Callable[[_Sitting], None] = lambda sitting: None
+    too_early: tuple[str, ...] = ()
 
 
 @dataclass
@@ -301,7 +303,7 @@ class _Trial:
 
     def _disturbed(self, name: str, fault: Fault) -> int | None:
         """One sitting with a fault; its exit code, None where it hangs."""
-        before = sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
+        before = self._told()
         moment = before + self._draw.randrange(max(len(self._whole) - before, 1))
         delay_s = self._draw.uniform(0, 0.4)
         with self._chaos.sit(self._words(), self._place) as sitting:
@@ -310,14 +312,21 @@ class _Trial:
                 time.sleep(delay_s)
                 fault.act(sitting)
             code = sitting.ended()
-            self._check(name, sitting, code, {*fault.codes, self._code, 0, 1})
+            told = sitting.last_line
+            early = code == 2 and any(words in told for words in fault.too_early)
+            self._check(name, sitting, code, {*fault.codes, self._code, 0, 1, *([2] * early)})
         fault.afterwards(sitting)
-        self._note(name, str(code) if in_time else 'too late')
+        self._note(name, 'too early' if early else str(code) if in_time else 'too late')
         if code == 2 and self._kept:  # a damage that was refused by name
             return self._mended(name, sitting)
+        if self._kept and code not in (0, 1) and self._told() == before:
+            return code  # it may have ended before it read what is damaged: the next one will
         self._kept.clear()  # a damage that was not refused has to leave the rows as they are
         self._check_rows(name, code)
         return code
+
+    def _told(self) -> int:
+        return sum(_events(path) for path in self._out.glob(f'**/{LEDGER_NAME}'))
 
     def _undisturbed_end(self) -> None:
         with self._chaos.sit(self._words(), self._place) as sitting:
@@ -416,7 +425,7 @@ class _Trial:
             return
         path = self._draw.choice(files)
         data = bytearray(path.read_bytes())
-        self._kept[path] = bytes(data)
+        self._kept.setdefault(path, bytes(data))
         if name == 'ledger cut':
             del data[self._draw.randrange(data.rfind(b'\n', 0, -1) + 1, len(data)):]
             self._judged.clear()  # its last row may be gone, and is made again
@@ -556,6 +565,7 @@ def _copy_over(sitting: _Sitting) -> None:
 
 
 _BROKEN = frozenset({4})
+_NOTHING_THERE = ('no such file, so nothing was begun', 'c: holds no arm of experiment')
 
 FAULTS: Mapping[str, Fault] = {
     'campaign killed': Fault(
@@ -573,8 +583,10 @@ FAULTS: Mapping[str, Fault] = {
     'node terminated': Fault(act=_to_one(_NODE, signal.SIGTERM), codes=_BROKEN),
     'node stopped': Fault(act=_to_one(_NODE, signal.SIGSTOP, signal.SIGCONT, pause_s=1.0)),
     'no room': Fault(act=_no_room, codes=_BROKEN),
-    'folder moved': Fault(act=_move, codes=_BROKEN, afterwards=_move_back),
-    'folder replaced': Fault(act=_replace, codes=_BROKEN, afterwards=_move_back),
+    'folder moved': Fault(
+        act=_move, codes=_BROKEN, afterwards=_move_back, too_early=_NOTHING_THERE),
+    'folder replaced': Fault(
+        act=_replace, codes=_BROKEN, afterwards=_move_back, too_early=_NOTHING_THERE),
     'ledger replaced': Fault(act=_copy_over, codes=_BROKEN),
 }
 

@@ -53,6 +53,11 @@ class FailedRuns:
         """What ended a run before its end."""
         return parse_stop_on(self.facts.get('stop_on', ''))
 
+    @property
+    def timing(self) -> str:
+        """When answers took effect, in words."""
+        return str(self.facts.get('timing', ''))
+
 
 def failed_runs(folder: Path) -> FailedRuns:
     """Read the failed runs out of a campaign's ledger.

@@ -27,7 +27,7 @@ may warn of more than another, and another machine or version is warned of."""
 
 _BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
-    'controller': STEERING, 'controller_sha256': '',
+    'controller': STEERING, 'controller_sha256': '', 'timing': '',
 }
 """What a fact was before there was a choice, and so was not written down."""
 

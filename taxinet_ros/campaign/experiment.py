@@ -28,7 +28,7 @@ def of_network(experiment: Experiment, perception: str) -> Experiment:
     Raises:
         UsageError: there is no such network, or it is the network that the arms differ in.
     """
-    check_perception(perception)
+    check_perception(perception, graph=True)
     if len({arm.perception for arm in experiment.arms}) > 1:
         raise UsageError(
             f'--perception {perception}: the arms of {experiment.name} differ in their network; '
@@ -114,5 +114,6 @@ def _campaign(experiment: Experiment, arm: Arm, out: Path) -> CampaignOptions:
     return CampaignOptions(
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
-        laid_over=arm.laid_over, gains=arm.gains, specs=experiment.specs, images='none',
+        controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
+        specs=experiment.specs, images='none',
     )

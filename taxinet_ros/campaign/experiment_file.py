@@ -8,10 +8,11 @@ aircraft's shadow). A file says that in YAML::
     seed: 0                         # 0 where left out
     sampler: halton                 # random where left out
     perception: original            # taxinet where left out
+    controller: my_file.py:steer    # steering, the handwritten law, where left out
     specs: [phi_eventually]         # the first is the headline
     set: {clouds: clear}            # for all arms, as --set of taxinet run
     over: time_of_day               # what the picture is drawn over; found out where left out
-    arms:                           # two or more; each has its own set or perception, or both
+    arms:                           # two or more; each has its own set, perception or controller
       shadows: {}
       no_shadows: {set: {shadows: off}}
     compare_to: shadows             # the first arm where left out
@@ -34,6 +35,7 @@ from taxinet_ros.campaign.programs import find_program, shipped_folder
 from taxinet_ros.campaign.samplers.make import check_sampler
 from taxinet_ros.campaign.spec_files import read_specs
 from taxinet_ros.campaign.yaml_file import YamlFile, read_yaml
+from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
@@ -45,10 +47,10 @@ PAIRED_SAMPLERS = ('random', 'halton', 'sobol', 'grid')
 """Samplers that learn nothing from results, and so choose the same scenes for every arm."""
 
 _KEYS = (
-    'program', 'runs', 'seed', 'sampler', 'sampler_options', 'perception', 'specs', 'set', 'over',
-    'arms', 'compare_to',
+    'program', 'runs', 'seed', 'sampler', 'sampler_options', 'perception', 'controller', 'specs',
+    'set', 'over', 'arms', 'compare_to',
 )
-_ARM_KEYS = ('set', 'perception')
+_ARM_KEYS = ('set', 'perception', 'controller')
 _ARM_NAME = re.compile(r'[A-Za-z0-9][A-Za-z0-9_-]{0,40}')
 _GAIN = 'steering.'
 
@@ -59,13 +61,15 @@ class Arm:
 
     Attributes:
         name: of it and of its folder.
-        perception: word or file.
+        perception: word or file, or a node of somebody's.
+        controller: likewise.
         laid_over: scenario values that differ from the shared ones, human keys and units.
         gains: steering gains, the shared ones included.
     """
 
     name: str
     perception: str
+    controller: str = STEERING
     laid_over: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
 
@@ -145,7 +149,8 @@ class _Reader(YamlFile):
                 raise self._wrong('', f'the key {key!r} is missing')
         overrides, gains = self._settings('set', content.get('set'))
         perception = self._perception('perception', content.get('perception', 'taxinet'))
-        arms = self._arms(content['arms'], overrides, gains, perception)
+        controller = self._controller('controller', content.get('controller', STEERING), gains)
+        arms = self._arms(content['arms'], overrides, gains, perception, controller)
         compare_to = self._word('compare_to', content.get('compare_to', arms[0].name))
         if compare_to not in [arm.name for arm in arms]:
             names = ', '.join(arm.name for arm in arms)
@@ -164,7 +169,7 @@ class _Reader(YamlFile):
 
     def _arms(
         self, value: object, overrides: Mapping[str, str], gains: Mapping[str, float],
-        perception: str,
+        perception: str, controller: str,
     ) -> tuple[Arm, ...]:
         arms = []
         for name, content in self._mapping('arms', value).items():
@@ -174,10 +179,14 @@ class _Reader(YamlFile):
             own = self._mapping(where, {} if content is None else content, _ARM_KEYS)
             laid_over, own_gains = self._settings(f'{where}.set', own.get('set'))
             self._checked(f'{where}.set', partial(check_overrides, {**overrides, **laid_over}))
+            gains_here = {**gains, **own_gains}
             arms.append(Arm(
-                name=name, laid_over=laid_over, gains={**gains, **own_gains},
+                name=name, laid_over=laid_over, gains=gains_here,
                 perception=self._perception(
                     f'{where}.perception', own.get('perception', perception)
+                ),
+                controller=self._controller(
+                    f'{where}.controller', own.get('controller', controller), gains_here
                 ),
             ))
         if len(arms) < 2:
@@ -223,7 +232,12 @@ class _Reader(YamlFile):
 
     def _perception(self, where: str, value: object) -> str:
         word = self._word(where, value)
-        self._checked(where, lambda: check_perception(word))
+        self._checked(where, lambda: check_perception(word, graph=True))
+        return word
+
+    def _controller(self, where: str, value: object, gains: Mapping[str, float]) -> str:
+        word = self._word(where, value)
+        self._checked(where, lambda: check_controller(word, gains, graph=True))
         return word
 
     def _specs(self, value: object) -> tuple[str, ...]:

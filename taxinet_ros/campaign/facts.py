@@ -53,6 +53,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'stop_on': options.stop_on,
         'bounds': list(options.bounds),
         'rates': list(options.rates),
+        'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,
     }

@@ -1,4 +1,4 @@
-"""Which perception a search is about, where it is the graph that decides it."""
+"""Which perception a search is about, and its timing, where it is the graph that decides them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunResult
+from taxinet_ros.core.timing import timing_words
 
-KEYS = ('perception', 'perception_sha256')
-"""The facts that say it; both are empty until the graph has answered."""
+KEYS = ('perception', 'perception_sha256', 'timing')
+"""The facts that say it; all are empty until the graph has answered."""
 
 
 def met(out: Path, facts: Mapping[str, Any], result: RunResult) -> dict[str, str]:
@@ -22,13 +23,21 @@ def met(out: Path, facts: Mapping[str, Any], result: RunResult) -> dict[str, str
         result: the answer. Where the run broke before a perception was ready it says nothing.
 
     Raises:
-        UsageError: another perception answered than the campaign was begun with.
+        UsageError: another perception answered than the campaign was begun with, or its answers
+            take effect at another time.
     """
-    found = dict(zip(KEYS, (result.perception, result.fingerprint), strict=True))
-    if not result.perception or _same(facts, found):
+    found = dict(zip(KEYS, (result.perception, result.fingerprint, result.timing), strict=True))
+    if not result.perception:
         return {}
     if not facts['perception']:
         return found
+    if facts['timing'] != result.timing:
+        raise UsageError(
+            f'{out} was begun with {timing_words(facts["timing"])}, but the graph has '
+            f'{timing_words(result.timing)}; start the one it was begun with, or name another --out'
+        )
+    if _same(facts, found):
+        return {}
     raise UsageError(
         f'{out} was begun with perception {_words(facts)}, but the graph has {_words(found)}; '
         'start the one it was begun with, or name another --out'

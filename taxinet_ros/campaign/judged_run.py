@@ -26,6 +26,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.timing import Timing, parse_timing
 
 _VERDICT = '/monitor/verdict'
 _NO_FACTS: Mapping[str, Any] = {}
@@ -44,6 +45,7 @@ class JudgedRun:
         gains: steering gains that differ from the defaults.
         controller, controller_fingerprint: the word of what steers, or what an unknown one said of
             itself; and the hash that it told.
+        timing: when answers took effect, with the run's own draws.
     """
 
     run_id: str
@@ -57,6 +59,7 @@ class JudgedRun:
     gains: Mapping[str, float]
     controller: str
     controller_fingerprint: str
+    timing: Timing
 
     @property
     def headline(self) -> str:
@@ -118,6 +121,7 @@ def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
         controller=_controller(facts, run.controller),
         controller_fingerprint=run.controller_fingerprint,
+        timing=run.timing.of_run(run.request.seed, run.request.index),
     )
 
 
@@ -139,6 +143,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
+        timing=parse_timing(row.timing).of_run(row.seed, row.index),
     )
 
 
@@ -170,6 +175,9 @@ def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
         'seed': (told.seed, row.seed),
     }
+    if whole:
+        world = told.nodes.get('simulator')
+        pairs['timing'] = (world.implementation if world else '', row.timing)
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {

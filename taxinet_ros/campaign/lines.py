@@ -46,7 +46,8 @@ def heading(options: CampaignOptions) -> str:
 def who_takes_part(options: CampaignOptions) -> str:
     """Perception and controller in words; the steering law goes without saying."""
     steers = '' if options.controller == STEERING else f', controller {options.controller}'
-    return f'perception {options.perception}{steers}'
+    late = f', {options.timing.words}' if options.timing.words else ''
+    return f'perception {options.perception}{steers}{late}'
 
 
 def check_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:

@@ -136,6 +136,7 @@ def localize(
             gains=dict(options.failed.gains), controller=options.controller,
             stop_on=options.failed.stop_on,
             bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
+            timing=options.failed.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
             _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
@@ -208,6 +209,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **{name: failed.facts.get(name) for name in names},
         **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
         'stop_on': failed.stop_on.value,
+        **({'timing': failed.timing} if failed.timing else {}),
         **({} if options.controller == STEERING else {
             'controller_sha256': failed.facts.get('controller_sha256')
         }),

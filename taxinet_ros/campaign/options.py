@@ -18,6 +18,7 @@ from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.spec_check import SpecCheck, check_specs
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
+from taxinet_ros.core.timing import AT_ONCE, Timing, parse_latency
 
 DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_ROOT = Path('bags')
@@ -50,6 +51,7 @@ class CampaignOptions:
         laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
             They leave the choice alone, where ``overrides`` take what they fix out of the search;
             so campaigns that differ in them only have otherwise equal scenes.
+        timing: when answers take effect.
     """
 
     program: str
@@ -67,6 +69,7 @@ class CampaignOptions:
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
     controller: str = STEERING
+    timing: Timing = AT_ONCE
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.
@@ -93,7 +96,7 @@ def make_options(
     *, program: str, runs: int, seed: int, perception: str, settings: Iterable[str],
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
-    rates: Iterable[str] = (), controller: str = STEERING,
+    rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -112,6 +115,7 @@ def make_options(
         bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
         rates: of their change per second, such as ``cte=3``.
         controller: as of :class:`CampaignOptions`.
+        latency: ``NAME=LATENCY`` of perception or controller.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -139,8 +143,20 @@ def make_options(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
         rates=rates, processes=processes, images=images,
-        controller=controller,
+        controller=controller, timing=check_latency(latency),
     )
+
+
+def check_latency(words: Iterable[str]) -> Timing:
+    """Read how late answers are.
+
+    Raises:
+        UsageError: one line that names the option.
+    """
+    try:
+        return parse_latency(words)
+    except UsageError as error:
+        raise UsageError(f'--{error}') from None
 
 
 def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:

@@ -44,7 +44,9 @@ def run_request(
 
 def finished_row(options: CampaignOptions, request: RunRequest, result: RunResult) -> RunRow:
     """The row of a run that the graph has answered."""
-    bag = request.run_id if (options.out / request.run_id).is_dir() else ''
+    # A verdict stands only where the recorder has closed the bag, wherever its folder is by now.
+    recorded = result.outcome.judged or (options.out / request.run_id).is_dir()
+    bag = request.run_id if recorded else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
     perception = options.perception
     if not perception or is_node_elsewhere(perception):

@@ -107,7 +107,7 @@ def run_command(options: ShrinkOptions, program: str) -> str:
         words += [word for text in campaign.specs for word in ('--spec', text)]
     words += [word for name, value in campaign.gains.items()
               for word in ('--set', f'steering.{name}={value!r}')]
-    return shlex.join(words)
+    return shlex.join([*words, *campaign.timing.options])
 
 
 def value_words(key: str, value: Any) -> str:

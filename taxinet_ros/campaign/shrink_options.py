@@ -84,7 +84,8 @@ def make_shrink_options(
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
-        run=run, space=space, campaign=dataclasses.replace(campaign, gains=gains),
+        run=run, space=space,
+        campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
         workers=workers, resume=resume,
     )
 

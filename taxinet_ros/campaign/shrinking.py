@@ -193,9 +193,9 @@ class Shrinking:
     def _read_earlier(self, facts: dict[str, Any]) -> None:
         out = self._campaign.out
         content = read_ledger(out / LEDGER_NAME)
-        before, now = content.campaign, json.loads(json.dumps(facts))
+        before, now = {'timing': '', **content.campaign}, json.loads(json.dumps(facts))
         for name in now:
-            if before and name not in _FREE and before.get(name) != now[name]:
+            if content.campaign and name not in _FREE and before.get(name) != now[name]:
                 raise UsageError(
                     f'--resume: {out / FACTS_NAME} has another {name}; repeat what was typed '
                     'before, or name another --out'
@@ -236,6 +236,7 @@ class Shrinking:
             'specs': {spec.name: str(spec.formula) for spec in specs},
             'processes': False,
             'images': campaign.images,
+            'timing': campaign.timing.words,
         }
 
 

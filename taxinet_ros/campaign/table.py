@@ -46,7 +46,7 @@ _BEFORE_POINT = {
     'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
 }
 _BEFORE_RHO = {
-    'perception': 'string', 'perception_fingerprint': 'string',
+    'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
     'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
     'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
     'shadows': 'boolean', 'crossing': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',

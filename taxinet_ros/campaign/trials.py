@@ -25,6 +25,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.core.substituted_perception import parse_substitution, substituted
+from taxinet_ros.core.timing import parse_timing
 from taxinet_ros.core.user_code import UserCodeError
 
 
@@ -39,6 +40,7 @@ class Bench:
         controller: word of what steers.
         stop_on: what ends a run before its end.
         bounds, rates: what is vouched for of the signals, as text.
+        timing: when answers take effect, in words.
     """
 
     perception: str
@@ -48,6 +50,7 @@ class Bench:
     stop_on: StopOn = StopOn.NEVER
     bounds: tuple[str, ...] = ()
     rates: tuple[str, ...] = ()
+    timing: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,14 +61,14 @@ class Task:
         run_id: the counterexample.
         scenario: its scene.
         word: of the substitution.
-        seed: of its noise.
+        seed: of its noise: seed and index of the run, which determine drawn latencies too.
         exact: whether the scene is known to the last bit.
     """
 
     run_id: str
     scenario: Scenario
     word: str
-    seed: tuple[int, ...]
+    seed: tuple[int, int]
     exact: bool = True
 
 
@@ -165,6 +168,7 @@ def make_trial(
             task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
             controller=controller, stop_on=bench.stop_on,
             assumptions=parse_assumptions(bench.bounds, bench.rates),
+            timing=parse_timing(bench.timing), draws=task.seed,
         )
     except (InfraError, UserCodeError) as error:
         return _unjudged(task, str(error))

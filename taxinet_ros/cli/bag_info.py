@@ -79,6 +79,9 @@ def _run_lines(
         yield 'gains', law.implementation or 'as shipped'
     elif law is not None:
         yield 'controller', _who(law)
+    world = facts.nodes.get('simulator')
+    if world is not None and world.implementation:
+        yield 'timing', world.implementation
     if facts.figures:
         yield 'figures', ', '.join(_figures(facts.figures))
     if not words:

@@ -95,6 +95,15 @@ RateOption = Annotated[
         help='you vouch that a signal changes no faster per second, e.g. cte=3; repeatable',
     ),
 ]
+LatencyOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar='NAME=LATENCY',
+        help='answers take effect so late: perception= or controller= SECONDS, uniform(LOW,HIGH) '
+        'or normal(MEAN,SD), drawn anew in each step; works as the next multiple of 0.1 s; '
+        'repeatable',
+    ),
+]
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='every node a process of its own, same results')
 ]

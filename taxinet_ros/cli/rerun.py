@@ -88,7 +88,8 @@ def run_again(
     now = perception_words(word, fingerprint)
     console.print(
         f'once more {run.request.run_id}, perception {before}'
-        + (f', now {now}' if now != before else '') + f' -> {out}', soft_wrap=True,
+        + (f', now {now}' if now != before else '')
+        + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}', soft_wrap=True,
     )
     warn_of_stacks(console, made_on(info), provenance())
     results = rerun([(run, word, steers)], out, images=images, processes=processes)

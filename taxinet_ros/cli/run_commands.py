@@ -17,6 +17,7 @@ from taxinet_ros.cli.option_types import (
     FoxgloveOption,
     FromOption,
     ImagesOption,
+    LatencyOption,
     MostRunsOption,
     NeededRunsOption,
     NominalOption,
@@ -64,6 +65,7 @@ def run(
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
+    latency: LatencyOption = None,
     foxglove: FoxgloveOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
@@ -88,7 +90,7 @@ def run(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'),
+        controller=word_of(context, 'controller'), latency=latency or (),
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -133,6 +135,7 @@ def falsify(
     stop_on: StopOnOption = 'never',
     bound: BoundOption = None,
     rate: RateOption = None,
+    latency: LatencyOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -149,7 +152,7 @@ def falsify(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
         resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'),
+        controller=word_of(context, 'controller'), latency=latency or (),
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -228,6 +231,7 @@ def up(
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
     ] = True,
     images: ImagesOption = 'all',
+    latency: LatencyOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -270,7 +274,7 @@ def up(
     options = make_up_options(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
-        domain=domain, silent_s=silent_after,
+        domain=domain, silent_s=silent_after, latency=latency or (),
     )
     raise typer.Exit(run_up(options))
 

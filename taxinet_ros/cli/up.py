@@ -13,6 +13,7 @@ from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts
 from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
     IMAGES,
+    check_latency,
     check_new,
     new_folder,
     split_settings,
@@ -32,6 +33,7 @@ _INFRA = 4
 def make_up_options(
     *, perception: str, controller: str, out: Path | None, record: bool, images: str,
     settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
+    latency: Iterable[str] = (),
 ) -> UpOptions:
     """Check what a person typed.
 
@@ -45,6 +47,7 @@ def make_up_options(
         restart: a word of :class:`Restart`.
         domain: ROS domain; where None, that of the environment, else one of its own.
         silent_s: silence after which a node is named [s].
+        latency: ``NAME=LATENCY`` of perception or controller.
 
     Raises:
         UsageError: one line on the first that is wrong.
@@ -68,7 +71,7 @@ def make_up_options(
     return UpOptions(
         graph=GraphOptions(
             perception=perception, out=out, images=images, gains=gains, controller=controller,
-            alone=False,
+            alone=False, timing=check_latency(latency),
         ),
         record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
     )

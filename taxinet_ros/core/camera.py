@@ -76,9 +76,10 @@ def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.fl
     ])  # fmt: skip
 
 
-_BODY_TO_OPTICAL = (
+BODY_TO_OPTICAL = (
     rotation(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD) @ _OPTICAL_TO_LINK
 ).T
+"""Rotation from ``base_link`` to ``camera_optical`` (3, 3): z ahead, x right, y down (REP-103)."""
 
 
 def pose(
@@ -98,7 +99,7 @@ def pose(
         raise ValueError(
             f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
         )
-    return body, _BODY_TO_OPTICAL @ body.T, camera
+    return body, BODY_TO_OPTICAL @ body.T, camera
 
 
 def project(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import Controller, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
@@ -18,6 +18,7 @@ from taxinet_ros.core.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn
+from taxinet_ros.core.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, World
 
@@ -33,6 +34,32 @@ class Step:
     estimate: TrackingError
     command: TaxiCommand
     readings: tuple[Reading, ...]
+
+
+ROLLING_ON = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
+"""What holds before the first answer: how the aircraft rolls when a run starts."""
+
+
+class LateCommands:
+    """Which command holds from a control step to the next, where answers take effect late.
+
+    Attributes:
+        answers: commands on their way.
+    """
+
+    def __init__(self, timing: Timing, seed: int, index: int) -> None:
+        """Begin run ``index`` of a campaign with this seed."""
+        self.answers = LateAnswers(ROLLING_ON)
+        self._latencies_ns = timing.latencies_ns(seed, index)
+
+    def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
+        """The command that holds from step ``seq``, whose frame is answered by ``command``.
+
+        To be called once for every step, in order.
+        """
+        now_ns = seq * CONTROL_PERIOD_NS
+        self.answers.put(seq, now_ns + next(self._latencies_ns), command)
+        return self.answers.newest(now_ns)
 
 
 def signals(
@@ -63,6 +90,8 @@ def run_closed_loop(
     stop_on: StopOn = StopOn.NEVER,
     assumptions: Assumptions = NO_ASSUMPTIONS,
     on_step: Callable[[Step], None] | None = None,
+    timing: Timing = AT_ONCE,
+    draws: tuple[int, int] = (0, 0),
 ) -> Judgement:
     """Run one scenario to its end.
 
@@ -74,6 +103,8 @@ def run_closed_loop(
         stop_on: what ends the run before its end; the deciding step is its last.
         assumptions: what is vouched for of the signals.
         on_step: called with every step, in order, before the world moves on.
+        timing: when answers take effect.
+        draws: seed and index of the run, which determine latencies that are drawn.
 
     Returns:
         The judgement over the run.
@@ -82,6 +113,7 @@ def run_closed_loop(
     perception.begin()
     controller.begin()
     world = World(scenario, pictures=perception.needs_image)
+    commands = LateCommands(timing, *draws)
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:
@@ -102,4 +134,4 @@ def run_closed_loop(
             on_step(Step(observation=now, estimate=estimate, command=command, readings=readings))
         if now.seq == world.last_seq or judge.stopped_early:
             return judge.judgement
-        world.advance(command)
+        world.advance(commands.at(now.seq, command))

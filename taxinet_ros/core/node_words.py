@@ -7,6 +7,7 @@ end, as in ``cmd:ros2 run my_pkg my_node``.
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -41,6 +42,24 @@ def command_of(word: str) -> list[str] | None:
     if not words:
         raise UsageError(f"{word!r}: names no program, as in {COMMAND}'ros2 run my_pkg my_node'")
     return words
+
+
+def node_command(word: str, name: str, remaps: Sequence[str] = ()) -> list[str] | None:
+    """The same, with the arguments that give the node the name that a graph knows it by.
+
+    Args:
+        word: as of :func:`command_of`.
+        name: of the node.
+        remaps: further remap rules, ``FROM:=TO``.
+
+    Raises:
+        UsageError: as there.
+    """
+    words = command_of(word)
+    if words is None:
+        return None
+    rules = [part for rule in (f'__node:={name}', *remaps) for part in ('-r', rule)]
+    return [*words, '--ros-args', *rules]
 
 
 def short_word(word: str) -> str:

@@ -69,6 +69,7 @@ class RunResult:
         stopped_early: whether it was, see :mod:`.stop_on`.
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
+        timing: when its answers took effect, in the words of :mod:`.timing`.
         wall_s: wall-clock time from request to answer [s].
     """
 
@@ -84,4 +85,5 @@ class RunResult:
     statistics: RunStatistics | None = None
     perception: str = ''
     fingerprint: str = ''
+    timing: str = ''
     wall_s: float = 0.0

@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run_topics import ODOMETRY, TF, is_of_frames, is_topic
 from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.types import NS_PER_S
@@ -30,6 +31,7 @@ from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.playback import Portion, known_topics, open_bag, portions, window
 from taxinet_ros.nodes.recorded_topics import is_latched, message_class, recorded_qos
 from taxinet_ros.nodes.spinning import spin_until
+from taxinet_ros.nodes.transforms import TransformBroadcaster
 
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
@@ -109,10 +111,20 @@ class BagPlayer(Node):
         refuse_unknown(self)
         self._info = open_bag(bag)
         self._part = window(self._info, offset, duration)
-        self._excluded = known_topics(self._info, exclude, 'exclude')
+        made = {place + TF for place in self._without_transforms().values()}
+        self._excluded = known_topics(self._info, exclude, 'exclude', made)
         self._awaited = known_topics(self._info, wait_for, 'wait_for')
         for name in sorted(self._awaited & self._excluded):
             raise UsageError(f'bag_player: {name} stands in exclude and in wait_for; drop one')
+
+    def _without_transforms(self) -> dict[str, str]:
+        """Odometry without a ``tf`` beside it, as in bags of before: its namespace, by its name."""
+        recorded = {topic.name for topic in self._info.topics}
+        places = {
+            topic.name: topic.name.removesuffix(ODOMETRY) for topic in self._info.topics
+            if is_topic(topic.name, ODOMETRY) and topic.type == interface.ODOMETRY.type_name
+        }
+        return {name: place for name, place in places.items() if place + TF not in recorded}
 
     def _speak(self) -> dict[str, Publisher]:
         """Publishers by recorded name; topics of types that are not installed are left out."""
@@ -136,6 +148,12 @@ class BagPlayer(Node):
         if not {interface.CLOCK.name} & (publishers.keys() | self._excluded):
             clock = interface.CLOCK
             self._own_clock = self.create_publisher(clock.type, clock.name, clock.qos)
+        odometry = {topic.name: topic for topic in self._info.topics}
+        self._transforms = {
+            name: TransformBroadcaster(self, prefix=_relative(place), odometry=odometry[name])
+            for name, place in self._without_transforms().items()
+            if name in publishers and place + TF not in self._excluded
+        }
         return publishers
 
     # Playing ---------------------------------------------------------------------------------
@@ -181,7 +199,7 @@ class BagPlayer(Node):
 
     def _warn_of_rivals(self) -> None:
         for name, publisher in self._publishers_by_topic.items():
-            shared = name.lstrip('/') == interface.NODE_STATUS.name
+            shared = name.lstrip('/') == interface.NODE_STATUS.name or is_of_frames(name)
             if not shared and self.count_publishers(publisher.topic_name) > 1:
                 self.get_logger().warning(
                     f'{publisher.topic_name} is published by another node too: exclude it here, or '
@@ -229,6 +247,8 @@ class BagPlayer(Node):
                 self._under_way.clear()
             publisher = self._publishers_by_topic[name]
             publisher.publish(message.cdr)
+            if name in self._transforms:
+                self._transforms[name].follow(message.cdr)
             self._count += 1
             self._heard.add(name)
             if latched:

@@ -7,6 +7,7 @@ Messages are passed on as they come, with their ROS definitions, at simulated ti
 from __future__ import annotations
 
 import functools
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from nav_msgs.msg import Odometry
@@ -21,7 +22,7 @@ from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.onlooker import Onlooker
 from taxinet_ros.nodes.parameters import declare, refuse_unknown
 from taxinet_ros.nodes.recorded_topics import is_latched
-from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
+from taxinet_ros.nodes.scene import Aircraft, runway_markers
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 HOST, PORT = '127.0.0.1', 8765
 LOOKING_ON = 'looking on'
 """What the executable says on stdout when it has found a graph, or a player of one."""
+
+_STATIC_HELD = 100
+"""Messages of static transforms that are repeated, whoever said them."""
 
 NOT_INSTALLED = 'foxglove-sdk is not installed; pip install -c constraints.txt foxglove-sdk'
 
@@ -50,14 +54,15 @@ class FoxgloveServer(Onlooker):
         super().__init__('foxglove_server', **node)
         port = declare(self, 'port', PORT, 'TCP port on 127.0.0.1; 0: any', (0, 65535))
         refuse_unknown(self)
-        self._held: dict[str, tuple[int, bytes]] = {}
+        self._held: dict[str, deque[tuple[int, bytes]]] = {}
+        self._now_ns = 0
         self._aircraft = Aircraft()
         self._server = self._open(port)
         self.port = int(self._server.port)
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
+        topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
         self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers()), 0)
-        self._say(interface.SCENE_CAMERA, serialize_message(camera_transform()), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
         print(f'listening on ws://{HOST}:{self.port}', flush=True)
@@ -99,30 +104,35 @@ class FoxgloveServer(Onlooker):
 
     def repeat(self, path: str) -> None:
         """Say once more what was said last on a latched topic, by its full name."""
-        for name, (stamp_ns, cdr) in list(self._held.items()):
+        for name, held in list(self._held.items()):
             if self._channels[name].topic() == path:
-                self._channels[name].log(cdr, log_time=stamp_ns)
+                for stamp_ns, cdr in list(held):
+                    self._channels[name].log(cdr, log_time=stamp_ns)
 
     def _pass_on(self, topic: Topic, cdr: bytes) -> None:
+        if topic in interface.TRANSFORMS:
+            # Anybody's, and their stamps are within: those of the wall clock as well.
+            self._say(topic, cdr, self._now_ns)
+            return
         stamp_ns = stamp_of_cdr(cdr)
         if topic in (interface.CLOCK, interface.SCENARIO):
+            self._now_ns = stamp_ns
             self._server.broadcast_time(stamp_ns)
         if topic is interface.SCENARIO:
             # A run begins: time goes back, and the app forgets what it was told before.
-            for still in (interface.SCENE_RUNWAY, interface.SCENE_CAMERA):
+            for still in (interface.SCENE_RUNWAY, interface.TF_STATIC):
                 self.repeat(self._channels[still.name].topic())
         self._say(topic, cdr, stamp_ns)
         if topic is interface.ODOMETRY:
-            odometry = deserialize_message(cdr, Odometry)
-            markers = self._aircraft.markers(odometry)
-            self._say(
-                interface.SCENE_BASE, serialize_message(base_transform(odometry)), stamp_ns
-            )
+            markers = self._aircraft.markers(deserialize_message(cdr, Odometry))
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
         if is_latched(topic.qos):
-            self._held[topic.name] = stamp_ns, cdr
+            many = topic is interface.TF_STATIC
+            held = self._held.setdefault(topic.name, deque(maxlen=_STATIC_HELD if many else 1))
+            if not many or cdr not in (before for _, before in held):
+                held.append((stamp_ns, cdr))
         self._channels[topic.name].log(cdr, log_time=stamp_ns)
 
 

@@ -22,12 +22,14 @@ from rclpy.parameter import Parameter
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.node_words import command_of, is_node_elsewhere
+from taxinet_ros.core.node_words import is_node_elsewhere, node_command
 from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.timing import AT_ONCE, Timing
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.node_process import NodeProcess, command_processes
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
@@ -40,6 +42,9 @@ NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
 
 _POLL_S = 0.1
+_PERCEPTIONS: dict[str, NodeClass] = {
+    'ground_truth_perception': GroundTruthPerception, 'taxinet_perception': TaxinetPerception,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +65,7 @@ class GraphOptions:
         controller_sha256: what the controller's file has to be, with those that it lists, so that
             one that changes amid a campaign is not mixed in; '' where it may be any.
         alone: whether runs are asked for by this process alone, so that no other is recorded.
+        timing: when answers take effect.
     """
 
     perception: str
@@ -72,18 +78,17 @@ class GraphOptions:
     controller: str = STEERING
     controller_sha256: str = ''
     alone: bool = True
+    timing: Timing = AT_ONCE
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of ours but the sampler, by node name."""
-        if self.perception == 'truth':
-            perception: tuple[NodeClass, dict[str, Any]] = (GroundTruthPerception, {})
-        else:
-            perception = (TaxinetPerception, {'weights': self.perception})
+        executable, parameters = perception_executable(self.perception)
+        perception = (_PERCEPTIONS[executable], parameters)
         steering = {} if self.controller == STEERING else {
             'controller': self.controller, 'controller_sha256': self.controller_sha256,
         }
         every: dict[str, tuple[NodeClass, dict[str, Any]]] = {
-            interface.SIMULATOR: (Simulator, dict(self.timeouts)),
+            interface.SIMULATOR: (Simulator, {**self.timeouts, **self._simulator()}),
             interface.PERCEPTION: perception,
             interface.STEERING_CONTROLLER: (SteeringController, {**self.gains, **steering}),
             interface.MTL_MONITOR: (MtlMonitor, {}),
@@ -93,6 +98,9 @@ class GraphOptions:
             }),
         }
         return {name: node for name, node in every.items() if name not in self.elsewhere}
+
+    def _simulator(self) -> dict[str, Any]:
+        return {'latency': self.timing.latency} if self.timing.laws else {}
 
     @property
     def elsewhere(self) -> dict[str, str]:
@@ -107,11 +115,8 @@ class GraphOptions:
 
         The node is given the name that the graph knows it by.
         """
-        found = {name: command_of(word) for name, word in self.elsewhere.items()}
-        return {
-            name: [*words, '--ros-args', '-r', f'__node:={name}']
-            for name, words in found.items() if words
-        }
+        found = {name: node_command(word, name) for name, word in self.elsewhere.items()}
+        return {name: words for name, words in found.items() if words}
 
 
 def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
@@ -124,6 +129,7 @@ def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOp
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
+        timing=campaign.timing,
     )
 
 

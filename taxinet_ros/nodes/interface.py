@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -24,8 +23,12 @@ from taxinet_msgs.msg import (
     TrackingError,
     Verdict,
 )
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from taxinet_ros.bag.run_topics import BASE_FRAME as BASE_FRAME
+from taxinet_ros.bag.run_topics import CAMERA_FRAME as CAMERA_FRAME
+from taxinet_ros.bag.run_topics import MAP_FRAME as MAP_FRAME
 from taxinet_ros.nodes.names import CHAIN as CHAIN
 from taxinet_ros.nodes.names import FOLLOWERS as FOLLOWERS
 from taxinet_ros.nodes.names import MTL_MONITOR as MTL_MONITOR
@@ -37,10 +40,6 @@ from taxinet_ros.nodes.names import SCENE_MARKERS as SCENE_MARKERS
 from taxinet_ros.nodes.names import SIMULATOR as SIMULATOR
 from taxinet_ros.nodes.names import STEERING_CONTROLLER as STEERING_CONTROLLER
 from taxinet_ros.nodes.names import SUPERVISOR as SUPERVISOR
-
-MAP_FRAME = 'map'
-BASE_FRAME = 'base_link'
-CAMERA_FRAME = 'camera_optical'
 
 # Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
 LOCKSTEP = QoSProfile(
@@ -55,6 +54,14 @@ LATCHED = QoSProfile(
     depth=16,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# As tf2_ros has it.
+_TRANSFORMS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
 )
 
 PER_STEP = 'per step'
@@ -105,7 +112,7 @@ class Topic:
     def speakers(self, participants: Sequence[str]) -> set[str]:
         """Those of the nodes of a run that publish, one end each."""
         if self.recorded == PER_NODE:
-            return set(participants) - {SIMULATOR}
+            return {SIMULATOR, *participants}
         return set(self.publishers) & {SIMULATOR, *participants}
 
 
@@ -115,7 +122,7 @@ SCENARIO = Topic(
     carries='the test case; every participant sets itself up for it',
 )
 NODE_STATUS = Topic(
-    name='node_status', type=NodeStatus, qos=LATCHED, publishers=PARTICIPANTS,
+    name='node_status', type=NodeStatus, qos=LATCHED, publishers=(SIMULATOR, *PARTICIPANTS),
     subscribers=(SIMULATOR,), recorded=PER_NODE,
     carries='ready, done or error of one participant, with implementation and weights hash',
 )
@@ -191,6 +198,23 @@ TOPICS = (
     ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS,
 )
 
+TF_STATIC = Topic(
+    name='tf_static', type=TFMessage, qos=LATCHED, publishers=(SIMULATOR,),
+    subscribers=(), recorded=PER_RUN,
+    carries='where camera_optical is in base_link',
+)
+TF = Topic(
+    name='tf', type=TFMessage, qos=_TRANSFORMS, publishers=(SIMULATOR,),
+    subscribers=(), recorded=PER_STEP,
+    carries='where base_link is in map, as odometry says',
+)
+TRANSFORMS = (TF_STATIC, TF)
+"""Where the frames are, for whoever draws them or asks tf2.
+
+By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
+the recorder does not listen: what a bag has of them is made of its odometry.
+"""
+
 SCENE_RUNWAY = Topic(
     name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),
     subscribers=(), recorded=None,
@@ -201,17 +225,7 @@ SCENE_AIRCRAFT = Topic(
     subscribers=(), recorded=None,
     carries='the aircraft and its path so far, in map',
 )
-SCENE_BASE = Topic(
-    name='scene/base_link', type=TransformStamped, qos=LOCKSTEP, publishers=(SCENE_MARKERS,),
-    subscribers=(), recorded=None,
-    carries='where base_link is in map',
-)
-SCENE_CAMERA = Topic(
-    name='scene/camera_optical', type=TransformStamped, qos=LATCHED, publishers=(SCENE_MARKERS,),
-    subscribers=(), recorded=None,
-    carries='where camera_optical is in base_link',
-)
-SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT, SCENE_BASE, SCENE_CAMERA)
+SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
 """What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
 
 RUN_SCENARIO = 'run_scenario'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from taxinet_ros.core.errors import UsageError
 
@@ -26,6 +27,13 @@ FOLLOWERS = (MTL_MONITOR, RECORDER)
 
 REQUIRED = (*CHAIN, MTL_MONITOR)
 """Participants without which no run can go on, or be judged."""
+
+
+def perception_executable(word: str) -> tuple[str, dict[str, Any]]:
+    """Executable and parameters of our node that is the perception of a word or file."""
+    return ('ground_truth_perception', {}) if word == 'truth' else (
+        'taxinet_perception', {'weights': word}
+    )
 
 
 def check_participants(names: Sequence[str]) -> None:

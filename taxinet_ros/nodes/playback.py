@@ -75,15 +75,23 @@ def window(info: BagInfo, start_offset_s: float, duration_s: float) -> Window:
     return Window(start_ns=start_ns, end_ns=end_ns)
 
 
-def known_topics(info: BagInfo, names: Collection[str], parameter: str) -> frozenset[str]:
+def known_topics(
+    info: BagInfo, names: Collection[str], parameter: str, made: Collection[str] = ()
+) -> frozenset[str]:
     """Full names of topics that a parameter names, with or without the leading slash.
+
+    Args:
+        info: of the bag.
+        names: what the parameter says.
+        parameter: its name.
+        made: topics that the player makes of others.
 
     Raises:
         UsageError: the bag has no such topic.
     """
     recorded = {topic.name for topic in info.topics}
     wanted = frozenset('/' + name.lstrip('/') for name in names if name)
-    for name in sorted(wanted - recorded):
+    for name in sorted(wanted - recorded - {*made}):
         frames = name == '/camera/image_raw'
         known = 'taxinet bag render puts the frames in' if frames else (
             f'it has {", ".join(sorted(recorded))}'

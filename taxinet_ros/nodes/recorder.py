@@ -22,6 +22,7 @@ from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
+from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -61,7 +62,8 @@ def bag_name(topic: Topic) -> str:
     return '/' + topic.name.lstrip('/')
 
 
-_BAG_NAMES = {topic.name: bag_name(topic) for topic in interface.TOPICS}
+_TOPICS = (*interface.TOPICS, *interface.TRANSFORMS)
+_BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
 
 
 @functools.cache
@@ -82,7 +84,7 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
                 durability=topic.qos.durability.name.lower(),
             ),
         )
-        for topic in interface.TOPICS
+        for topic in _TOPICS
         if topic.recorded and (images or topic is not interface.IMAGE)
     )
 
@@ -112,6 +114,7 @@ class Recorder(Participant):
             topic for topic in _STEPPED if images == 'all' or topic is not interface.IMAGE
         )
         self._canonical = Canonical(self._topics)
+        self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
@@ -269,7 +272,8 @@ class Recorder(Participant):
     def _head_known(self) -> bool:
         if not self._head_complete:
             heard = set(self._ready_for(self.run_id))
-            self._head_complete = heard == set(self._scenario_message.participants)
+            speakers = interface.NODE_STATUS.speakers(self._scenario_message.participants)
+            self._head_complete = heard == speakers
         return self._head_complete
 
     def _ready_for(self, run_id: str) -> dict[str, bytes]:
@@ -278,8 +282,11 @@ class Recorder(Participant):
 
     def _write_head(self) -> None:
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
-        for _, cdr in sorted(self._ready_for(self.run_id).items()):
-            self._write(interface.NODE_STATUS, cdr, 0)
+        for node, cdr in sorted(self._ready_for(self.run_id).items()):
+            # Of the simulator there is nothing to say in a run whose answers take effect at once.
+            if node != interface.SIMULATOR or deserialize_message(cdr, NodeStatus).implementation:
+                self._write(interface.NODE_STATUS, cdr, 0)
+        self._write(interface.TF_STATIC, camera_transform(), 0)
 
     def _write_steps(self) -> None:
         """Write what is whole, once the head of the bag is on disk."""
@@ -297,6 +304,8 @@ class Recorder(Participant):
         for topic in self._stepped:
             for cdr in messages.get(topic.name, ()):
                 self._write(topic, cdr, seq * CONTROL_PERIOD_NS)
+                if topic is interface.ODOMETRY:
+                    self._write(interface.TF, self._transform_of(cdr), seq * CONTROL_PERIOD_NS)
         self._writer.flush()
 
     def _write(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:

@@ -35,14 +35,14 @@ def rerun(
         results[request.run_id] = result
         return result.outcome.judged
 
-    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str]:
-        return run[1], run[2], words_of_gains(run[0].gains)
+    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str, str]:
+        return run[1], run[2], words_of_gains(run[0].gains), run[0].timing.words
 
-    for (perception, controller, _), group in groupby(sorted(runs, key=kind), kind):
+    for (perception, controller, *_), group in groupby(sorted(runs, key=kind), kind):
         alike = [run for run, *_ in group]
         options = GraphOptions(
             perception=perception, out=out, images=images, controller=controller,
-            gains=alike[0].gains if controller == STEERING else {},
+            gains=alike[0].gains if controller == STEERING else {}, timing=alike[0].timing,
         )
         requests = [
             dataclasses.replace(run.request, participants=PARTICIPANTS) for run in alike

@@ -14,10 +14,12 @@ from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.lockstep import Lockstep
+from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.mtl import parse_assumptions, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.spec_check import check_specs
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
+from taxinet_ros.core.timing import Timing
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.nodes import interface
@@ -29,8 +31,13 @@ from taxinet_ros.nodes.participant import one_line
 class ActiveRun:
     """The world, the lockstep's bookkeeping and the answer that a goal's client waits for."""
 
-    def __init__(self, goal: Any, executor: Any) -> None:
+    def __init__(self, goal: Any, executor: Any, timing: Timing) -> None:
         """Build the world that the goal's scenario describes.
+
+        Args:
+            goal: of the action.
+            executor: of the node.
+            timing: when answers take effect.
 
         Raises:
             UsageError: the scenario has a value out of range, no name that a folder can have, an
@@ -52,6 +59,7 @@ class ActiveRun:
         scenario = scenario_of(message)
         check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
         self.world = World(scenario)
+        self.commands = LateCommands(timing, message.seed, message.index)
         may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
         self.lockstep = Lockstep(
             participants=self.participants,

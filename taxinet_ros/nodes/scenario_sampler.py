@@ -294,6 +294,7 @@ def result_of(answer: Any) -> RunResult:
         last_seq=status.seq,
         perception=status.perception,
         fingerprint=status.fingerprint,
+        timing=plain_line(answer.timing),
         **(_judged(verdict) if judged else {}),
     )
 

@@ -1,4 +1,4 @@
-"""The runway, the aircraft and its path as markers, and where the frames are: for 3-D viewers."""
+"""The runway, the aircraft and its path as markers: for 3-D viewers."""
 
 from __future__ import annotations
 
@@ -7,19 +7,16 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from taxinet_ros.core import camera, runway
+from taxinet_ros.core import runway
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.shadow import OUTLINE
-from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes.convert import header, stamp_of
-from taxinet_ros.nodes.interface import BASE_FRAME, CAMERA_FRAME
 
 _ASPHALT, _CONCRETE = (0.30, 0.30, 0.32), (0.38, 0.38, 0.39)
 _PAINT, _AIRFRAME, _PATH = (0.95, 0.95, 0.90), (0.98, 0.95, 0.90), (0.95, 0.45, 0.10)
@@ -42,30 +39,6 @@ def runway_markers() -> MarkerArray:
     crossing.scale = Vector3(x=_CROSSING_LENGTH_M, y=runway.CROSSING_WIDTH_M, z=_THICKNESS_M)
     paint = _triangles('paint', _paint_triangles(), _PAINT)
     return MarkerArray(markers=[pavement, crossing, paint])
-
-
-def camera_transform() -> TransformStamped:
-    """Where ``camera_optical`` is in ``base_link``."""
-    level = AircraftState(
-        x_m=0.0, y_m=0.0, z_m=2.0, roll_rad=0.0, pitch_rad=0.0, yaw_rad=0.0, speed_mps=0.0,
-        yaw_rate_radps=0.0,
-    )
-    _, to_optical, _ = camera.pose(level)
-    transform = TransformStamped(header=header(0, BASE_FRAME), child_frame_id=CAMERA_FRAME)
-    x, y, z = camera.CAMERA_OFFSET_M
-    transform.transform.translation = Vector3(x=x, y=y, z=z)
-    turned = Rotation.from_matrix(to_optical.T).as_quat()
-    transform.transform.rotation = _quaternion(*turned.tolist())
-    return transform
-
-
-def base_transform(odometry: Odometry) -> TransformStamped:
-    """Where ``base_link`` is in ``map``."""
-    at = odometry.pose.pose
-    transform = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
-    transform.transform.translation = Vector3(x=at.position.x, y=at.position.y, z=at.position.z)
-    transform.transform.rotation = at.orientation
-    return transform
 
 
 class Aircraft:

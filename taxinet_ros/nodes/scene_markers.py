@@ -14,7 +14,7 @@ from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.onlooker import Onlooker
 from taxinet_ros.nodes.parameters import refuse_unknown
-from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
+from taxinet_ros.nodes.scene import Aircraft, runway_markers
 
 
 class SceneMarkers(Onlooker):
@@ -30,11 +30,9 @@ class SceneMarkers(Onlooker):
         }
         self._aircraft = Aircraft()
         self._say(interface.SCENE_RUNWAY, runway_markers())
-        self._say(interface.SCENE_CAMERA, camera_transform())
         self.watch(interface.ODOMETRY, self._draw)
 
     def _draw(self, odometry: Odometry) -> None:
-        self._say(interface.SCENE_BASE, base_transform(odometry))
         self._say(interface.SCENE_AIRCRAFT, self._aircraft.markers(odometry))
 
     def _say(self, topic: Topic, message: Any) -> None:

@@ -22,8 +22,10 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.timing import LAWS, parse_latency
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
+from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
@@ -36,6 +38,7 @@ from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
+from taxinet_ros.nodes.transforms import TransformBroadcaster
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -59,6 +62,8 @@ class Simulator(Node):
         self._answer_timeout_s = declare(self, 'answer_timeout', 10.0, text, (0.1, 3600.0))
         text = 'wall-clock time for every participant to get ready [s]'
         self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
+        text = f'how late answers take effect, perception= and controller= [s]: {LAWS}'
+        self._timing = parse_latency([declare(self, 'latency', '', text)])
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._leaving = False
@@ -86,6 +91,7 @@ class Simulator(Node):
             *self._listeners,
             *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
         ]
+        self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
         self.create_subscription(topic.type, topic.name, told, topic.qos)
@@ -129,14 +135,16 @@ class Simulator(Node):
         result = interface.RUN_SCENARIO_TYPE.Result()
         scenario = goal.request.scenario
         try:
-            run = ActiveRun(goal, self.executor)
+            run = ActiveRun(goal, self.executor, self._timing)
         except Exception as error:
             result.status = not_begun(scenario.run_id, error)
             goal.abort()
             return result
         self._run = run
         self._say(interface.SCENARIO, scenario)
+        self._say(interface.NODE_STATUS, self._own_status(run))
         self._say(interface.RUN_STATUS, run.status(RunStatus.PREPARING))
+        result.timing = self._timing.words
         result.status = await run.done
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
@@ -151,6 +159,13 @@ class Simulator(Node):
         else:
             goal.abort()
         return result
+
+    def _own_status(self, run: ActiveRun) -> NodeStatus:
+        """What goes into the run's bag of this node, where answers do not take effect at once."""
+        return NodeStatus(
+            header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
+            state=NodeStatus.READY, implementation=self._timing.words,
+        )
 
     # What the graph says -----------------------------------------------------------------------
 
@@ -286,7 +301,7 @@ class Simulator(Node):
             self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
-            run.world.advance(command)
+            run.world.advance(run.commands.at(run.lockstep.seq, command))
             self._publish_frame(run)
         elif run.lockstep.complete and run.verdict is not None:
             self._conclude(run, run.verdict)
@@ -298,6 +313,8 @@ class Simulator(Node):
         run.lockstep.begin(now.seq)
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
+            if topic is interface.ODOMETRY:
+                self._transforms.follow(message)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):

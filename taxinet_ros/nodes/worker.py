@@ -35,6 +35,7 @@ def worker_command(options: GraphOptions) -> list[str]:
         f'--perception={options.perception}', f'--out={options.out}',
         f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
         f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
+        f'--timing={options.timing.words}',
     ]
 
 
@@ -111,12 +112,14 @@ def main(words: Sequence[str] | None = None) -> int:
     _end_with(arguments.parent)
     # Only now what takes seconds to import: a parent that dies meanwhile ends this process.
     from taxinet_ros.core.errors import UsageError
+    from taxinet_ros.core.timing import parse_timing
     from taxinet_ros.nodes.graph import GraphOptions
 
     options = GraphOptions(
         perception=arguments.perception, out=arguments.out, make_out=False,
         images=arguments.images, gains=json.loads(arguments.gains),
         controller=arguments.controller, controller_sha256=arguments.controller_sha256,
+        timing=parse_timing(arguments.timing),
     )
     outbox = _Outbox(arguments.answers)
     try:
@@ -156,6 +159,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--gains', required=True)
     parser.add_argument('--controller', required=True)
     parser.add_argument('--controller-sha256', default='')
+    parser.add_argument('--timing', default='')
     return parser.parse_args(words)
 
 

@@ -13,6 +13,8 @@ from taxinet_ros.campaign.experiment_file import (
     known_experiments,
     read_experiment,
 )
+from taxinet_ros.campaign.facts import campaign_facts
+from taxinet_ros.campaign.programs import find_program
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.campaign.scene_source import SceneSource
 from taxinet_ros.core.errors import UsageError
@@ -46,6 +48,20 @@ def test_given_a_file_then_its_arms_differ_in_what_they_set_only(tmp_path):
     assert [s.campaign.out.name for s in searches.values()] == ['a', 'b']
     assert {s.campaign.images for s in searches.values()} == {'none'}
     assert searches['b'].campaign.overrides == searches['a'].campaign.overrides == one.overrides
+
+
+def test_r11_given_controllers_then_each_arm_has_its_own_and_it_is_on_record(tmp_path):
+    file = tmp_path / 'own.py'
+    file.write_text('def steer(estimate): return 0.0, 5.0\n')
+    one = read_experiment(written(
+        tmp_path, controller=f'{file}:steer', arms='{a: {}, b: {controller: steering}}'
+    ))
+    assert [arm.controller for arm in one.arms] == [f'{file}:steer', 'steering']
+    searches = arm_searches(one, tmp_path / 'out', workers=1, resume=False)
+    program = find_program(one.program)
+    recorded = [campaign_facts(search.campaign, program) for search in searches.values()]
+    assert [facts['controller'] for facts in recorded] == [f'{file}:steer', 'steering']
+    assert [len(facts['controller_sha256']) for facts in recorded] == [64, 0]
 
 
 def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
@@ -88,9 +104,14 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'arms': '{a: {}}'}, 'arms: expected two or more'),
         ({'arms': '[a, b]'}, 'arms: expected KEY: VALUE pairs'),
         ({'arms': '{a: {}, b/c: {}}'}, 'arms.b/c: expected a name of letters'),
-        ({'arms': '{a: {}, b: {sets: {}}}'}, 'arms.b.sets: unknown key; known: set, perception'),
+        ({'arms': '{a: {}, b: {sets: {}}}'}, 'arms.b.sets: unknown key; known: set, perception, c'),
         ({'arms': '{a: {}, b: {set: {rain: 40}}}'}, 'arms.b.set: override clouds=clear rain=40'),
         ({'arms': '{a: {}, b: {set: {steering.gain: 1}}}'}, 'arms.b.set.steering.gain: unknown'),
+        ({'arms': '{a: {}, b: {controller: nobody}}'}, "arms.b.controller: controller: 'nobody'"),
+        ({'arms': '{a: {}, b: {controller: gone.py:steer}}'}, 'arms.b.controller: controller gone'),
+        ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
+        ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
+         'arms.a.controller: --set steering.heading_gain: a gain of the steering law'),
         ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
         ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
         ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),

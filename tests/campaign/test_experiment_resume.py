@@ -18,6 +18,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 
 RUNS = 10
 ARMS = ('shadows', 'no_shadows')
+LAW = ('steering', 'steering')
 
 
 class Bench:
@@ -53,11 +54,14 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     return bench
 
 
-def run(out: Path, *, resume: bool = False) -> int:
+def run(out: Path, *, resume: bool = False, controllers: tuple[str, str] = LAW) -> int:
     experiment = Experiment(
         name='light', program='nominal', runs=RUNS, seed=3, sampler='halton', sampler_options={},
         specs=('phi_eventually',), overrides={},
-        arms=tuple(Arm(name=name, perception='truth') for name in ARMS),
+        arms=tuple(
+            Arm(name=name, perception='truth', controller=controller)
+            for name, controller in zip(ARMS, controllers, strict=True)
+        ),
         compare_to=ARMS[0], over='',
     )
     return command.run_experiment(experiment, out, workers=2, resume=resume, as_json=False)
@@ -97,3 +101,22 @@ def test_f1_given_an_experiment_killed_before_its_first_line_when_resumed_then_i
         (tmp_path / 'other' / 'photos').mkdir(parents=True, exist_ok=True)
         with pytest.raises(UsageError, match='holds no arm of light'):
             run(tmp_path / folder, resume=True)
+
+
+def test_r11_given_an_arm_with_a_controller_of_its_own_when_that_changes_then_resume_refuses(
+    bench, tmp_path
+):
+    file, out = tmp_path / 'own.py', tmp_path / 'c'
+    file.write_text('def steer(estimate): return 0.0, 5.0\n')
+    own = ('steering', f'{file}:steer')
+    bench.broken = {(ARMS[1], index) for index in range(4, RUNS)}
+    assert run(out, controllers=own) == 4
+    assert bench.reports == 0
+    with pytest.raises(UsageError, match=r'controller.*steering'):
+        run(out, resume=True, controllers=LAW)
+    file.write_text('def steer(estimate): return 0.1, 5.0\n')
+    with pytest.raises(UsageError, match='controller_sha256'):
+        run(out, resume=True, controllers=own)
+    file.write_text('def steer(estimate): return 0.0, 5.0\n')
+    bench.broken = set()
+    assert run(out, resume=True, controllers=own) == 0

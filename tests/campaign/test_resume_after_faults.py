@@ -233,6 +233,7 @@ def test_f9_given_a_record_that_is_taken_away_then_the_next_row_ends_the_campaig
     assert [row.outcome for row in told] == [row.outcome for row in search.rows]
     assert sum(row.outcome.judged for row in told) in (4, 5), 'the last one is told all the same'
     assert not (out / 'runs.csv').exists()
+    assert all(row.bag == row.run_id for row in told if row.outcome.judged), 'wherever it is now'
     if act in (ledger_moved, ledger_copied_over):
         kept = read_ledger(tmp_path / 'elsewhere').rows
         assert len(kept) == len(told)

@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-from pathlib import Path
 
 import pandas as pd
 import pytest
-from taxinet_process import TAXINET
+from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.trace import read_trace
 
 
-def taxinet(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, 'COLUMNS': '80'}
-    return subprocess.run(
-        [*TAXINET, *words], capture_output=True, text=True, cwd=cwd, env=environment,
-    )
-
-
 def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags(tmp_path):
     out = tmp_path / 'campaign'
-    done = taxinet(
+    done = taxinet_apart(
         'run', 's_falsif', '--runs', '2', '--seed', '3', '--perception', 'truth',
         '--set', 'duration=12', '--set', 'steering.heading_gain=1.5', '--out', str(out),
     )
@@ -130,7 +120,7 @@ def test_given_a_mistake_then_one_line_says_what_and_nothing_is_left_behind(case
 def test_given_a_program_with_a_mistake_then_the_line_names_file_and_line(tmp_path):
     text = 'model runway_world\nego = new Plane at (1, 2) facing\n'
     (tmp_path / 'broken.scenic').write_text(text)
-    done = taxinet('run', 'broken.scenic', cwd=tmp_path)
+    done = taxinet_apart('run', 'broken.scenic', cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert 'broken.scenic:2' in line
@@ -147,16 +137,11 @@ def test_given_a_folder_with_something_in_it_then_it_is_left_alone(tmp_path):
 
 def test_given_an_interrupt_then_the_run_ends_in_order_and_its_bag_is_whole(tmp_path):
     words = ['run', 'nominal', '--runs', '3', '--perception', 'truth', '--set', 'duration=600']
-    campaign = subprocess.Popen(
-        [*TAXINET, *words, '--out', str(tmp_path / 'c')], stdout=subprocess.PIPE, text=True,
-    )
     bag = tmp_path / 'c' / 'nominal-s0-00000'
-    try:
+    with begun(*words, '--out', 'c', cwd=tmp_path) as campaign:
         wait_for(lambda: sum(file.stat().st_size for file in bag.glob('*.mcap')) > 1_000_000)
         campaign.send_signal(signal.SIGINT)
         out, _ = campaign.communicate()
-    finally:
-        campaign.kill()
     assert campaign.returncode == 130
     assert '1 INTERRUPTED' in out
     table = pd.read_parquet(tmp_path / 'c' / 'runs.parquet')
@@ -184,8 +169,8 @@ def test_given_the_demo_then_there_are_three_campaigns_and_two_pictures(tmp_path
 
 def test_given_no_command_or_a_wish_for_help_then_the_commands_are_listed():
     for words in ((), ('--help',)):
-        done = taxinet(*words)
+        done = taxinet_apart(*words)
         assert 'Traceback' not in done.stderr
         for command in ('run', 'demo', 'train', 'node'):
             assert f'  {command} ' in done.stdout
-    assert taxinet('--version').stdout.startswith('taxinet 0.')
+    assert taxinet_apart('--version').stdout.startswith('taxinet 0.')

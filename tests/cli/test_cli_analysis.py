@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pandas as pd
 import pytest
-from taxinet_process import begun, taxinet
+from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.campaign.table import read_table
-from taxinet_ros.cli.main import main
 
 # A start 4 m off is too far to settle in a second: all of one arm fail and none of the other.
 EXPERIMENT = """
@@ -33,26 +31,12 @@ arms:
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def here(folder, monkeypatch, capsys):
-    """Runs a command in this process, which is quicker; gives exit code and both outputs."""
-    monkeypatch.chdir(folder)
-
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, 'argv', ['taxinet', *words])
-        with pytest.raises(SystemExit) as left:
-            main()
-        return int(left.value.code or 0), *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with an experiment ``e``, and a campaign ``c`` of failed runs with their bags."""
     folder = tmp_path_factory.mktemp('analysis')
     (folder / 'mine.yaml').write_text(EXPERIMENT)
-    done = taxinet('experiment', 'mine.yaml', '--runs', '2', '--out', 'e', cwd=folder)
+    done = taxinet_apart('experiment', 'mine.yaml', '--runs', '2', '--out', 'e', cwd=folder)
     assert (done.returncode, done.stderr) == (0, '')
     done = taxinet(
         'run', 's_falsif', '--runs', '2', '--perception', 'original', '--images', 'none', '--set',
@@ -90,7 +74,7 @@ def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_
     assert 'Experiment mine' in (folder / 'e' / 'experiment.html').read_text()
 
 
-def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder, here):
+def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder):
     (folder / 'bad.yaml').write_text(EXPERIMENT.replace('runs: 4', 'runs: four'))
     for words, says in (
         (('experiment', 'mine.yaml', '--out', 'e'), 'exists already'),
@@ -101,11 +85,11 @@ def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder, here):
         (('gate', 'c', '--min-satisfaction', '0.5', '--inconclusive', 'maybe'), 'unknown; known'),
         (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'there is no folder'),
     ):
-        code, _, stderr = here(*words)
-        assert code == 2, words
-        assert stderr.startswith('taxinet: error: ')
-        assert says in stderr
-        assert stderr.count('\n') == 1
+        done = taxinet(*words, cwd=folder)
+        assert done.returncode == 2, words
+        assert done.stderr.startswith('taxinet: error: ')
+        assert says in done.stderr
+        assert done.stderr.count('\n') == 1
 
 
 def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_bit(folder):
@@ -132,7 +116,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert len(lines) == 1 + 2 * 2
 
 
-def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder, here):
+def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder):
     for words, code in (
         (('--min-satisfaction', '0.9'), 1),
         (('--max-off-runway', '0.5'), 3),
@@ -140,9 +124,9 @@ def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder, here):
         (('--max-off-runway', '0.5', '--inconclusive', 'pass', '--junit', 'gate.xml'), 0),
         (('--max-off-runway', '1'), 0),
     ):
-        found, stdout, stderr = here('gate', 'c', *words)
-        assert (found, stderr) == (code, ''), words
-        assert 'satisfied' in stdout or 'off the runway' in stdout
+        done = taxinet('gate', 'c', *words, cwd=folder)
+        assert (done.returncode, done.stderr) == (code, ''), words
+        assert 'satisfied' in done.stdout or 'off the runway' in done.stdout
     suite = ElementTree.parse(folder / 'gate.xml').getroot()[0]
     assert (suite.get('name'), suite.get('tests'), suite.get('failures')) == ('c', '4', '2')
     again = suite.find('testcase/failure').text.split('run it again: ')[1]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from taxinet_process import TAXINET
+from taxinet_process import taxinet_apart
 
 from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.cli import main
@@ -41,10 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table(120, 'original', early_fails=True).to_parquet(folder / 'c' / 'runs.parquet')
     write_sealed(folder / 'c' / 'campaign.json', {}, [folder / 'c' / 'runs.parquet'])
     table(60, 'taxinet', early_fails=False).to_parquet(folder / 'better.parquet')
-    done = subprocess.run(
-        [*TAXINET, 'analyze', 'c', '--baseline', 'better.parquet'], cwd=folder,
-        capture_output=True, text=True, env={**os.environ, 'COLUMNS': '100'},
-    )
+    done = taxinet_apart('analyze', 'c', '--baseline', 'better.parquet', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert done.stderr == (
         'taxinet: warning: .: its tables are unverified, for campaign.json is not there\n'

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from taxinet_process import TAXINET
+from taxinet_process import begun
 from waiting import wait_for
 
 from taxinet_ros.cli.main import _exit_code, app
@@ -61,12 +61,12 @@ def test_given_a_dataset_then_a_network_is_trained_on_it_and_measured_on_it(
 def test_given_an_interrupt_then_what_is_written_stays_and_the_exit_code_is_130(tmp_path):
     out = tmp_path / 'set'
     words = ['dataset', 'nominal', '--count', '2000', '--out', str(out)]
-    running = subprocess.Popen([*TAXINET, *words], stderr=subprocess.PIPE, text=True)
     third = out / 'images' / '000002.png'
-    wait_for(lambda: third.exists() or running.poll() is not None)
-    assert third.exists()
-    running.send_signal(signal.SIGINT)
-    _, errors = running.communicate()
+    with begun(*words, stderr=subprocess.PIPE) as running:
+        wait_for(lambda: third.exists() or running.poll() is not None)
+        assert third.exists()
+        running.send_signal(signal.SIGINT)
+        _, errors = running.communicate()
     assert running.returncode == 130
     assert errors == f'interrupted; what is in {out} stays, continue with --resume\n'
     images = [path for path in (out / 'images').iterdir() if not path.name.startswith('.')]

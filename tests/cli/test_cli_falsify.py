@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
 import signal
 import subprocess
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from process_table import children, gone
-from taxinet_process import TAXINET
+from taxinet_process import begun as command_begun
+from taxinet_process import taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
@@ -32,21 +32,13 @@ pytestmark = pytest.mark.ros
 
 
 def falsify(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, 'COLUMNS': '80'}
-    return subprocess.run(
-        [*TAXINET, *WORDS, *words], capture_output=True, text=True, cwd=cwd,
-        env=environment,
-    )
+    return taxinet(*WORDS, *words, cwd=cwd)
 
 
-@contextlib.contextmanager
-def begun(*words: str, stderr: int | None = None) -> Iterator[subprocess.Popen[str]]:
-    command = [*TAXINET, *WORDS, *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as search:
-        try:
-            yield search
-        finally:
-            search.kill()
+def begun(
+    *words: str, stderr: int | None = None
+) -> AbstractContextManager[subprocess.Popen[str]]:
+    return command_begun(*WORDS, *words, stderr=stderr)
 
 
 def results(out: Path) -> int:
@@ -70,7 +62,7 @@ def same_runs(one: Path, other: Path, *but: str) -> None:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A search by one worker that nobody disturbed."""
     out = tmp_path_factory.mktemp('falsify') / 'whole'
-    done = falsify('--out', str(out))
+    done = taxinet_apart(*WORDS, '--out', str(out))
     assert (done.returncode, done.stderr) in ((0, ''), (1, '')), done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith('searching nominal for failures: up to 10 runs, sampler ce, seed 4')
@@ -99,15 +91,11 @@ def test_given_a_search_then_there_are_bags_without_pictures_a_ledger_and_what_w
     assert 'found by ce in 10 runs' in (whole / 'learned.scenic').read_text()
 
 
-def learned(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*TAXINET, 'learned', *words], capture_output=True, text=True)
-
-
 def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_path):
     picture = tmp_path / 'learned.png'
     choice = next(choice for choice in LearnedResult.read(whole).choices if choice.pieces)
     name = choice.dimension.name
-    done = learned(whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
+    done = taxinet('learned', whole, '--within', f'{name}=-1e9:1e9', '--out', picture)
     assert (done.returncode, done.stderr) == (0, '')
     assert 'Failures of truth on nominal, found by ce: 1 search of 10 runs' in done.stdout
     assert '100.0% of the failures (95 % interval ' in done.stdout
@@ -115,7 +103,7 @@ def test_given_a_search_then_what_it_learned_can_be_read_and_drawn(whole, tmp_pa
     assert picture.read_bytes().startswith(b'\x89PNG')
     for words, said in (((whole, whole), 'is there twice'), ((tmp_path,), 'no such file'),
                         ((whole, '--within', 'x=3'), 'DIMENSION=LOW:HIGH')):
-        refused = learned(*words)
+        refused = taxinet('learned', *words)
         assert (refused.returncode, refused.stderr.count('\n')) == (2, 1)
         assert said in refused.stderr
 

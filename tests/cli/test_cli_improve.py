@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from taxinet_process import taxinet as run_taxinet
+from taxinet_process import taxinet_apart
 
 from taxinet_ros.campaign.table import read_table
 from taxinet_ros.core.weights import SHIPPED, load_model
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(tmp_path):
     (tmp_path / 'wet.scenic').write_text(WET)
-    ended = run_taxinet(*WORDS, '--out', 'loop', cwd=tmp_path)
+    ended = taxinet_apart(*WORDS, '--out', 'loop', cwd=tmp_path)
     assert (ended.returncode, ended.stderr) == (0, '')
     out = tmp_path / 'loop'
     (line,) = [json.loads(text) for text in (out / 'rounds.jsonl').read_text().splitlines()]

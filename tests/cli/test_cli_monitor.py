@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 import re
 import shutil
 import subprocess
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from taxinet_process import TAXINET
+from taxinet_process import taxinet
 
 from taxinet_ros.bag.judged_bag import BagVerdict, judge_runs, judged_spec
 from taxinet_ros.bag.judged_bags import judge_bags
@@ -46,10 +45,7 @@ def told(out: str, bag: Path) -> list[str]:
 
 
 def falsify(out: Path, runs: int, *words: str) -> str:
-    done = subprocess.run(
-        [*TAXINET, *WORDS, '--runs', str(runs), '--out', str(out), *words],
-        capture_output=True, text=True, env={**os.environ, 'COLUMNS': '80'},
-    )
+    done = taxinet(*WORDS, '--runs', str(runs), '--out', out, *words)
     assert (done.returncode, done.stderr) == (1, ''), done.stderr
     return done.stdout
 

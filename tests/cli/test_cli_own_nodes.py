@@ -13,7 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from taxinet_process import begun, taxinet
+from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.recorded_run import read_run
@@ -101,7 +101,7 @@ def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
 
 @pytest.mark.parametrize('campaign', ['p', 'n', 't'])
 def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campaign):
-    done = taxinet('doctor', campaign, cwd=folder)
+    done = taxinet_apart('doctor', campaign, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     spec = 'soon=always(cte < 100)'
     done = taxinet('monitor', campaign, '--spec', spec, '--add', cwd=folder)
@@ -150,7 +150,7 @@ def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
 
 def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(folder):
     words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
-    done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
+    done = taxinet_apart(*words, '--controller', 'mine.py:steer', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert 'the same to the bit' in done.stdout
 
@@ -254,10 +254,24 @@ def test_given_a_controller_that_changes_amid_a_campaign_then_it_is_not_mixed_in
 ):
     (tmp_path / 'turns.py').write_text(CHANGES.format(ending=ending))
     name, *more = words
-    done = taxinet(
+    done = taxinet_apart(
         name, 's_falsif', *more, '--perception', 'truth', '--controller', 'turns.py:steer',
         *SHORT, '--runs', '3', '--out', 'c', cwd=tmp_path,
     )
     last = done.stderr.splitlines()[-1]
     assert (done.returncode, 'controller turns.py:steer has changed since' in last) == (2, True), \
         done.stdout + done.stderr
+
+
+def test_r11_given_an_experiment_whose_arms_differ_in_the_controller_then_its_tables_say_so(folder):
+    (folder / 'e.yaml').write_text(
+        'program: nominal\nruns: 2\nperception: truth\nset: {duration: 1}\n'
+        'arms: {law: {}, mine: {controller: "mine.py:steer"}}\n'
+    )
+    done = taxinet('experiment', 'e.yaml', '--out', 'e', cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    facts = [json.loads((folder / 'e' / arm / 'campaign.json').read_text())
+             for arm in ('law', 'mine')]
+    assert [one['controller'] for one in facts] == ['steering', 'mine.py:steer']
+    assert 'controller mine.py:steer' in (folder / 'e' / 'experiment.html').read_text()
+    assert not rows(folder / 'e' / 'law')['rho'].equals(rows(folder / 'e' / 'mine')['rho'])
