@@ -311,24 +311,22 @@ Judged = tuple[Status, str] | None
 
 def judge(record: Record) -> list[Finding]:
     """What a record means, clause by clause."""
-    found: list[Finding] = []
     role = record.role
     words = {
         'node': role.node, 'answers': role.answers.name,
         'hears': ' or '.join(topic.name for topic in role.hears),
     }
-    for clause in CLAUSES:
-        if role.word not in clause.roles:
-            continue
-        judged = _JUDGES[clause.name](record)
-        if judged is None:
-            broken = next((one.clause.name for one in found if one.status is Status.FAIL), '')
-            judged = Status.NOT_TRIED, f'mend {broken} first' if broken else 'did not come to it'
-        status, came = judged
-        found.append(Finding(
+    owed = [clause for clause in CLAUSES if role.word in clause.roles]
+    judged = {clause.name: _JUDGES[clause.name](record) for clause in owed}
+    broken = ', '.join(name for name, one in judged.items() if one and one[0] is Status.FAIL)
+    left = Status.NOT_TRIED, f'mend {broken} first' if broken else 'did not come to it'
+    return [
+        Finding(
             clause=clause, status=status, came=came, expected=clause.expected.format(**words),
-        ))
-    return found
+        )
+        for clause in owed
+        for status, came in [judged[clause.name] or left]
+    ]
 
 
 def _kept(broken: str, came: str) -> tuple[Status, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import multiprocessing
 import sys
@@ -10,11 +11,18 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
 
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.world import Observation
+from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.node_check import CheckOptions, check_node, command_starter
 from taxinet_ros.nodes.node_contract import (
+    CLAUSES,
     ROLES,
     SIDES,
     Answer,
@@ -25,6 +33,7 @@ from taxinet_ros.nodes.node_contract import (
     Status,
     judge,
 )
+from taxinet_ros.nodes.observation_messages import observation_messages
 
 HERE = Path(__file__).parent
 WRONG = str(HERE / 'wrong_node.py')
@@ -162,3 +171,58 @@ def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
     findings = judge(Record(role=ROLES['perception']))
     assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
     assert {one.came for one in findings[1:]} == {'mend starts first'}
+
+
+def test_given_the_docs_then_they_have_each_clause_with_these_words():
+    lines = (HERE.parents[1] / 'docs' / 'own_nodes.md').read_text().splitlines()
+    begin = lines.index('| clause | what is asked |') + 2
+    words = {
+        'node': '`perception` or `steering_controller`', 'answers': 'its answers',
+        'hears': 'its input',
+    }
+    expected = [
+        f'| `{clause.name}` | {clause.expected.format(**words)} |'
+        for clause in CLAUSES if not clause.informative
+    ]
+    assert lines[begin:begin + len(expected) + 1] == [*expected, '']
+    assert len(lines) <= 150
+
+
+@pytest.mark.parametrize('seq', [0, 7])
+def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq):
+    state = Aircraft(Scenario()).state
+    pixels = np.zeros((200, 360, 3), np.uint8)
+    now = Observation(seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, state=state, image=pixels)
+    steps = {}
+    for topic, cdr in observation_messages(now, 'r'):
+        message = deserialize_message(cdr, topic.type)
+        stamp = message.clock if topic is interface.CLOCK else message.header.stamp
+        steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
+    assert steps == {
+        topic.name: seq for topic in interface.TOPICS
+        if topic.publishers == (interface.SIMULATOR,) and topic.each_step
+    }
+    fields = {
+        topic.name: {'seq', 'run_id'} & topic.type.get_fields_and_field_types().keys()
+        for topic in interface.TOPICS if topic.type.__module__.startswith('taxinet_msgs')
+    }
+    assert fields.pop(interface.SCENARIO.name) == fields.pop(interface.VERDICT.name) == {'run_id'}
+    assert len(fields) == 7
+    assert all(found == {'seq', 'run_id'} for found in fields.values()), fields
+
+
+@pytest.mark.parametrize(('role', 'most'), [('perception', 48), ('controller', 41)])
+def test_given_an_example_then_it_is_short(role, most):
+    """Lines of code but imports, docstrings and blank ones."""
+    source = (EXAMPLES / f'own_{role}.py').read_text()
+    prose = {
+        line for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    code = [
+        line for number, line in enumerate(source.splitlines(), 1)
+        if line.strip() and number not in prose
+    ]
+    assert len(code) <= most, len(code)
