@@ -26,14 +26,25 @@ from taxinet_ros.nodes.convert import (
     statistics_fields,
 )
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.monitor_alone import MonitorAlone
+from taxinet_ros.nodes.monitor_alone import RESTART, MonitorAlone
+from taxinet_ros.nodes.monitor_options import ALONE
 from taxinet_ros.nodes.parameters import any_given, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import robustness_cdr
 from taxinet_ros.nodes.steps import StepCollector
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
+
+USAGE = Usage(
+    executable=interface.MTL_MONITOR,
+    does='Judges each run of the graph by its formulas. With parameters it judges any numeric '
+    'fields of any topics instead, on its own, without a simulator.',
+    publishes=spoken(interface.MTL_MONITOR), subscribes=heard(interface.MTL_MONITOR),
+    other=f'with parameters: hears what signals names, serves {RESTART} (std_srvs/srv/Trigger)',
+    parameters=ALONE,
+)
 
 
 class MtlMonitor(Participant):
@@ -120,7 +131,9 @@ class MtlMonitor(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
-    run_node(lambda: (MonitorAlone if any_given(interface.MTL_MONITOR) else MtlMonitor)())
+    run_node(
+        lambda: (MonitorAlone if any_given(interface.MTL_MONITOR) else MtlMonitor)(), usage=USAGE
+    )
 
 
 if __name__ == '__main__':

@@ -26,7 +26,7 @@ from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
@@ -38,11 +38,12 @@ from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, lost_run, same_ready, two_of_a_name
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.speakers import UNKNOWN
 from taxinet_ros.nodes.steps import Step, StepCollector
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _REST_LOOK_S = 0.05
 _REST_LOOKS, _BROKEN_LOOKS = 70, 5
@@ -89,25 +90,48 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
     )
 
 
+USAGE = Usage(
+    executable=interface.RECORDER,
+    does='Writes one rosbag2 bag for each run: everything that was said, step by step.',
+    publishes=spoken(interface.RECORDER), subscribes=heard(interface.RECORDER),
+    parameters=(
+        Parameter(
+            name='out', default='bags', takes='a folder',
+            description='folder that takes one folder per run',
+        ),
+        Parameter(
+            name='min_free', default=1000, limits=(0, 10_000_000),
+            description='free space below which no bag is begun, and a tenth of it none goes on '
+            '[MB]',
+        ),
+        Parameter(
+            name='make_out', default=True,
+            description='whether the folder is made where it is missing',
+        ),
+        Parameter(
+            name='images', default='all', words=IMAGES,
+            description='runs whose camera frames go into the bags',
+        ),
+        Parameter(
+            name='alone', default=False,
+            description='whether to record nothing while there is a second simulator',
+        ),
+    ),
+)
+
+
 class Recorder(Participant):
     """Writes one bag per run, ``<out>/<run_id>``, and vouches for it at the end."""
 
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.RECORDER, **node)
-        self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
-        text = 'free space below which no bag is begun, and a tenth of it none goes on [MB]'
-        self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
-        text = 'whether the folder is made where it is missing'
-        self._make_out = declare(self, 'make_out', True, text)
-        text = 'runs whose camera frames go into the bags: all, failures or none'
-        images = declare(self, 'images', 'all', text)
-        text = 'whether to record nothing while there is a second simulator'
-        self._alone = declare(self, 'alone', False, text)
+        given = declare_all(self, USAGE.parameters)
         refuse_unknown(self)
-        if images not in IMAGES:
-            raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
-        self._images = images
+        self._out = Path(given['out'])
+        self._min_free = given['min_free'] * 1_000_000
+        self._make_out, self._alone = given['make_out'], given['alone']
+        self._images = images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self._topics = bag_topics(images == 'all')
         self._stepped = tuple(
@@ -439,7 +463,7 @@ def _commit() -> dict[str, str]:
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros recorder``."""
-    run_node(Recorder)
+    run_node(Recorder, usage=USAGE)
 
 
 if __name__ == '__main__':
