@@ -75,7 +75,8 @@ def run_node(
         node = build()
         executor = EventsExecutor()
         executor.add_node(node)
-        node.get_logger().info(f'up on ROS domain {node.context.get_domain_id()}')
+        if work is None:  # else it says what it does
+            node.get_logger().info(f'up on ROS domain {node.context.get_domain_id()}')
         waiting = Waiting(node)
         try:
             handle_from_now_on(end_now)
