@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from taxinet_ros.core.perception import Perception, make_perception
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.perception import PerceptionNode
 from taxinet_ros.nodes.usage import Usage, heard, spoken
@@ -13,6 +14,7 @@ USAGE = Usage(
     does="Passes the true tracking error on as its estimate: the network's twin, always right.",
     publishes=spoken(interface.PERCEPTION),
     subscribes=heard(interface.PERCEPTION, interface.IMAGE.name),
+    parameters=(DIAGNOSTICS,),
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,11 +122,12 @@ def refuse_unknown(node: Node) -> None:
         raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
 
 
-def any_given(name: str) -> bool:
-    """Whether the command line sets parameters of a node that is still to be made."""
+def any_given(name: str, besides: Collection[str] = ()) -> bool:
+    """Whether the command line sets parameters, but for some, of a node that is yet to be made."""
     probe = Node(name, start_parameter_services=False, enable_rosout=False)
     try:
-        return any(not name.startswith(_QOS) for name in _given(probe))
+        given = {name for name in _given(probe) if not name.startswith(_QOS)}
+        return not given <= set(besides)
     finally:
         probe.destroy_node()
 

@@ -5,10 +5,19 @@ from __future__ import annotations
 from taxinet_ros.core.perception import Perception, make_perception
 from taxinet_ros.core.weights import SHIPPED
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.parameters import Parameter, declare_all
 from taxinet_ros.nodes.perception import PerceptionNode
 from taxinet_ros.nodes.usage import Usage, heard, spoken
+
+_OPTIONS = (
+    Parameter(
+        name='weights', default='taxinet',
+        takes=f'{", ".join(SHIPPED)}; a .safetensors or .onnx file; or FILE.py:NAME',
+        description='the network: a shipped one or a file; or a function',
+    ),
+)
 
 USAGE = Usage(
     executable='taxinet_perception',
@@ -16,13 +25,7 @@ USAGE = Usage(
     'function of yours.',
     publishes=spoken(interface.PERCEPTION),
     subscribes=heard(interface.PERCEPTION, interface.TRUTH.name),
-    parameters=(
-        Parameter(
-            name='weights', default='taxinet',
-            takes=f'{", ".join(SHIPPED)}; a .safetensors or .onnx file; or FILE.py:NAME',
-            description='the network: a shipped one or a file; or a function',
-        ),
-    ),
+    parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 
 
@@ -31,7 +34,7 @@ class TaxinetPerception(PerceptionNode):
 
     def choose(self) -> Perception:
         """The network that the parameter ``weights`` names."""
-        return make_perception(declare_all(self, USAGE.parameters)['weights'])
+        return make_perception(declare_all(self, _OPTIONS)['weights'])
 
 
 def main() -> None:

@@ -68,7 +68,10 @@ class Usage:
 
 def spoken(node: str) -> tuple[str, ...]:
     """Topics of the graph on which a node speaks."""
-    topics = (*interface.TOPICS, interface.OBITUARY, *interface.SCENE)
+    topics = (
+        *interface.TOPICS, interface.OBITUARY, *interface.TRANSFORMS, interface.DIAGNOSTICS,
+        *interface.SCENE,
+    )
     return tuple(topic.name for topic in topics if node in topic.publishers)
 
 
