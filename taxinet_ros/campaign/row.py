@@ -15,6 +15,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core.timing import parse_timing
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers of which every run is an independent draw from the program; '' is none at all."""
@@ -36,7 +37,9 @@ class RunRow:
             what rates rest on. None in a row from before that was written down.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         timing: when answers took effect, in the words of :mod:`taxinet_ros.core.timing`; '' where
-            each did at once.
+            each did at once. A free run need not come out so again.
+        free: of a free run how it went, by name, see
+            :meth:`taxinet_ros.core.free_run.FreeRunAccount.figures`.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
             percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
@@ -75,6 +78,7 @@ class RunRow:
     drawn: bool | None = None
     perception_fingerprint: str = ''
     timing: str = ''
+    free: Mapping[str, float] = field(default_factory=dict)
     cross_track: float | None = None
     distance: float | None = None
     heading: float | None = None
@@ -139,6 +143,12 @@ class RunRow:
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
                 raise ValueError(f'{column.name} is {value}')
+        try:
+            parse_timing(self.timing)
+        except UsageError as error:
+            raise ValueError(str(error)) from error
+        if not all(map(math.isfinite, self.free.values())):
+            raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
         self._check_robustness()
 
     def _check_robustness(self) -> None:
@@ -231,7 +241,7 @@ class RunRow:
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, perception_fingerprint=result.fingerprint,
-            timing=result.timing,
+            timing=result.timing, free=dict(result.free),
             **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             rho=dict(result.rho), rho_lower=dict(result.rho_lower),

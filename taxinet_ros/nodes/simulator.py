@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -20,25 +20,38 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.free_run import FreeRun
+from taxinet_ros.core.loop import ROLLING_ON
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.timing import LAWS, parse_latency
+from taxinet_ros.core.timing import LAWS, MOST_FACTOR, parse_latency
+from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
 from taxinet_ros.nodes.domain import stand_alone
+from taxinet_ros.nodes.free_run import (
+    FREE_TICK_S,
+    account_message,
+    chosen_timing,
+    settled_message,
+)
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged, same_ready, two_of_a_name
 from taxinet_ros.nodes.observation_messages import observation_messages
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
 from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
 from taxinet_ros.nodes.transforms import TransformBroadcaster
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -47,9 +60,48 @@ _LAST_STEP_S = 1.0
 _DELIVERY_S = 0.3
 """What the last answer may take on its way before this node leaves the graph."""
 
+_STALLED_S = 1.0
+"""A step that takes longer is one that somebody is awaited for."""
+
 _RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
 _SUSPECTED_S = 1.0
 """How long it is awaited that somebody else turns out to have begun what a node did wrong."""
+
+
+_OPTIONS = (
+    Parameter(
+        name='answer_timeout', default=10.0, limits=(0.1, 3600.0),
+        description='wall-clock silence of a participant that ends a run as INFRA_ERROR [s]',
+    ),
+    Parameter(
+        name='ready_timeout', default=30.0, limits=(0.1, 3600.0),
+        description='wall-clock time for every participant to get ready [s]',
+    ),
+    Parameter(
+        name='latency', default='',
+        takes=f'perception=LATENCY or controller=LATENCY, LATENCY being {LAWS}; or empty',
+        description='how late answers take effect [s]',
+    ),
+    Parameter(
+        name='lockstep', default=True,
+        description='simulated time waits for every answer; false: it goes by the wall clock',
+    ),
+    Parameter(
+        name='real_time_factor', default=1.0, limits=(0.0, MOST_FACTOR),
+        description='simulated seconds per second of a free run (lockstep false); 0: as fast as it '
+        'goes',
+    ),
+)
+
+USAGE = Usage(
+    executable=interface.SIMULATOR,
+    does='The world, its camera, the clock, and the keeper of the lockstep: for each goal it has '
+    'the graph get ready, and steps the world by its answers.',
+    publishes=spoken(interface.SIMULATOR),
+    subscribes=heard(interface.SIMULATOR),
+    other=f'serves the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
+    parameters=(*_OPTIONS, DIAGNOSTICS),
+)
 
 
 class Simulator(Node):
@@ -58,12 +110,15 @@ class Simulator(Node):
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.SIMULATOR, **node)
-        text = 'wall-clock silence of a participant that ends a run as INFRA_ERROR [s]'
-        self._answer_timeout_s = declare(self, 'answer_timeout', 10.0, text, (0.1, 3600.0))
-        text = 'wall-clock time for every participant to get ready [s]'
-        self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
-        text = f'how late answers take effect, perception= and controller= [s]: {LAWS}'
-        self._timing = parse_latency([declare(self, 'latency', '', text)])
+        given = declare_all(self, _OPTIONS)
+        self._answer_timeout_s = given['answer_timeout']
+        self._ready_timeout_s = given['ready_timeout']
+        self._timing = chosen_timing(
+            parse_latency([given['latency']]), lockstep=given['lockstep'],
+            factor=given['real_time_factor'],
+        )
+        self._health = RunHealth()
+        self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._leaving = False
@@ -106,12 +161,24 @@ class Simulator(Node):
         )
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+        if self._timing.free:
+            self._held: TaxiCommand = ROLLING_ON
+            self.create_timer(FREE_TICK_S, self._tick, clock=steady)
 
     def may_leave(self) -> bool:
         """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
         self._leaving = True
         alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
+
+    def waits_for(self) -> Iterable[str]:
+        """Names of those whom the run at hand waits for: see :mod:`.waiting`."""
+        run = self._run
+        if run is None:
+            return ()
+        if run.started and time.monotonic() - run.last_heard < _STALLED_S:
+            return ()
+        return (interface.RECORDER,) if run.ending is not None else self._awaited(run)
 
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
@@ -152,9 +219,12 @@ class Simulator(Node):
         self._say(interface.RUN_STATUS, run.status(RunStatus.PREPARING))
         result.timing = self._timing.words
         result.status = await run.done
+        if run.free is not None:
+            result.account = account_message(run.free, run.run_id)
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
             speakers.release()
@@ -241,7 +311,7 @@ class Simulator(Node):
 
     def _on_estimate(self, run: ActiveRun, estimate: Said) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
-        if run.lockstep.answer(interface.PERCEPTION, estimate.seq):
+        if run.lockstep.answer(interface.PERCEPTION, estimate.seq, time.monotonic()):
             run.heard()
 
     def _on_command(self, run: ActiveRun, command: Said) -> None:
@@ -255,8 +325,9 @@ class Simulator(Node):
             return
         check_command(command.value, interface.STEERING_CONTROLLER, command.seq)
         # The estimate travels on another topic and may be overtaken by the command made from it.
-        run.lockstep.answer(interface.PERCEPTION, command.seq)
-        if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq):
+        if run.free is None:
+            run.lockstep.answer(interface.PERCEPTION, command.seq)
+        if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq, time.monotonic()):
             run.command = command.value
             run.heard()
             self._go_on(run)
@@ -265,7 +336,8 @@ class Simulator(Node):
         if progress.seq > run.lockstep.seq:
             detail = f'has come to frame {progress.seq}, which is not out yet'
             raise InfraError(PROTOCOL, progress.value, run.lockstep.seq, detail)
-        run.lockstep.progress(progress.value, progress.seq)
+        arrived = progress.stamp_ns // CONTROL_PERIOD_NS
+        run.lockstep.progress(progress.value, progress.seq, arrived, time.monotonic())
         run.heard()
         self._go_on(run)
 
@@ -317,13 +389,42 @@ class Simulator(Node):
 
     def _publish_frame(self, run: ActiveRun) -> None:
         # A frame takes longer than all else, so it is not made for nobody.
+        begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
-        run.lockstep.begin(now.seq)
+        run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
             if topic is interface.ODOMETRY:
                 self._transforms.follow(message)
+        if run.free is not None:
+            self._held = run.command or ROLLING_ON
+            self._say(interface.TIMING, settled_message(run.free, run.run_id))
+        if begun_s:
+            self._health.frames.took(time.perf_counter() - begun_s)
+
+    def _tick(self) -> None:
+        """Go on with a free run, if its time has come."""
+        run = self._run
+        if run is not None and run.free is not None and run.started and run.ending is None:
+            free = run.free
+            self._attempt(run, lambda: self._go_freely(run, free))
+
+    def _go_freely(self, run: ActiveRun, free: FreeRun) -> None:
+        now_s = time.monotonic()
+        if run.unwanted_s:
+            self._break_off(run)
+        elif free.seq < free.last_seq:
+            if free.pace.due(now_s) and free.room:
+                run.world.advance(self._held)
+                self._publish_frame(run)
+        elif free.closed:
+            message = settled_message(free, run.run_id)
+            if message.unestimated or message.uncommanded:
+                self._say(interface.TIMING, message)
+            self._go_on(run)
+        else:
+            free.closed = free.pace.due(now_s)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):
@@ -373,9 +474,22 @@ class Simulator(Node):
         """Announce the end, then wait for the recorder to close its bag where there is one."""
         run.ending = status
         run.heard()
+        if run.free is not None:
+            self._say(interface.TIMING, account_message(run.free, run.run_id))
         self._say(interface.RUN_STATUS, status)
         if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()
+
+    def _diagnose(self) -> Health:
+        """How this node is doing."""
+        run = self._run
+        if run is None:
+            return self._health.look(None, '')
+        return self._health.look(run, ', '.join(self._awaited(run)))
+
+    def _awaited(self, run: ActiveRun) -> list[str]:
+        """Names of the nodes that a run waits for now."""
+        return run.lockstep.missing() if run.started else self._unready(run)[1].split(', ')
 
     def _watch(self) -> None:
         run = self._run
@@ -398,6 +512,10 @@ class Simulator(Node):
         elif run.suspect is not None and now - run.suspect[1] > _SUSPECTED_S:
             error = run.suspect[0]
             self._fail(run, error.kind, error.who, error.detail)
+        elif run.free is not None and (
+            who := run.free.silent(now, self._answer_timeout_s)
+        ):
+            self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
@@ -439,7 +557,7 @@ class Simulator(Node):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros simulator``."""
-    run_node(_alone)
+    run_node(_alone, usage=USAGE)
 
 
 def _alone() -> Simulator:
