@@ -21,6 +21,7 @@ from taxinet_msgs.msg import (
     RunStatus,
     Scenario,
     TaxiCommand,
+    Timing,
     TrackingError,
     Verdict,
 )
@@ -46,6 +47,13 @@ from taxinet_ros.nodes.names import SUPERVISOR as SUPERVISOR
 LOCKSTEP = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=16,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
+NEWEST = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
@@ -183,6 +191,11 @@ RUN_STATUS = Topic(
     subscribers=(RECORDER,), recorded=PER_RUN,
     carries='preparing, running, or how the run ended',
 )
+TIMING = Topic(
+    name='timing', type=Timing, qos=LATCHED, publishers=(SIMULATOR,),
+    subscribers=FOLLOWERS, recorded=None,
+    carries='of a free run alone: which frames have no answer, and how it went',
+)
 
 OBITUARY = Topic(
     name='obituary', type=NodeStatus, qos=LATCHED, publishers=(SCENARIO_SAMPLER, SUPERVISOR),
@@ -196,7 +209,7 @@ So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the
 
 TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
-    ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS,
+    ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS, TIMING,
 )
 
 TF_STATIC = Topic(

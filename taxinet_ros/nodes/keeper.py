@@ -18,8 +18,11 @@ import psutil
 
 from taxinet_ros.core.parent_death import adopt_orphans, die_with_parent
 
-_GRACE_S = 3.0
-"""Shorter than that of whoever ends a keeper, for what is in another session is its alone."""
+_ASKED_S, _TOLD_S = 1.5, 1.0
+"""What is left to a command after SIGINT, and after SIGTERM, which follows.
+
+Shorter than what whoever ends a keeper waits: what is in another session is known to it alone.
+"""
 
 CHILDREN_LEFT = 'keeper: ended what the command left behind: '
 """How the line begins that a keeper prints on processes which outlived its command."""
@@ -38,7 +41,7 @@ def main() -> int:
         Its exit code; 127 where it cannot be started.
     """
     parent, command = int(sys.argv[1]), sys.argv[2:]
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the group has it too: the command answers
+    signal.signal(signal.SIGINT, _end_soon)
     signal.signal(signal.SIGTERM, _end_group)
     die_with_parent(signal.SIGTERM)
     adopt_orphans()
@@ -62,14 +65,22 @@ def _usual_signals() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+def _end_soon(number: int, frame: FrameType | None) -> None:
+    """The command's group has the signal too: leave it a while to end by itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, _end_group)
+    signal.setitimer(signal.ITIMER_REAL, _ASKED_S)
+
+
 def _end_group(number: int, frame: FrameType | None) -> None:
     """Ask all that the command has started to end, and end them after a grace."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     for process in _descendants():
         with contextlib.suppress(psutil.NoSuchProcess):
             process.terminate()
     signal.signal(signal.SIGALRM, lambda *_: _end_what_is_left())
-    signal.setitimer(signal.ITIMER_REAL, _GRACE_S)
+    signal.setitimer(signal.ITIMER_REAL, _TOLD_S)
 
 
 def _end_what_is_left() -> None:

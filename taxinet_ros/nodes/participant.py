@@ -83,19 +83,23 @@ class Participant(Node):
         self._speakers.append((topic, publisher))
         return publisher
 
-    def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+    def listen(
+        self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False,
+        newest: bool = False,
+    ) -> None:
         """Subscribe to a topic of the table, with every exception reported.
 
         Args:
             topic: what is heard.
             callback: takes the messages; of a topic that is read here, what they say.
             raw: it takes their bytes.
+            newest: of messages that wait it takes the last; in lockstep no second one ever waits.
         """
         if read_here(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
         self._listeners.append(HeardSpeakers(
             self, topic, self._guarded(callback, topic.each_step), raw=raw,
-            on_match=self.spoken_into,
+            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.qos,
         ))
 
     def destroy_node(self) -> None:
