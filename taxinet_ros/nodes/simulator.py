@@ -27,7 +27,7 @@ from taxinet_ros.core.loop import ROLLING_ON
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.nodes import interface
+from taxinet_ros.nodes import diagnostics, interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
@@ -439,8 +439,17 @@ class Simulator(Node):
         run = self._run
         if run is None:
             return self._health.look(None, '')
-        waits_for = ', '.join(run.lockstep.missing()) if run.started else self._unready(run)[1]
-        return self._health.look(run, waits_for)
+        return self._health.look(run, self._awaited(run))
+
+    def _awaited(self, run: ActiveRun) -> str:
+        """Names of the nodes that a run waits for now, or in a free run has long waited for."""
+        if run.ending is not None:
+            return interface.RECORDER
+        if not run.started:
+            return self._unready(run)[1]
+        if run.free is not None:
+            return run.free.silent(time.monotonic(), diagnostics.PATIENCE_S)
+        return ', '.join(run.lockstep.missing()) or interface.MTL_MONITOR
 
     def _watch(self) -> None:
         run = self._run
