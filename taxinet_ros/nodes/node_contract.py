@@ -134,7 +134,7 @@ CLAUSES: Final = (
     Clause('lives', 'the node lives on from run to run', 'see its output'),
     Clause('sigint', 'ends within 5 s of SIGINT, without a traceback, and leaves no process',
            'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
-    Clause('sigterm', 'ends within 3 s of SIGTERM, without a traceback, and leaves no process',
+    Clause('sigterm', 'ends within 4 s of SIGTERM, without a traceback, and leaves no process',
            'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
     Clause('reproducible', 'a fresh process gives the same answers', informative=True),
     Clause('time', 'how long an answer takes', informative=True),
@@ -311,24 +311,22 @@ Judged = tuple[Status, str] | None
 
 def judge(record: Record) -> list[Finding]:
     """What a record means, clause by clause."""
-    found: list[Finding] = []
     role = record.role
     words = {
         'node': role.node, 'answers': role.answers.name,
         'hears': ' or '.join(topic.name for topic in role.hears),
     }
-    for clause in CLAUSES:
-        if role.word not in clause.roles:
-            continue
-        judged = _JUDGES[clause.name](record)
-        if judged is None:
-            broken = next((one.clause.name for one in found if one.status is Status.FAIL), '')
-            judged = Status.NOT_TRIED, f'mend {broken} first' if broken else 'did not come to it'
-        status, came = judged
-        found.append(Finding(
+    owed = [clause for clause in CLAUSES if role.word in clause.roles]
+    judged = {clause.name: _JUDGES[clause.name](record) for clause in owed}
+    broken = ', '.join(name for name, one in judged.items() if one and one[0] is Status.FAIL)
+    left = Status.NOT_TRIED, f'mend {broken} first' if broken else 'did not come to it'
+    return [
+        Finding(
             clause=clause, status=status, came=came, expected=clause.expected.format(**words),
-        ))
-    return found
+        )
+        for clause in owed
+        for status, came in [judged[clause.name] or left]
+    ]
 
 
 def _kept(broken: str, came: str) -> tuple[Status, str]:

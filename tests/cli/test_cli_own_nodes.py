@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import re
 import shlex
 import signal
 import subprocess
@@ -276,6 +278,7 @@ def test_given_a_command_that_starts_what_has_a_session_of_its_own_then_that_end
 
 CHANGES = """
 import os
+import re
 from pathlib import Path
 
 
@@ -316,3 +319,47 @@ def test_r11_given_an_experiment_whose_arms_differ_in_the_controller_then_its_ta
     assert [one['controller'] for one in facts] == ['steering', 'mine.py:steer']
     assert 'controller mine.py:steer' in (folder / 'e' / 'experiment.html').read_text()
     assert not rows(folder / 'e' / 'law')['rho'].equals(rows(folder / 'e' / 'mine')['rho'])
+
+
+def test_given_a_function_that_fails_when_checked_then_its_line_is_named(
+    folder
+):
+    done = taxinet(
+        'check-node', 'mine.py:fails', '--role', 'controller', '--frames', '8', '--json',
+        '--log', 'printed', cwd=folder,
+    )
+    found = json.loads(done.stdout)
+    came = {one['clause']: one['came'] for one in found['clauses'] if one['status'] == 'FAIL'}
+    assert (done.returncode, found['kept'], list(came)) == (2, False, ['answers']), done.stderr
+    assert 'mine.py:22: ZeroDivisionError' in came['answers']
+    assert done.stderr == 'taxinet: error: check-node: the controller breaks: answers\n'
+    assert 'ZeroDivisionError' in (folder / 'printed').read_text()
+
+
+def test_given_a_node_that_somebody_starts_when_checked_then_it_is_found_and_left_alone(folder):
+    with begun(
+        'check-node', '--external', '--frames', '8', cwd=folder, stderr=subprocess.PIPE
+    ) as kit:
+        domain = re.search(r'ROS_DOMAIN_ID=(\d+)', kit.stderr.readline())[1]
+        with subprocess.Popen(
+            shlex.split(CONTROLLER), env={**os.environ, 'ROS_DOMAIN_ID': domain}
+        ) as node:
+            said, complaint = kit.communicate()
+            assert node.poll() is None
+            node.kill()
+    assert (kit.returncode, complaint) == (0, ''), said
+    assert 'controller: 20 kept, 0 broken, 4 not tried' in said
+
+
+@pytest.mark.parametrize(('words', 'says'), [
+    ((), 'check-node: name a COMMAND, or say --external'),
+    (('no_such_program',), 'perception: no_such_program: no such program'),
+    (('true', '--role', 'pilot'), '--role pilot: unknown; known: perception, controller'),
+    (('mine.py:steer',), '--role: mine.py:steer is a function; say perception or controller'),
+    (('mine.py:nothing', '--role', 'controller'), 'no nothing in it'),
+    (("ros2 'run",), 'No closing quotation'),
+])
+def test_given_what_cannot_be_checked_then_one_line_says_why(folder, words, says):
+    done = taxinet('check-node', *words, cwd=folder)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
+    assert says in done.stderr

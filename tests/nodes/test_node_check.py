@@ -1,0 +1,228 @@
+"""``taxinet check-node`` on nodes that keep the contract, and on such that break it."""
+
+from __future__ import annotations
+
+import ast
+import math
+import multiprocessing
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.core.world import Observation
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.node_check import CheckOptions, check_node, command_starter
+from taxinet_ros.nodes.node_contract import (
+    CLAUSES,
+    ROLES,
+    SIDES,
+    Answer,
+    Finding,
+    Question,
+    Record,
+    Run,
+    Status,
+    judge,
+)
+from taxinet_ros.nodes.observation_messages import observation_messages
+
+HERE = Path(__file__).parent
+WRONG = str(HERE / 'wrong_node.py')
+EXAMPLES = HERE.parents[1] / 'examples'
+PATIENT_S = 600.0  # no fault that is waited for
+AT_ONCE = 6
+
+pytestmark = pytest.mark.ros
+
+KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
+ODD = 'slow,random,away'
+FAULTS = {
+    'starts': ('controller', {'starts'}, PATIENT_S),
+    'name': ('controller', {'name'}, 1.0),
+    'topics,types,qos': ('controller', {'topics', 'types', 'qos'}, PATIENT_S),
+    'ready': ('controller', {'ready'}, 1.0),
+    'ready_again': ('controller', {'ready_again'}, 2.0),
+    'silent': ('controller', {'answers'}, 2.0),
+    'dies': ('controller', {'lives'}, PATIENT_S),
+    'waits,listens': ('controller', {'waits', 'ready_says', 'uninvited'}, PATIENT_S),
+    'uninvited,run_id,seq,stamp,twice,traceback': (
+        'controller', {'uninvited', 'run_id', 'seq', 'stamp', 'once', 'sigint', 'sigterm'},
+        PATIENT_S,
+    ),
+    'remembers,unusable,other_run,leaves': (
+        'controller', {'forgets', 'unusable', 'other_run', 'sigint', 'sigterm'}, PATIENT_S,
+    ),
+    'nan,deaf': ('controller', {'finite', 'unusable', 'sigint', 'sigterm'}, PATIENT_S),
+    'nan,strange_image': ('perception', {'finite', 'strange_image'}, PATIENT_S),
+    ODD: ('controller', set(), PATIENT_S),
+}
+
+
+def check(words: list[str], role: str | None, patience_s: float) -> tuple[list[Finding], str]:
+    """What became of a node, and what it printed."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / 'node.log'
+        log.touch()
+        record = check_node(CheckOptions(
+            start=command_starter([sys.executable, *words]), role=role, domain=None, frames=8,
+            patience_s=patience_s, log=log,
+        ), print)
+        return judge(record), log.read_text()
+
+
+@pytest.fixture(scope='module')
+def checks() -> Iterator[dict[str, Future[tuple[list[Finding], str]]]]:
+    """All checks, several at once, since each mostly waits."""
+    server = multiprocessing.get_context('forkserver')
+    server.set_forkserver_preload(['taxinet_ros.nodes.node_check'])
+    with ProcessPoolExecutor(AT_ONCE, mp_context=server) as pool:
+        yield {
+            **{role: pool.submit(check, words, None, PATIENT_S) for role, words in KEPT.items()},
+            **{
+                faults: pool.submit(check, [WRONG, role, faults], role, patience_s)
+                for faults, (role, _, patience_s) in FAULTS.items()
+            },
+        }
+
+
+def by_clause(findings: list[Finding]) -> dict[str, Finding]:
+    return {one.clause.name: one for one in findings}
+
+
+def broken(found: dict[str, Finding]) -> set[str]:
+    return {name for name, one in found.items() if one.status is Status.FAIL}
+
+
+@pytest.mark.parametrize('role', KEPT)
+def test_given_an_example_then_it_keeps_every_clause(role, checks):
+    findings, printed = checks[role].result()
+    assert by_clause(findings)['starts'].came == f'/{ROLES[role].node}'
+    assert {one.status for one in findings} == {Status.PASS, Status.NOTE}, findings
+    assert printed == ''
+
+
+@pytest.mark.parametrize('faults', FAULTS)
+def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
+    found = by_clause(checks[faults].result()[0])
+    assert broken(found) == FAULTS[faults][1], found
+
+
+def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
+    found = by_clause(checks[ODD].result()[0])
+    assert 'not reproducible' in found['reproducible'].came
+    assert 'not reproducible' in found['forgets'].came
+    assert 'runs take longer' in found['time'].came
+    assert 'AWAY' in found['sign'].came
+    assert 'radians?' in found['limits'].came
+
+
+def judged(role: str, answer: Callable[[TrackingError], TrackingError | TaxiCommand]) -> Record:
+    """A record of one run in which a node answered so."""
+    run = Run(run_id='r', kind='first')
+    for seq, (cte_m, he_rad) in enumerate([*SIDES, (5.0, 0.1), (-5.0, -0.1)]):
+        truth = TrackingError(cte_m=cte_m, he_rad=he_rad)
+        question = Question(seq=seq, truth=truth)
+        said = Answer(
+            seq=seq, stamp_ns=question.stamp_ns, run_id='r', value=answer(truth), after_s=0.01
+        )
+        question.answers.append(said)
+        run.questions.append(question)
+    return Record(role=ROLES[role], runs=[run])
+
+
+@pytest.mark.parametrize(('cte', 'he', 'says'), [
+    (1.0, 1.0, 'CTE 0.00 m, HE 0.00 deg'),
+    (-1.0, 1.0, 'CTE looks as if its sign were swapped'),
+    (1.0, -0.5, 'HE looks as if its sign were swapped'),
+    (1.0, 180 / math.pi, 'HE looks like degrees'),
+    (0.0, 1.0, 'CTE is always the same'),
+])
+def test_given_estimates_with_a_usual_mistake_then_it_is_named(cte, he, says):
+    record = judged('perception', lambda truth: TrackingError(
+        cte_m=cte * truth.cte_m, he_rad=he * truth.he_rad
+    ))
+    found = by_clause(judge(record))['accuracy'].came
+    assert says in found
+    assert found.count('looks') == (1 if 'looks' in says else 0)
+
+
+@pytest.mark.parametrize(('gain', 'says'), [
+    (-0.05, '3 m left of the line: -8.6 deg; towards the line'),
+    (0.05, '3 m left of the line: 8.6 deg; steers AWAY from the line'),
+    (0.0, 'it does not steer'),
+])
+def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
+    record = judged('controller', lambda truth: TaxiCommand(
+        steering_rad=gain * (truth.cte_m + 10 * truth.he_rad), speed_mps=4.0
+    ))
+    assert says in by_clause(judge(record))['sign'].came
+
+
+def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
+    findings = judge(Record(role=ROLES['perception']))
+    assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
+    assert {one.came for one in findings[1:]} == {'mend starts first'}
+
+
+def test_given_the_docs_then_they_have_each_clause_with_these_words():
+    lines = (HERE.parents[1] / 'docs' / 'own_nodes.md').read_text().splitlines()
+    begin = lines.index('| clause | what is asked |') + 2
+    words = {
+        'node': '`perception` or `steering_controller`', 'answers': 'its answers',
+        'hears': 'its input',
+    }
+    expected = [
+        f'| `{clause.name}` | {clause.expected.format(**words)} |'
+        for clause in CLAUSES if not clause.informative
+    ]
+    assert lines[begin:begin + len(expected) + 1] == [*expected, '']
+    assert len(lines) <= 150
+
+
+@pytest.mark.parametrize('seq', [0, 7])
+def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq):
+    state = Aircraft(Scenario()).state
+    pixels = np.zeros((200, 360, 3), np.uint8)
+    now = Observation(seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, state=state, image=pixels)
+    steps = {}
+    for topic, cdr in observation_messages(now, 'r'):
+        message = deserialize_message(cdr, topic.type)
+        stamp = message.clock if topic is interface.CLOCK else message.header.stamp
+        steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
+    assert steps == {
+        topic.name: seq for topic in interface.TOPICS
+        if topic.publishers == (interface.SIMULATOR,) and topic.each_step
+    }
+    fields = {
+        topic.name: {'seq', 'run_id'} & topic.type.get_fields_and_field_types().keys()
+        for topic in interface.TOPICS if topic.type.__module__.startswith('taxinet_msgs')
+    }
+    assert fields.pop(interface.SCENARIO.name) == fields.pop(interface.VERDICT.name) == {'run_id'}
+    assert len(fields) == 7
+    assert all(found == {'seq', 'run_id'} for found in fields.values()), fields
+
+
+@pytest.mark.parametrize(('role', 'most'), [('perception', 48), ('controller', 41)])
+def test_given_an_example_then_it_is_short(role, most):
+    """Lines of code but imports, docstrings and blank ones."""
+    source = (EXAMPLES / f'own_{role}.py').read_text()
+    prose = {
+        line for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    code = [
+        line for number, line in enumerate(source.splitlines(), 1)
+        if line.strip() and number not in prose
+    ]
+    assert len(code) <= most, len(code)
