@@ -7,7 +7,8 @@
 #   make bench    times, ratios to bench.json    make distclean  the same, and .venv
 #   PYTHON=python3.12   Python to make .venv with     PYTEST='-k steering'   arguments for pytest
 #   OUT=bags/demo       where the demo's bags go      VENV=.venv             where to install
-#   JOBS=2              tests side by side; 0: one after the other, in one process
+#   JOBS=3              tests side by side, else three for two cores; 0: one after the other,
+#                       in one process
 #   REPEATS=10          how often make bench measures, in turns
 #   HASHES=yes          of what is pinned, install the very files of hashes.txt, tools included
 #
@@ -38,6 +39,8 @@ INTERFACES := $(wildcard msg_defs/* msg_defs/*/* msg_defs/*/*/*)
 # shell would mix its libraries with those in .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH
 unexport RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Tests start a thousand processes; without bytecode each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_ROOT_USER_ACTION := ignore
 
 .PHONY: install demo test bench lint format clean distclean asked-python
@@ -53,7 +56,8 @@ demo: $(DONE)/messages
 # Message setters then check types and ranges; else a wrong value is cut to size in silence.
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: lint
-	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile $(PYTEST)
+	$(BIN)/python -m pytest -n $(JOBS) --maxprocesses 8 --dist loadfile \
+	  --no-loadscope-reorder $(PYTEST)
 
 # A report, for the machine is never as quiet as a test would need; it fails when a ratio that does
 # not depend on the machine is far off.
@@ -132,7 +136,7 @@ $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.t
 	@touch $@
 
 $(DONE)/messages: $(DONE)/packages $(INTERFACES)
-	@echo 'make: building the messages (half a minute when they changed)'
+	@echo 'make: building the messages (a minute when they changed)'
 	@$(BIN)/python msg_defs/build_with_wheels.py
 	@touch $@
 

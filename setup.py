@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pybind11.setup_helpers import ParallelCompile, Pybind11Extension
+from pybind11.setup_helpers import Pybind11Extension
 from setuptools import Distribution, find_packages, setup
 
 NAME = 'taxinet_ros'
@@ -123,8 +123,8 @@ class WithDataFiles(Distribution):
 
 PIXELS = Pybind11Extension(
     f'{NAME}.core.pixels',
-    sources=[str(path) for path in files_below(f'{NAME}/core/native') if path.suffix == '.cpp'],
-    depends=[str(path) for path in files_below(f'{NAME}/core/native') if path.suffix == '.hpp'],
+    sources=[f'{NAME}/core/native/pixels.cpp'],
+    depends=[str(path) for path in files_below(f'{NAME}/core/native')],
     cxx_std=20,
     # Equal bytes on every processor: no two operations are fused unless the source says so. That
     # nobody asks for errno or traps, nor for whole numbers to wrap round, as Python's own sources
@@ -137,8 +137,6 @@ PIXELS = Pybind11Extension(
 # No data of the package, but code, its sources, and what is compiled from them.
 NO_DATA = ('.cpp', '.hpp', '.py', '.so')
 DATA = [str(path.relative_to(NAME)) for path in files_below(NAME) if path.suffix not in NO_DATA]
-
-ParallelCompile().install()
 
 setup(
     distclass=WithDataFiles,

@@ -168,6 +168,7 @@ def bring_up_to_date(package: Package) -> None:
         print(f'{package.name}: up to date in {PREFIX}')
     else:
         started = time.monotonic()
+        package.stamp.unlink(missing_ok=True)  # What is cut short from here on is built anew.
         mend_include_paths()
         build(package)
         package.stamp.write_text(digest, encoding='utf-8')

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 
+import psutil
+import pytest
 from hypothesis import settings
 
 os.environ.setdefault('ROS_PYTHON_CHECK_FIELDS', '1')
@@ -20,3 +22,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile('same', deadline=None, derandomize=True)
 settings.register_profile('search', deadline=None)
 settings.load_profile('same')
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Three at once for two cores: those that start processes wait for them much of their time."""
+    return (3 * (psutil.cpu_count() or 1) + 1) // 2
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Have the files with long tests begun first, lest one of them is left for the end."""
+    long = {item.path for item in items for _ in item.iter_markers('slow')}
+    ros = {item.path for item in items for _ in item.iter_markers('ros')}
+    items.sort(key=lambda item: (item.path not in long, item.path not in ros))

@@ -55,7 +55,8 @@ def panels_in(tree: Any) -> Iterator[str]:
 
 def topic_of(name: str) -> interface.Topic:
     """The topic of the table that has this full name."""
-    topics = {'/' + t.name.lstrip('/'): t for t in (*interface.TOPICS, *interface.SCENE)}
+    every = (*interface.TOPICS, *interface.TRANSFORMS, *interface.SCENE)
+    topics = {'/' + t.name.lstrip('/'): t for t in every}
     return topics[name]
 
 
@@ -109,5 +110,6 @@ def test_given_the_layout_then_camera_and_scene_are_in_it(layout):
     assert topic_of(image['imageTopic']) is interface.IMAGE
     assert topic_of(image['calibrationTopic']) is interface.CAMERA_INFO
     scene = layout['configById']['3D!scene']
-    assert {topic_of(name).name for name in scene['topics']} >= {t.name for t in interface.SCENE}
+    drawn = (*interface.TRANSFORMS, *interface.SCENE)
+    assert {topic_of(name).name for name in scene['topics']} >= {t.name for t in drawn}
     assert (scene['followTf'], scene['fixedFrame']) == (interface.BASE_FRAME, interface.MAP_FRAME)

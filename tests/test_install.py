@@ -36,6 +36,7 @@ EXECUTABLES = {
     'taxinet',
     'taxinet_perception',
 }
+TF2_MSGS = REPOSITORY / 'msg_defs' / 'tf2_msgs'
 MESSAGES = sorted((REPOSITORY / 'msg_defs' / 'msg').glob('*.msg'))
 ROS_NAME = re.compile(r'<(?:depend|exec_depend)>(\w+)</')
 
@@ -140,6 +141,31 @@ def test_given_a_message_definition_when_imported_then_it_has_those_fields(
 ) -> None:
     message = getattr(taxinet_msgs.msg, definition.stem)
     assert list(message.get_fields_and_field_types()) == fields_in(definition)
+
+
+@pytest.mark.parametrize(('laid_down', 'foreign'), [
+    ({}, False),
+    ({'package.xml': b'<package/>'}, True),
+    ({'package.xml': b'<package/>', 'sources.sha256': b'0'}, False),
+    ({'package.xml': (TF2_MSGS / 'package.xml').read_bytes()}, False),
+], ids=['none', 'genuine', 'ours', 'ours, cut short'])
+def test_ros21_given_a_tf2_msgs_that_is_not_ours_then_the_build_leaves_it_alone(
+    laid_down: dict[str, bytes], foreign: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(REPOSITORY / 'msg_defs')
+    build_with_wheels = importlib.import_module('build_with_wheels')
+    built: list[str] = []
+    monkeypatch.setattr(build_with_wheels, 'PREFIX', tmp_path)
+    monkeypatch.setattr(build_with_wheels, 'mend_include_paths', lambda: None)
+    monkeypatch.setattr(build_with_wheels, 'build', lambda package: built.append(package.name))
+    package = build_with_wheels.PACKAGES[1]
+    assert (package.name, package.source) == ('tf2_msgs', TF2_MSGS)
+    package.share.mkdir(parents=True)
+    for name, data in laid_down.items():
+        (package.share / name).write_bytes(data)
+    build_with_wheels.bring_up_to_date(package)
+    assert built == ([] if foreign else ['tf2_msgs'])
+    assert package.stamp.exists() is not foreign
 
 
 def test_given_the_action_when_imported_then_it_carries_a_scenario() -> None:

@@ -23,6 +23,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import Provenance
+from taxinet_ros.core.timing import timing_words
 
 _SCENE = [feature.source for feature in PLAIN]
 _NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
@@ -156,9 +157,10 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
     decided = ~frame['failed'].isna()
     _check(judged, decided, count_words(others, kinds), path, name)
     frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
-    perception = _common(table['perception'])
+    perception, timing = _common(table['perception']), _timing(judged, path)
     return CampaignRuns(
-        label=_network(perception), path=path, program=_common(table['program']),
+        label=', '.join(filter(None, (_network(perception), timing))), path=path,
+        program=_common(table['program']),
         perception=perception,
         sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
         spec=name, facts=facts, stacks=_stacks(table, path), frame=frame, anytime=anytime,
@@ -166,6 +168,21 @@ def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> Campaig
         undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
         blind=_blind(judged),
     )
+
+
+def _timing(judged: pd.DataFrame, path: Path) -> str:
+    """When answers took effect in the runs; '' where each did at once.
+
+    Raises:
+        UsageError: not the same in all of them, so no rate is one of all.
+    """
+    found = judged['timing'].fillna('').unique().tolist() if 'timing' in judged.columns else []
+    if len(found) > 1:
+        raise UsageError(
+            f'{path}: mixes runs with {" and with ".join(map(timing_words, found))}, which are not '
+            'counted together; make a table of each'
+        )
+    return str(found[0]) if found else ''
 
 
 def told_apart(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:

@@ -27,6 +27,7 @@ from taxinet_ros.bag.run_topics import (
     is_topic,
 )
 from taxinet_ros.bag.runs import Recording, run_messages
+from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.types import NS_PER_S
 
 PERIOD_NS = NS_PER_S // 10
@@ -72,6 +73,12 @@ class RunRecord:
     def scenario(self) -> Any:
         """The scenario message, or None: then it is no run of ours."""
         return next(iter(self.once.get(SCENARIO, ())), None)
+
+    @property
+    def free(self) -> bool:
+        """Whether it is a free run, of which frames may have no answer."""
+        told = self.once.get(NODE_STATUS, ())
+        return any(str(m.node) == SIMULATOR and is_free(str(m.implementation)) for m in told)
 
     @property
     def ending(self) -> Any:
@@ -172,16 +179,26 @@ def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
         return Check(name='steps', looked_at='no truth', findings=tuple(found))
     found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
     return Check(
-        name='steps', looked_at=f'{last + 1} control steps, every topic in each',
+        name='steps', looked_at=f'{last + 1} control steps, every topic in each'
+        + (_unanswered(record, last) if record.free else ''),
         findings=tuple(found),
     )
+
+
+def _unanswered(record: RunRecord, last: int) -> str:
+    answered = {step for name, steps in record.counts.items() if is_topic(name, COMMAND)
+                for step in steps}
+    return f'; a free run: {last + 1 - len(answered)} without an answer'
 
 
 def last_seq(record: RunRecord) -> int:
     """The last control step that is to be whole: the run's, or of an aborted run the one before.
 
+    Of a free run those count that were judged: which frames have no answer is settled later.
     -1 where the bag does not tell of any.
     """
+    if record.free and (record.ending is None or record.ending.outcome not in ('PASS', 'FAIL')):
+        return max(record.robustness, default=-1)
     if record.ending is None:
         return max((step for steps in record.counts.values() for step in steps), default=0) - 1
     seq = int(record.ending.seq)
@@ -211,7 +228,8 @@ def _step_troubles(
         steps = record.counts.get(topic, {})
         missing = ranges(step for step in range(last + 1) if steps.get(step, 0) < each)
         twice = ranges(step for step, count in steps.items() if count > each)
-        if missing:
+        may_lack = record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND))
+        if missing and not may_lack:
             lacking.setdefault(missing, []).append(topic)
         if twice:
             yield Finding(where=f'step {twice}', what=f'{topic} more than {each} x')
@@ -229,7 +247,10 @@ def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, 
 
 def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
     """How many control steps of a run have all their messages."""
-    counts = [(record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)]
+    counts = [
+        (record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)
+        if not (record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND)))
+    ]
     numbers = {step for steps, _ in counts for step in steps}
     return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
 

@@ -96,7 +96,7 @@ def compare_bags(
         name for name in dict.fromkeys([*counts[0], *counts[1]])
         # Bags of before have no transforms; where there are, odometry tells the same.
         if name not in skip and not (
-            is_of_frames(name) and not all(name in count for count in counts))
+            is_of_frames(name) and not all(count.get(name) for count in counts))
     ]
     found = {
         name: TopicComparison(

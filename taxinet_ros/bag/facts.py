@@ -9,7 +9,7 @@ from typing import Any
 
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.description import words_beside
-from taxinet_ros.bag.errors import BagCorrupt, several_runs
+from taxinet_ros.bag.errors import BagCorrupt, BagForeign, several_runs
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
 from taxinet_ros.bag.run_topics import (
@@ -21,8 +21,9 @@ from taxinet_ros.bag.run_topics import (
     is_topic,
 )
 from taxinet_ros.bag.runs import Recording, run_messages
-from taxinet_ros.bag.writer import RUN_METADATA
+from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.free_run import FreeRunAccount
 from taxinet_ros.core.provenance import NAMES, Provenance
 
 _READY = 0
@@ -126,6 +127,22 @@ def made_on(info: BagInfo) -> Provenance:
         'taxinet_ros': words.get('taxinet_ros_version', ''),
     }
     return {name: told[name] for name in NAMES if told.get(name)}
+
+
+def free_account(info: BagInfo) -> FreeRunAccount | None:
+    """How a free run went; None where the bag is of none, or ends before it tells.
+
+    Raises:
+        BagForeign: what it tells is no such account.
+    """
+    told = info.metadata.get(FREE_RUN_METADATA)
+    if told is None:
+        return None
+    try:
+        return FreeRunAccount.from_words(told)
+    except (KeyError, ValueError) as error:
+        text = f'{info.path}: metadata {FREE_RUN_METADATA}: {error}'
+        raise BagForeign(text, path=info.path) from error
 
 
 def _note(told: _Told, path: Path, stored: StoredMessage) -> None:

@@ -9,9 +9,10 @@ import json
 import math
 from typing import Any
 
-from taxinet_ros.core.loop import signals
+from taxinet_ros.core.loop import ROLLING_ON, signals
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 SCENARIO_FIELDS = {
@@ -78,10 +79,40 @@ def error_of(message: Any) -> TrackingError:
 
 
 def command_of(message: Any) -> TaxiCommand:
-    """The command in a message."""
+    """The command in a message, or the one that it is."""
+    if isinstance(message, TaxiCommand):
+        return message
     return TaxiCommand(
         steering_rad=float(message.steering_angle), speed_mps=float(message.speed)
     )
+
+
+class HeldCommand:
+    """In a free run frames may have no command: the last one holds, as the monitor has it too."""
+
+    def __init__(self, *, free: bool) -> None:
+        """``free``: it is a free run, else one of the lockstep."""
+        self._free = free
+        self._held: Any = None
+
+    def at(self, command: Any) -> Any:
+        """What holds at a frame.
+
+        Args:
+            command: the message that answers it, or None. To be called for each frame in order.
+
+        Returns:
+            A message or :class:`TaxiCommand`, or None.
+        """
+        if not self._free:
+            return command
+        self._held = command or self._held or ROLLING_ON
+        return self._held
+
+
+def says_free(status: Any) -> bool:
+    """Whether a node's report is that of a simulator that lets a run go free."""
+    return str(status.node) == 'simulator' and is_free(str(status.implementation))
 
 
 def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from taxinet_ros.bag.check_run import PERIOD_NS, Interval, RunRecord, last_seq
 from taxinet_ros.bag.findings import Finding, ranges
-from taxinet_ros.bag.message_values import assumptions_of, sample_of, scenario_of
+from taxinet_ros.bag.message_values import HeldCommand, assumptions_of, sample_of, scenario_of
 from taxinet_ros.bag.run_samples import same_bits
 from taxinet_ros.bag.run_topics import COMMAND, ESTIMATE, ODOMETRY, TRUTH, VERDICT
 from taxinet_ros.core.errors import UsageError
@@ -31,7 +31,10 @@ def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
     differing: dict[str, list[int]] = {name: [] for name in monitors}
     steps = 0
     watch = EstimateWatch(last_seq(record) * PERIOD_NS, PERIOD_NS)
-    while steps <= last_seq(record) and (sample := _sample(record, steps)) is not None:
+    commands = HeldCommand(free=record.free)
+    while steps <= last_seq(record) and (
+        sample := _sample(record, steps, commands)
+    ) is not None:
         sample |= watch.signals(steps * PERIOD_NS, sample)
         for name, monitor in monitors.items():
             reading = monitor.push(steps * PERIOD_NS, sample)
@@ -62,11 +65,14 @@ def _monitors(scenario: Any) -> dict[str, Monitor]:
     }
 
 
-def _sample(record: RunRecord, step: int) -> dict[str, float] | None:
+def _sample(record: RunRecord, step: int, commands: HeldCommand) -> dict[str, float] | None:
     odometry, truth, estimate, command = (
         record.values.get(topic, {}).get(step) for topic in (ODOMETRY, TRUTH, ESTIMATE, COMMAND)
     )
-    if odometry is None or truth is None or estimate is None or command is None:
+    if odometry is None or truth is None:
+        return None
+    command = commands.at(command)
+    if not record.free and (estimate is None or command is None):
         return None
     try:
         return sample_of(truth, odometry, estimate, command)

@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
-from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.bag.errors import BagEmpty, BagError
+from taxinet_ros.bag.facts import free_account
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.recorded_run import RecordedRun, read_run
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.errors import InfraError
-from taxinet_ros.core.loop import LateCommands
+from taxinet_ros.core.loop import ROLLING_ON, LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.core.world import Observation, World
 
@@ -45,19 +47,42 @@ def observations(
     recorded, commands = _states_and_commands(path)
     run = read_run(path)
     world = World(run.request.scenario)
-    late = LateCommands(run.timing, run.request.seed, run.request.index)
+    held = _held(path, run, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
             return
         now = world.observe(picture=wanted(seq))
         _compare(path, seq, recorded[seq], _numbers(now.state))
         yield now
-        if seq not in commands:
+        command = held(seq)
+        if command is None:
             return
         try:
-            world.advance(late.at(seq, commands[seq]))
+            world.advance(command)
         except InfraError:  # The simulator broke here when it was recorded, too.
             return
+
+
+def _held(
+    path: Path, run: RecordedRun, commands: dict[int, TaxiCommand]
+) -> Callable[[int], TaxiCommand | None]:
+    """Which command held from each step to the next; None where the bag does not tell."""
+    if not run.timing.free:
+        late = LateCommands(run.timing, run.request.seed, run.request.index)
+        return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
+    account = free_account(read_info(path))
+    if account is None:
+        raise BagEmpty(
+            f'{path}: a free run that does not tell which command held when, for it was not ended '
+            'in order', path=path,
+        )
+    applied = account.applied
+    known = {**commands, -1: ROLLING_ON}
+
+    def held(seq: int) -> TaxiCommand | None:
+        return known.get(applied[seq]) if seq < len(applied) else None
+
+    return held
 
 
 def _states_and_commands(

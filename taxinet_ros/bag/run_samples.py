@@ -12,11 +12,18 @@ from typing import Any, NamedTuple
 from taxinet_ros.bag.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.message_values import assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.message_values import (
+    HeldCommand,
+    assumptions_of,
+    sample_of,
+    says_free,
+    stamp_of,
+)
 from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run_topics import (
     COMMAND,
     ESTIMATE,
+    NODE_STATUS,
     ODOMETRY,
     ROBUSTNESS,
     SCENARIO,
@@ -224,6 +231,7 @@ class _Reader:
     verdict: Any = None
     last: list[StoredMessage] = field(default_factory=list)
     flaws: dict[str, str] = field(default_factory=dict)
+    free: bool = False
 
     def __post_init__(self) -> None:
         self._relative: dict[str, str] = {}
@@ -232,7 +240,7 @@ class _Reader:
     def wants(self, topic: str) -> bool:
         """Whether a topic is read; the run's own formulas may call for more of them."""
         if topic not in self._relative:
-            known = {SCENARIO, VERDICT, ROBUSTNESS, *_SOURCES.values()}
+            known = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_SOURCES.values()}
             self._relative[topic] = next((one for one in known if is_topic(topic, one)), '')
         return self._relative[topic] in self._wanted
 
@@ -246,6 +254,9 @@ class _Reader:
             self.last.append(stored)
             return
         message = decode(stored.topic, stored.cdr)
+        if relative == NODE_STATUS:
+            self.free |= says_free(message)
+            return
         if self.plain:
             self._check_plain(relative, stored, message)
         if relative == SCENARIO:
@@ -287,7 +298,10 @@ class _Reader:
         )
         duration_ns = round(float(self.scenario.duration) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
-        samples = [self._sample(stamp) for stamp in stamps]
+        commands = HeldCommand(free=self.free)
+        samples = [self._sample(stamp, commands) for stamp in stamps]
+        if self.free:  # What a frame lacks is no loss: nobody answered it.
+            there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
         if ESTIMATE in self.steps:
             for stamp, sample, topics in zip(stamps, samples, there, strict=True):
                 if ESTIMATE in topics:
@@ -314,6 +328,8 @@ class _Reader:
         last_ns = max(self.steps[TRUTH], default=-1)
         found = {}
         for topic, messages in self.steps.items():
+            if self.free and topic in (ESTIMATE, COMMAND):
+                continue
             if not messages and last_ns >= 0:
                 found[topic] = f'{topic}: no message of it, so what reads it is not judged'
             elif min(messages, default=0) > min(self.steps[TRUTH], default=0):
@@ -327,15 +343,15 @@ class _Reader:
 
     def _plan(self, names: Collection[str]) -> None:
         self.steps = {topic: self.steps.get(topic, {}) for topic in sorted(topics_of(names))}
-        self._wanted = {SCENARIO, VERDICT, ROBUSTNESS, *self.steps}
+        self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
 
-    def _sample(self, stamp_ns: int) -> dict[str, float]:
+    def _sample(self, stamp_ns: int, commands: HeldCommand) -> dict[str, float]:
         truth, odometry, estimate, command = (
             self.steps.get(topic, {}).get(stamp_ns)
             for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
         )
         assert truth is not None
-        return sample_of(truth, odometry, estimate, command)
+        return sample_of(truth, odometry, estimate, commands.at(command))
 
     def _recorded(self) -> dict[str, Recorded]:
         if self.verdict is not None:

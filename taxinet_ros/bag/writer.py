@@ -25,6 +25,7 @@ from taxinet_ros.core.errors import UsageError
 LIBRARY = f'taxinet_ros {taxinet_ros.__version__}'
 MANIFEST = 'manifest.json'
 RUN_METADATA = 'taxinet'
+FREE_RUN_METADATA = 'taxinet_free_run'
 """Name of the metadata record with the words of the run."""
 
 _MEDIA_TYPES = {

@@ -22,6 +22,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.spec_check import SpecCheck
+from taxinet_ros.core.timing import timing_words
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -66,6 +67,7 @@ class Campaign:
         self._next = 0
         self._broken = 0
         self._interrupted = False
+        self._timing: str | None = None
 
     def __enter__(self) -> Self:
         """Compile the program, draw the first scene, and only then make the folder.
@@ -125,6 +127,14 @@ class Campaign:
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
         """Keep one answer; False where the graph should be given up."""
+        if result.outcome.judged:
+            self._timing = result.timing if self._timing is None else self._timing
+            if result.timing != self._timing:
+                raise UsageError(
+                    f'the graph has {timing_words(result.timing)} now, and the runs before had '
+                    f'{timing_words(self._timing)}: they are not counted together; begin another '
+                    'campaign'
+                )
         self._keep(finished_row(self.options, request, result))
         infra = result.outcome is Outcome.INFRA_ERROR
         self._broken = self._broken + 1 if infra else 0

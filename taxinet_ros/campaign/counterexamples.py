@@ -56,7 +56,7 @@ class FailedRuns:
     @property
     def timing(self) -> str:
         """When answers took effect, in words."""
-        return str(self.facts.get('timing', ''))
+        return str(self.facts.get('timing') or self.rows[0].timing)
 
 
 def failed_runs(folder: Path) -> FailedRuns:

@@ -8,7 +8,7 @@ from typing import Any
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import RunResult
-from taxinet_ros.core.timing import timing_words
+from taxinet_ros.core.timing import NOT_REPRODUCIBLE, is_free, timing_words
 
 KEYS = ('perception', 'perception_sha256', 'timing')
 """The facts that say it; all are empty until the graph has answered."""
@@ -27,6 +27,11 @@ def met(out: Path, facts: Mapping[str, Any], result: RunResult) -> dict[str, str
             take effect at another time.
     """
     found = dict(zip(KEYS, (result.perception, result.fingerprint, result.timing), strict=True))
+    if is_free(result.timing):
+        raise UsageError(
+            f'the graph lets runs go free, and a search goes by verdicts that come again: '
+            f'{NOT_REPRODUCIBLE}; start the simulator with lockstep:=true, or leave the sampler out'
+        )
     if not result.perception:
         return {}
     if not facts['perception']:

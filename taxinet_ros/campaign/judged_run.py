@@ -175,16 +175,14 @@ def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
         'seed': (told.seed, row.seed),
     }
-    if whole:
-        world = told.nodes.get('simulator')
-        pairs['timing'] = (world.implementation if world else '', row.timing)
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
             f'rho of {name}': ((one.lower, one.upper), row.interval(name))
             for name, one in told.judged.items()
         }
-        eyes = told.nodes.get('perception')
+        eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
+        pairs['timing'] = (world.implementation if world else '', row.timing)
         prints = {eyes.fingerprint if eyes else ''} - {''}
         pairs['network'] = (prints, {row.perception_fingerprint} - {''})
     return [

@@ -13,6 +13,7 @@ from taxinet_ros.campaign.outcome_words import count_outcomes
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.free_run import free_run_words
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.spec_check import SpecCheck
@@ -70,6 +71,7 @@ def row_line(row: RunRow) -> Text:
             text.append(
                 f'{row.unusable_estimates} of {row.steps} estimates unusable  ', style='yellow'
             )
+        text.append(f'{free_run_words(row.free)}  ' if row.free else '')
     else:
         words = [word for word in (row.kind, row.who) if word]
         text.append(f' {" ".join(words)}: ' if words else ' ')
@@ -123,6 +125,7 @@ def summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
             f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
         )
         lines += [*stopped_words(rows), *blind_words(rows)]
+    lines += free_words(rows)
     lines += refused_words(rows)
     lines.append(table_line(rows, options))
     return '\n'.join(line for line in lines if line)
@@ -161,6 +164,23 @@ def refused_words(rows: Sequence[RunRow]) -> list[str]:
             f'the first: {rejected[0].detail}'
         )
     return lines
+
+
+def free_words(rows: Sequence[RunRow]) -> list[str]:
+    """How free runs went; no line where none did."""
+    free = [row.free for row in rows if row.free and 'loop_wall_median_s' in row.free]
+    if not free:
+        return []
+    frames, unanswered, overruns = (
+        sum(one[name] for one in free) for name in ('frames', 'unanswered', 'overruns')
+    )
+    late = f'; {overruns:.0f} frames out late: not the pace asked for' if overruns else ''
+    return [
+        f'free runs, which need not come out so again: {unanswered:.0f} of {frames:.0f} frames '
+        f'unanswered, loop {statistics.median(one["loop_wall_median_s"] for one in free):.3f} s by '
+        f'the clock, at most {max(one["loop_wall_max_s"] for one in free):.3f} s, '
+        f'{statistics.median(one.get("factor", math.nan) for one in free):.2f}x real time{late}'
+    ]
 
 
 def off_runway_words(rows: Sequence[RunRow]) -> str:

@@ -36,6 +36,7 @@ from taxinet_ros.core.substituted_perception import (
     TRUTH_HEADING,
     parse_substitution,
 )
+from taxinet_ros.core.timing import NOT_REPRODUCIBLE, is_free
 
 TRIALS_NAME = 'trials.jsonl'
 DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
@@ -96,6 +97,11 @@ def make_localize_options(
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
     chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
     failed = failed_runs(campaign)
+    if is_free(failed.timing):
+        raise UsageError(
+            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
+            'failure is; localize a campaign with --latency'
+        )
     if not failed.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(

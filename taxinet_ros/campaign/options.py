@@ -18,7 +18,7 @@ from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.spec_check import SpecCheck, check_specs
 from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
-from taxinet_ros.core.timing import AT_ONCE, Timing, parse_latency
+from taxinet_ros.core.timing import AT_ONCE, Timing, free_timing, parse_latency
 
 DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_ROOT = Path('bags')
@@ -97,6 +97,7 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
+    free: bool = False, real_time_factor: str | None = None,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -116,6 +117,8 @@ def make_options(
         rates: of their change per second, such as ``cte=3``.
         controller: as of :class:`CampaignOptions`.
         latency: ``NAME=LATENCY`` of perception or controller.
+        free: simulated time goes by the wall clock.
+        real_time_factor: simulated seconds per second then, or ``max``.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -125,6 +128,9 @@ def make_options(
     check_controller(controller, gains, graph=True)
     chosen = read_specs(specs) or DEFAULT_SPECS
     rule = parse_stop_on(stop_on)
+    timing = check_timing(latency, free=free, factor=real_time_factor)
+    if timing.free and rule is not StopOn.NEVER:
+        raise UsageError(f'--stop-on {rule}: not with --free, where nobody waits for the monitor')
     bounds, rates = tuple(bounds), tuple(rates)
     check_assumptions(bounds, rates)
     if perception:
@@ -142,19 +148,32 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
-        rates=rates, processes=processes, images=images,
-        controller=controller, timing=check_latency(latency),
+        rates=rates, processes=processes or timing.free, images=images,
+        controller=controller, timing=timing,
     )
 
 
-def check_latency(words: Iterable[str]) -> Timing:
-    """Read how late answers are.
+def check_timing(
+    latency: Iterable[str], *, free: bool = False, factor: str | None = None
+) -> Timing:
+    """Read when answers take effect.
+
+    Args:
+        latency: ``NAME=LATENCY`` of perception or controller.
+        free: simulated time goes by the wall clock.
+        factor: simulated seconds per second then, or ``max``; real time where None.
 
     Raises:
         UsageError: one line that names the option.
     """
+    latency = tuple(latency)
+    if factor is not None and not free:
+        raise UsageError('--real-time-factor: has no effect without --free')
+    if latency and free:
+        raise UsageError(f'--latency {latency[0]}: not with --free, where answers are as late as '
+                         'they are')
     try:
-        return parse_latency(words)
+        return free_timing(factor or '1') if free else parse_latency(latency)
     except UsageError as error:
         raise UsageError(f'--{error}') from None
 

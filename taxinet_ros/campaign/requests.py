@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -51,6 +52,7 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
     perception = options.perception
     if not perception or is_node_elsewhere(perception):
         perception = result.perception or perception
+    result = dataclasses.replace(result, timing=result.timing or options.timing.words)
     return RunRow.of_run(
         request, result, perception=perception, sim_s=sim_s, bag=bag, stack=this_stack()
     )

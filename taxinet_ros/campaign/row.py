@@ -36,7 +36,9 @@ class RunRow:
             what rates rest on. None in a row from before that was written down.
         perception, perception_fingerprint: the swap word, and the hash of the weights.
         timing: when answers took effect, in the words of :mod:`taxinet_ros.core.timing`; '' where
-            each did at once.
+            each did at once. A free run need not come out so again.
+        free: of a free run how it went, by name, see
+            :meth:`taxinet_ros.core.free_run.FreeRunAccount.figures`.
         cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
             percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
@@ -75,6 +77,7 @@ class RunRow:
     drawn: bool | None = None
     perception_fingerprint: str = ''
     timing: str = ''
+    free: Mapping[str, float] = field(default_factory=dict)
     cross_track: float | None = None
     distance: float | None = None
     heading: float | None = None
@@ -231,7 +234,7 @@ class RunRow:
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, perception_fingerprint=result.fingerprint,
-            timing=result.timing,
+            timing=result.timing, free=dict(result.free),
             **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             rho=dict(result.rho), rho_lower=dict(result.rho_lower),

@@ -17,6 +17,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.timing import NOT_REPRODUCIBLE
 
 PROGRAM = 'shrink'
 """Stands for the program of runs that come of no program, in their names and in the table."""
@@ -73,6 +74,11 @@ def make_shrink_options(
     if runs < LEAST_ASKED:
         raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
     run = find_run(path)
+    if run.timing.free:
+        raise UsageError(
+            f'{path}: a free run: {NOT_REPRODUCIBLE}, so nothing tells a scenario that matters '
+            'from chance; shrink a run that failed with --latency'
+        )
     _check_failed(path, run, other_specs=bool(specs))
     space = make_space(run.scenario, nominal)
     if out is None and not resume:

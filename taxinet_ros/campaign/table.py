@@ -39,6 +39,7 @@ WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
 _FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
 
 _POINT = 'u_'
+_FREE = 'free_'
 _RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
 
 _BEFORE_POINT = {
@@ -80,7 +81,8 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
             ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal where
             it is known. Formulas that only the rows know follow.
 
-    A run's point has one column ``u_<dimension>`` for each dimension that any row has.
+    A run's point has one column ``u_<dimension>`` for each dimension that any row has, and so has
+    each figure of free runs, ``free_<name>``.
     """
     import pandas as pd
 
@@ -88,8 +90,9 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
     names = list(dict.fromkeys([*specs, *judged_by]))
     dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
-    kinds = _kinds(names, dimensions)
-    lines = [_line(row, names, dimensions) for row in ordered]
+    figures = list(dict.fromkeys(name for row in ordered for name in row.free))
+    kinds = _kinds(names, dimensions, figures)
+    lines = [_line(row, names, dimensions, figures) for row in ordered]
     columns: dict[str, pd.Series[Any]] = {
         name: pd.Series([line[name] for line in lines], dtype=kind)
         for name, kind in kinds.items()
@@ -197,7 +200,8 @@ def read_any_table(path: Path) -> pd.DataFrame:
     if len(set(names)) < len(names):
         raise UsageError(f'{path}: damaged (a column is there twice)')
     dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
-    kinds = _kinds(_specs_of(frame), dimensions)
+    figures = [name.removeprefix(_FREE) for name in names if name.startswith(_FREE)]
+    kinds = _kinds(_specs_of(frame), dimensions, figures)
     # A table from before a column was thought of is still a table.
     try:
         return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
@@ -273,22 +277,27 @@ def _damaged(path: Path, error: Exception) -> UsageError:
     return UsageError(f'{path}: damaged ({next(iter(str(error).splitlines()), "")})')
 
 
-def _kinds(specs: Sequence[str], dimensions: Iterable[str]) -> dict[str, str]:
+def _kinds(
+    specs: Sequence[str], dimensions: Iterable[str], figures: Iterable[str]
+) -> dict[str, str]:
     return {
         **_BEFORE_POINT, **{f'{_POINT}{name}': 'float64' for name in dimensions},
         **_BEFORE_RHO,
         **{f'{start}{name}': 'float64' for start in (_RHO, _LOWER, _UPPER) for name in specs},
-        **_AFTER_RHO,
+        **{f'{_FREE}{name}': 'float64' for name in figures}, **_AFTER_RHO,
     }
 
 
-def _line(row: RunRow, specs: Sequence[str], dimensions: Sequence[str]) -> dict[str, Any]:
+def _line(
+    row: RunRow, specs: Sequence[str], dimensions: Sequence[str], figures: Sequence[str]
+) -> dict[str, Any]:
     values = {
         name: getattr(row, _ATTRIBUTES.get(name, name))
         for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
     }
     values['outcome'] = row.outcome.value
     point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}
+    point |= {f'{_FREE}{name}': row.free.get(name) for name in figures}
     rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
     for name in specs:
         low, high = row.interval(name) or (None, None)

@@ -11,13 +11,22 @@ from typing import Any
 
 from rich.console import Console
 
-from taxinet_ros.bag.facts import Judged, NodeFacts, RunFacts, made_on, read_all_facts, read_facts
+from taxinet_ros.bag.facts import (
+    Judged,
+    NodeFacts,
+    RunFacts,
+    free_account,
+    made_on,
+    read_all_facts,
+    read_facts,
+)
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo, read_info
 from taxinet_ros.bag.recorded_run import is_steering_law
 from taxinet_ros.bag.runs import Recording, read_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag_errors import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.core.free_run import free_run_words
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.types import NS_PER_S
 
@@ -82,6 +91,9 @@ def _run_lines(
     world = facts.nodes.get('simulator')
     if world is not None and world.implementation:
         yield 'timing', world.implementation
+        account = free_account(info)
+        if account is not None and not words:
+            yield '', free_run_words(account.figures())
     if facts.figures:
         yield 'figures', ', '.join(_figures(facts.figures))
     if not words:

@@ -91,6 +91,11 @@ def run_replay(options: ReplayOptions) -> int:
     console = Console(highlight=False)
     with readable_bags():
         run, trace = read_run(options.bag), read_trace(options.bag)
+        if run.timing.free:
+            raise UsageError(
+                f'{options.bag}: a free run: frames without an answer cannot be held against '
+                'answers of now; replay a run of the lockstep'
+            )
         word, fingerprint = run.perception, run.fingerprint
         if options.target == interface.PERCEPTION:
             word, fingerprint = perception_of(run, options.perception)

@@ -104,6 +104,21 @@ LatencyOption = Annotated[
         'repeatable',
     ),
 ]
+FreeOption = Annotated[
+    bool,
+    typer.Option(
+        '--free',
+        help='simulated time goes by the wall clock and waits for nobody; every node a process; '
+        'shows whether timing breaks the loop, and comes out another way each time',
+    ),
+]
+FactorOption = Annotated[
+    str | None,
+    typer.Option(
+        '--real-time-factor', metavar='R',
+        help='of --free: simulated seconds per second, 0.1 to 100 (default 1), or max',
+    ),
+]
 ProcessesOption = Annotated[
     bool, typer.Option('--processes', help='every node a process of its own, same results')
 ]

@@ -28,6 +28,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.timing import NOT_REPRODUCIBLE
 from taxinet_ros.nodes.rerun import rerun
 
 _TAKEN = frozenset({
@@ -91,7 +92,11 @@ def run_again(
         + (f', now {now}' if now != before else '')
         + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}', soft_wrap=True,
     )
+    if run.timing.free:
+        console.print(f'a free run, which need not come out the same: {NOT_REPRODUCIBLE}',
+                      soft_wrap=True)
     warn_of_stacks(console, made_on(info), provenance())
+    processes = processes or run.timing.free
     results = rerun([(run, word, steers)], out, images=images, processes=processes)
     result = results[run.request.run_id]
     new = out / run.request.run_id

@@ -13,8 +13,10 @@ from taxinet_ros.cli.option_types import (
     BudgetOption,
     ControllerCommandOption,
     ControllerOption,
+    FactorOption,
     FailedRunArgument,
     FoxgloveOption,
+    FreeOption,
     FromOption,
     ImagesOption,
     LatencyOption,
@@ -66,6 +68,8 @@ def run(
     bound: BoundOption = None,
     rate: RateOption = None,
     latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
     foxglove: FoxgloveOption = None,
 ) -> None:
     """Run a Scenic program's scenes through the graph.
@@ -90,7 +94,8 @@ def run(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'), latency=latency or (),
+        controller=word_of(context, 'controller'), latency=latency or (), free=free,
+        real_time_factor=real_time_factor,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -136,6 +141,7 @@ def falsify(
     bound: BoundOption = None,
     rate: RateOption = None,
     latency: LatencyOption = None,
+    free: FreeOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Search a Scenic program for violating scenes.
@@ -147,7 +153,14 @@ def falsify(
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.falsify import run_falsify
+    from taxinet_ros.core.errors import UsageError
+    from taxinet_ros.core.timing import NOT_REPRODUCIBLE
 
+    if free:
+        raise UsageError(
+            '--free: not in a search, which goes by verdicts that come again, and '
+            f'{NOT_REPRODUCIBLE}; taxinet run --runs N --free draws scenes, --latency searches'
+        )
     campaign = make_options(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
@@ -232,6 +245,8 @@ def up(
     ] = True,
     images: ImagesOption = 'all',
     latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -275,6 +290,7 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
+        free=free, real_time_factor=real_time_factor,
     )
     raise typer.Exit(run_up(options))
 

@@ -6,40 +6,62 @@ traceback for those that come while it starts. Only what is needed to hear them 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Entry point of the executable ``taxinet``."""
-    with _heard():
-        from taxinet_ros.cli.main import main as command
+    def command() -> None:
+        from taxinet_ros.cli.main import main
 
-        command()
+        try:
+            main()
+        finally:
+            atexit._run_exitfuncs()
+
+    _run(command)
 
 
 def start_node(name: str) -> NoReturn:
     """Entry point of a node's executable, by its name."""
-    with _heard():
+    start_module(f'taxinet_ros.nodes.{name}')
+
+
+def start_module(name: str) -> NoReturn:
+    """Run the ``main`` of a node's module."""
+    def node() -> None:
         from importlib import import_module
 
-        code: object = 0
+        import_module(name).main()
+
+    _run(node)
+
+
+def _run(work: Callable[[], None]) -> NoReturn:
+    """Do the work of this process, and leave it at once with its exit code.
+
+    All that is to be closed is closed. To take the rest apart would cost more time than all else
+    after Ctrl-C, of which ``ros2 launch`` gives 5 s; and a thread that somebody's function has
+    started, and forgotten, would be waited for without end.
+    """
+    code: object = 0
+    with _heard():
         try:
-            import_module(f'taxinet_ros.nodes.{name}').main()
+            work()
         except SystemExit as end:
             code = end.code
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    # The node has left the graph. To take the rest apart would cost more time than all else after
-    # Ctrl-C, of which ``ros2 launch`` gives 5 s.
     os._exit(code if isinstance(code, int) else 0)
 
 
@@ -62,3 +84,7 @@ def _leave(number: int, frame: FrameType | None) -> NoReturn:
     """End at once: nothing has been begun that would have to be cleared away."""
     os.write(2, b'taxinet: interrupted\n')
     os._exit(128 + number)
+
+
+if __name__ == '__main__':
+    start_module(sys.argv.pop(1))

@@ -13,8 +13,8 @@ from taxinet_ros.campaign.interrupts import INTERRUPTED, interrupts
 from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
     IMAGES,
-    check_latency,
     check_new,
+    check_timing,
     new_folder,
     split_settings,
 )
@@ -33,7 +33,7 @@ _INFRA = 4
 def make_up_options(
     *, perception: str, controller: str, out: Path | None, record: bool, images: str,
     settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
-    latency: Iterable[str] = (),
+    latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
 ) -> UpOptions:
     """Check what a person typed.
 
@@ -48,6 +48,8 @@ def make_up_options(
         domain: ROS domain; where None, that of the environment, else one of its own.
         silent_s: silence after which a node is named [s].
         latency: ``NAME=LATENCY`` of perception or controller.
+        free: simulated time goes by the wall clock.
+        real_time_factor: simulated seconds per second then, or ``max``.
 
     Raises:
         UsageError: one line on the first that is wrong.
@@ -71,7 +73,8 @@ def make_up_options(
     return UpOptions(
         graph=GraphOptions(
             perception=perception, out=out, images=images, gains=gains, controller=controller,
-            alone=False, timing=check_latency(latency),
+            alone=False,
+            timing=check_timing(latency, free=free, factor=real_time_factor),
         ),
         record=record, domain=domain, care=Care(restart=Restart(restart), silent_s=silent_s),
     )

@@ -73,18 +73,18 @@ class Lockstep:
         """Whether every participant has reported ready."""
         return not self._not_ready
 
-    def begin(self, seq: int) -> None:
-        """A new frame is out."""
+    def begin(self, seq: int, now_s: float = 0.0) -> None:
+        """A new frame is out; when, by the wall clock, is nothing to the lockstep."""
         self.seq = seq
 
-    def answer(self, node: str, seq: int) -> bool:
+    def answer(self, node: str, seq: int, now_s: float = 0.0) -> bool:
         """Note the answer of a node of the chain; False for a stale, repeated or unasked one."""
         if seq != self.seq or self._answered[node] == seq:
             return False
         self._answered[node] = seq
         return True
 
-    def progress(self, node: str, seq: int) -> None:
+    def progress(self, node: str, seq: int, arrived: int = -1, now_s: float = 0.0) -> None:
         """Note how far a follower has come."""
         if node in self._progress:
             self._progress[node] = max(self._progress[node], seq)

@@ -70,6 +70,7 @@ class RunResult:
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
         timing: when its answers took effect, in the words of :mod:`.timing`.
+        free: of a free run how it went, see :meth:`.free_run.FreeRunAccount.figures`.
         wall_s: wall-clock time from request to answer [s].
     """
 
@@ -86,4 +87,5 @@ class RunResult:
     perception: str = ''
     fingerprint: str = ''
     timing: str = ''
+    free: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0

@@ -38,7 +38,13 @@ _FORM = 'NAME=LATENCY, such as perception=0.15 or perception=normal(0.15,0.05)'
 _LAW = re.compile(r'(?P<kind>[a-z]+)\((?P<numbers>[^()]*)\)')
 _CONSTANT, _UNIFORM, _NORMAL = 'constant', 'uniform', 'normal'
 _NEARLY_1 = math.nextafter(1.0, 0.0)
-_LATENCY, _DRAWS = 'latency', 'draws'
+_LATENCY, _DRAWS, _FACTOR = 'latency', 'draws', 'real_time_factor'
+FREE, MAX = 'free', 'max'
+LEAST_FACTOR, MOST_FACTOR = 0.1, 100.0
+"""Slowest and fastest pace of a free run; faster is as fast as it goes."""
+
+NOT_REPRODUCIBLE = 'free runs depend on how fast machine and nodes were, so none comes again'
+"""What is said where somebody counts on that."""
 
 Answer = TypeVar('Answer')
 
@@ -88,10 +94,14 @@ class Timing:
     Attributes:
         laws: latency by name, of :data:`LATE_NODES` in their order; none that is 0.
         draws: seed and index of the run whose draws are repeated; None where each run has its own.
+        free: simulated time goes by the clock of the wall, and answers count whenever they come.
+        factor: simulated seconds per second of the wall clock in a free run; 0: as fast as it goes.
     """
 
     laws: tuple[tuple[str, Law], ...] = ()
     draws: tuple[int, int] | None = None
+    free: bool = False
+    factor: float = 1.0
 
     @property
     def latency(self) -> str:
@@ -109,6 +119,8 @@ class Timing:
     @property
     def words(self) -> str:
         """For bags, tables and records: '' where every answer takes effect at once."""
+        if self.free:
+            return f'{FREE} {_FACTOR}={_number_words(self.factor) if self.factor else MAX}'
         return f'{_LATENCY} {self.latency}' if self.laws else ''
 
     def of_run(self, seed: int, index: int) -> Self:
@@ -178,9 +190,37 @@ def parse_timing(words: str) -> Timing:
     kind, _, rest = words.partition(' ')
     if not words:
         return AT_ONCE
+    if kind == FREE and rest.startswith(f'{_FACTOR}='):
+        return free_timing(rest.removeprefix(f'{_FACTOR}='))
     if kind != _LATENCY:
         raise UsageError(f'timing {words!r:.80}: not of this version')
     return parse_latency([rest])
+
+
+def free_timing(factor: str) -> Timing:
+    """A free run.
+
+    Args:
+        factor: simulated seconds per second of the wall clock; ``max`` or 0: as fast as it goes.
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    try:
+        value = 0.0 if factor == MAX else float(factor)
+    except ValueError:
+        value = math.nan
+    if not (value == 0 or LEAST_FACTOR <= value <= MOST_FACTOR):
+        raise UsageError(
+            f'real-time-factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
+            f'{MAX} for as fast as it goes'
+        )
+    return Timing(free=True, factor=value)
+
+
+def is_free(words: str) -> bool:
+    """Whether :attr:`Timing.words` are those of a free run."""
+    return words.partition(' ')[0] == FREE
 
 
 def timing_words(words: str) -> str:

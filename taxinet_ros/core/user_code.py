@@ -17,12 +17,13 @@ import inspect
 import os
 import re
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, NoReturn, TypeGuard
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import is_node_elsewhere
@@ -62,7 +63,7 @@ class UserCode:
         """
         found = self._found
         try:
-            with _same_place():
+            with _same_place(), _held():
                 made = found() if _is_maker(found) else found
         except KeyboardInterrupt:
             raise
@@ -95,7 +96,7 @@ class UserCode:
         if folder not in sys.path:
             sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
         try:
-            with _same_place():
+            with _same_place(), _held():
                 exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
             found: Any = getattr(module, self.name)
         except KeyboardInterrupt:
@@ -132,11 +133,12 @@ class RunCode:
         if self._fresh:
             return
         try:
-            reset = getattr(self.function, 'reset', None)
-            if reset is None:
-                self.function = self.code.make()
-            else:
-                reset()
+            with _held():
+                reset = getattr(self.function, 'reset', None)
+                if reset is None:
+                    self.function = self.code.make()
+                else:
+                    reset()
         except UsageError as error:
             raise UserCodeError(str(error)) from error
         except KeyboardInterrupt:
@@ -152,7 +154,8 @@ class RunCode:
         """
         self._fresh = False
         try:
-            return self.function(argument)
+            with _held():
+                return self.function(argument)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # a sys.exit() too is to end a run, not the bench
@@ -231,15 +234,36 @@ def _source(path: Path, role: str = '') -> bytes:
 
 @contextlib.contextmanager
 def _same_place() -> Iterator[None]:
-    """Keep the working folder, whatever somebody's code does, for our paths count from there.
-
-    What is printed goes where it went, too.
-    """
-    before, streams = os.getcwd(), (sys.stdout, sys.stderr)
+    """Keep the working folder, whatever somebody's code does, for our paths count from there."""
+    before = os.getcwd()
     try:
         yield
     finally:
         os.chdir(before)
+
+
+@contextlib.contextmanager
+def _held() -> Iterator[None]:
+    """Keep somebody's code from what we print, and from ending this process without a word.
+
+    What it prints goes to stderr, but on a terminal, where nobody takes stdout for a result.
+    """
+    streams, leave = (sys.stdout, sys.stderr), os._exit
+    here = os.getpid(), threading.get_ident()
+
+    def refuse(status: int) -> NoReturn:
+        ours = str(sys._getframe(1).f_globals.get('__name__')).startswith('taxinet_ros.')
+        if ours or here != (os.getpid(), threading.get_ident()):  # as a process that was forked
+            leave(status)
+        raise SystemExit(f'os._exit({status})')
+
+    with contextlib.suppress(AttributeError, ValueError):  # it is not there, or closed
+        sys.stdout = sys.stdout if sys.stdout.isatty() else sys.stderr
+    os._exit = refuse
+    try:
+        yield
+    finally:
+        os._exit = leave
         sys.stdout, sys.stderr = streams
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,15 +54,19 @@ class World:
         """Set the aircraft on the runway; ``pictures`` False leaves the camera out."""
         self.last_seq = last_step(scenario)
         self._aircraft = Aircraft(scenario)
-        self._camera = Camera(scenario) if pictures else None
+        self._scenario, self._pictures = scenario, pictures
         self._seq = 0
+
+    @cached_property
+    def _camera(self) -> Camera:
+        # Made for the first picture: its ground takes longer than all else here, and 63 MB.
+        return Camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Photograph the present moment; ``picture`` False saves the picture."""
         stamp_ns = self._seq * CONTROL_PERIOD_NS
         state = self._aircraft.state
-        camera = self._camera if picture else None
-        image = None if camera is None else camera.render(state, stamp_ns)
+        image = self._camera.render(state, stamp_ns) if picture and self._pictures else None
         return Observation(seq=self._seq, stamp_ns=stamp_ns, state=state, image=image)
 
     def advance(self, command: TaxiCommand) -> None:

@@ -10,13 +10,12 @@ import importlib.util
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes.foxglove_server import HOST, LOOKING_ON, NOT_INSTALLED
-from taxinet_ros.nodes.node_process import dying_with_parent
+from taxinet_ros.nodes.node_process import dying_with_parent, node_command
 
 _GRACE_S = 5.0
 
@@ -49,8 +48,7 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
         UsageError: the server cannot be opened.
     """
     command = [
-        sys.executable, '-P', '-m', 'taxinet_ros.nodes.foxglove_server',
-        '--ros-args', '-p', f'port:={port}',
+        *node_command('taxinet_ros.nodes.foxglove_server'), '--ros-args', '-p', f'port:={port}',
     ]
     with tempfile.TemporaryFile('w+') as errors:
         server = subprocess.Popen(

@@ -100,6 +100,8 @@ class GraphOptions:
         return {name: node for name, node in every.items() if name not in self.elsewhere}
 
     def _simulator(self) -> dict[str, Any]:
+        if self.timing.free:
+            return {'lockstep': False, 'real_time_factor': self.timing.factor}
         return {'latency': self.timing.latency} if self.timing.laws else {}
 
     @property

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -20,6 +21,7 @@ from taxinet_msgs.msg import (
     RunStatus,
     Scenario,
     TaxiCommand,
+    Timing,
     TrackingError,
     Verdict,
 )
@@ -45,6 +47,13 @@ from taxinet_ros.nodes.names import SUPERVISOR as SUPERVISOR
 LOCKSTEP = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=16,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+# What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
+NEWEST = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
@@ -182,6 +191,11 @@ RUN_STATUS = Topic(
     subscribers=(RECORDER,), recorded=PER_RUN,
     carries='preparing, running, or how the run ended',
 )
+TIMING = Topic(
+    name='timing', type=Timing, qos=LATCHED, publishers=(SIMULATOR,),
+    subscribers=FOLLOWERS, recorded=None,
+    carries='of a free run alone: which frames have no answer, and how it went',
+)
 
 OBITUARY = Topic(
     name='obituary', type=NodeStatus, qos=LATCHED, publishers=(SCENARIO_SAMPLER, SUPERVISOR),
@@ -195,7 +209,7 @@ So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the
 
 TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
-    ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS,
+    ROBUSTNESS, VERDICT, PROGRESS, RUN_STATUS, TIMING,
 )
 
 TF_STATIC = Topic(
@@ -214,6 +228,13 @@ TRANSFORMS = (TF_STATIC, TF)
 By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
 the recorder does not listen: what a bag has of them is made of its odometry.
 """
+
+DIAGNOSTICS = Topic(
+    # Not relative: robots gather all diagnostics there, and names tell whose they are.
+    name='/diagnostics', type=DiagnosticArray, qos=LOCKSTEP, publishers=(SIMULATOR, *PARTICIPANTS),
+    subscribers=(), recorded=None,
+    carries='how each node is doing, by the wall clock; anybody may speak here',
+)
 
 SCENE_RUNWAY = Topic(
     name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),

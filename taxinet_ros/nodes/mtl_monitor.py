@@ -9,17 +9,18 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from taxinet_msgs.msg import Scenario, Verdict
+from taxinet_msgs.msg import Scenario, Timing, Verdict
 
 from taxinet_ros.bag.message_values import assumptions_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.lockstep import reports_progress
-from taxinet_ros.core.loop import MAX_GAP_NS, signals
-from taxinet_ros.core.mtl import Spec, parse_spec
+from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
+from taxinet_ros.core.mtl import Reading, Spec, parse_spec
+from taxinet_ros.core.perception import NO_ESTIMATE
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
 from taxinet_ros.core.world import last_step
-from taxinet_ros.nodes import interface
+from taxinet_ros.nodes import diagnostics, interface
 from taxinet_ros.nodes.convert import (
     header,
     robustness_message,
@@ -47,10 +48,13 @@ class MtlMonitor(Participant):
         self._verdict = self.speak(interface.VERDICT)
         self._progress = self.speak(interface.PROGRESS)
         self._specs: tuple[Spec, ...] = ()
+        self._readings: tuple[Reading, ...] = ()
         self._last_seq = -1
         self._stop_on = StopOn.NEVER
         for topic in _INPUTS:
             self.listen(topic, functools.partial(self._collect, topic.name))
+        topic = interface.TIMING
+        self.create_subscription(topic.type, topic.name, self._guarded(self._settle), topic.qos)
 
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""
@@ -62,6 +66,16 @@ class MtlMonitor(Participant):
             assumptions_of(scenario),
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
+        self._free = False
+        self._arrived = {interface.ODOMETRY.name: -1, interface.TRUTH.name: -1}
+        self._judged = 0
+        self._command = ROLLING_ON
+        self._readings = ()
+
+    def figures(self) -> dict[str, object]:
+        """See :class:`Participant`: each formula's interval so far."""
+        judged = zip(self._specs, self._readings, strict=False)
+        return {spec.name: f'{now.lower:+.3f} ... {now.upper:+.3f}' for spec, now in judged}
 
     def clear(self) -> None:
         """See :class:`Participant`."""
@@ -74,21 +88,48 @@ class MtlMonitor(Participant):
         if not (self._specs and of_this_run):
             return
         seq = said.stamp_ns // CONTROL_PERIOD_NS
-        for step, messages in self._steps.add(topic, seq, said):
+        whole = self._steps.add(topic, seq, said)
+        for step, messages in whole:
             self._judge_step(step, messages)
+        if topic in self._arrived:
+            self._arrived[topic] = seq
+        if whole or topic in self._arrived:
+            self._report_free()
+
+    def _settle(self, timing: Timing) -> None:
+        """In a free run frames may have no answer, and time does not wait for the monitor."""
+        if timing.run_id != self.run_id or timing.ended:
+            return
+        self._free = True
+        for topic, frames in (
+            (interface.ESTIMATE, timing.unestimated), (interface.COMMAND, timing.uncommanded),
+        ):
+            for frame in frames:
+                for step, messages in self._steps.excuse(topic.name, frame):
+                    self._judge_step(step, messages)
+        self._report_free()
+
+    def _report_free(self) -> None:
+        if self._free:
+            arrived_ns = min(self._arrived.values()) * CONTROL_PERIOD_NS
+            self._progress.publish(self.progress(self._judged, max(arrived_ns, 0)))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
-        odometry, truth, estimate, command = (messages[topic.name][0] for topic in _INPUTS)
+        odometry, truth = (messages[topic.name][0] for topic in _INPUTS[:2])
+        estimate, command = (messages.get(topic.name) for topic in _INPUTS[2:])
         stamp_ns = truth.stamp_ns
+        self._judged = seq
+        if command:
+            self._command = command[0].value
         sample = signals(
             cte_m=truth.value.cte_m,
             he_rad=truth.value.he_rad,
             x_m=odometry.value.x_m,
             speed_mps=odometry.value.speed_mps,
-            estimate=estimate.value,
-            command=command.value,
+            estimate=estimate[0].value if estimate else NO_ESTIMATE,
+            command=self._command,  # the last one holds
         )
-        readings = self._judge.push(stamp_ns, sample)
+        readings = self._readings = self._judge.push(stamp_ns, sample)
         for breach in self._judge.new_breaches():
             self.get_logger().warning(f'{self.run_id}: {breach}; intervals go on without it')
         for spec, reading in zip(self._specs, readings, strict=True):
@@ -96,7 +137,7 @@ class MtlMonitor(Participant):
         stopped = self._judge.stopped_early
         if stopped or seq == self._last_seq:
             self._conclude(seq, stamp_ns)
-        if not stopped and reports_progress(seq, self._last_seq, self._stop_on):
+        if not (stopped or self._free) and reports_progress(seq, self._last_seq, self._stop_on):
             self._progress.publish(self.progress(seq, stamp_ns))
 
     def _conclude(self, seq: int, stamp_ns: int) -> None:
@@ -120,7 +161,12 @@ class MtlMonitor(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
-    run_node(lambda: (MonitorAlone if any_given(interface.MTL_MONITOR) else MtlMonitor)())
+    run_node(lambda: (MonitorAlone if stands_alone() else MtlMonitor)())
+
+
+def stands_alone() -> bool:
+    """Whether the command line makes it a monitor of topics of its own, outside any graph."""
+    return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER])
 
 
 if __name__ == '__main__':

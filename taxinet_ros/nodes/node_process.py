@@ -14,12 +14,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+import psutil
 import yaml
 
 from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.parent_death import die_with_parent
-from taxinet_ros.nodes.keeper import CHILDREN_LEFT, keeper_command
+from taxinet_ros.nodes.keeper import ASKED_S, CHILDREN_LEFT, TOLD_S, keeper_command
 
 _LAST_GRACE_S = 10.0
 _LAST_BYTES = 4096
@@ -66,16 +67,24 @@ class NodeProcess:
 
     @classmethod
     def of_command(
-        cls, name: str, command: list[str], *, domain: int, log: Path
+        cls, name: str, command: list[str], *, domain: int, log: Path,
+        graces_s: tuple[float, float] = (ASKED_S, TOLD_S),
     ) -> Self:
         """Start somebody's command, which is to be a node, whatever it starts in turn.
+
+        Args:
+            name: of the node.
+            command: program and arguments.
+            domain: ROS domain that it joins.
+            log: file that takes what it prints.
+            graces_s: what is left to it after SIGINT, and after SIGTERM [s].
 
         Raises:
             UsageError: there is no such program.
         """
         if shutil.which(command[0]) is None:
             raise UsageError(f'{name}: {command[0]}: no such program')
-        words = keeper_command(command, os.getpid())
+        words = keeper_command(command, os.getpid(), *graces_s)
         return cls(name, words, domain=domain, log=log)  # the keeper looks after its parent's death
 
     @classmethod
@@ -93,8 +102,7 @@ class NodeProcess:
             log: file that takes what it prints.
             scratch: folder of its parameter file, which must last as long as the process.
         """
-        # -P: a module in the user's folder must not stand in for one of ours.
-        words = [sys.executable, '-P', '-m', kind.__module__]
+        words = node_command(kind.__module__)
         if parameters:
             file = scratch / f'{name}.yaml'
             file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
@@ -114,9 +122,18 @@ class NodeProcess:
             )
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal to it and to all that it has started."""
+        """Send a signal to it and to all of its group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, number)
+
+    def kill(self) -> None:
+        """Kill it and all that it has started, in whatever session that is."""
+        with contextlib.suppress(psutil.NoSuchProcess):
+            # Nobody else would know of what a keeper has adopted, so it is the last to go.
+            for process in psutil.Process(self.process.pid).children(recursive=True):
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    process.kill()
+        self.send(signal.SIGKILL)
 
     @property
     def dead(self) -> bool:
@@ -168,8 +185,14 @@ def command_processes(
         end_all(children)
 
 
+def node_command(module: str) -> list[str]:
+    """What starts a node of ours: it hears signals from its first line on, and leaves at once."""
+    # -P: a module in the user's folder must not stand in for one of ours.
+    return [sys.executable, '-P', '-m', 'taxinet_ros.cli.start', module]
+
+
 def dying_with_parent() -> functools.partial[None]:
-    """For a child that is to be started now: Linux kills it when its parent goes, however it goes.
+    """For a :func:`node_command` to be started now: Linux kills it when its parent goes.
 
     It is killed and not asked, for one that hangs or is stopped would not hear; a bag is on disk
     after each step.
@@ -178,6 +201,8 @@ def dying_with_parent() -> functools.partial[None]:
 
 
 def _die_with(parent: int) -> None:
+    # Python has no better answer than a traceback to what comes while it starts.
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     die_with_parent(signal.SIGKILL)
     if os.getppid() != parent:  # It went before we asked.
         os.kill(os.getpid(), signal.SIGKILL)
@@ -202,7 +227,7 @@ def end_all(
             node.send(signal.SIGCONT)  # One that is stopped hears nothing else.
         left = _outlasting(left, grace_s)
     for node in left:
-        node.send(signal.SIGKILL)
+        node.kill()
     _outlasting(left, _LAST_GRACE_S)
     return [node.name for node in left]
 

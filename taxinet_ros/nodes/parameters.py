@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Collection
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -59,11 +60,11 @@ def refuse_unknown(node: Node) -> None:
         raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
 
 
-def any_given(name: str) -> bool:
-    """Whether the command line sets parameters of a node that is still to be made."""
+def any_given(name: str, besides: Collection[str] = ()) -> bool:
+    """Whether the command line sets parameters, but for some, of a node that is yet to be made."""
     probe = Node(name, start_parameter_services=False, enable_rosout=False)
     try:
-        return bool(_given(probe))
+        return not set(_given(probe)) <= set(besides)
     finally:
         probe.destroy_node()
 

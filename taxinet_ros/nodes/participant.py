@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -15,6 +17,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import Diagnostics, Health, Pace, too_long
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.matching import heard_by
 from taxinet_ros.nodes.notices import INTRUDER, charge
@@ -58,6 +61,8 @@ class Participant(Node):
         self._speakers: list[tuple[Topic, Publisher]] = []
         self._listeners: list[HeardSpeakers] = []
         self._charged = self._begun = False
+        self._work, self._trouble, self._taken_s = Pace(), '', 0.0
+        self._diagnostics = Diagnostics(self, self.health)
         self._status = self.speak(interface.NODE_STATUS)
         self.listen(interface.SCENARIO, self._take)
         # Getting ready is about processes finding each other, so it runs on wall time.
@@ -78,19 +83,23 @@ class Participant(Node):
         self._speakers.append((topic, publisher))
         return publisher
 
-    def listen(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+    def listen(
+        self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False,
+        newest: bool = False,
+    ) -> None:
         """Subscribe to a topic of the table, with every exception reported.
 
         Args:
             topic: what is heard.
             callback: takes the messages; of a topic that is read here, what they say.
             raw: it takes their bytes.
+            newest: of messages that wait it takes the last; in lockstep no second one ever waits.
         """
         if read_here(topic) and not raw:
             callback, raw = self._reading(topic, callback), True
         self._listeners.append(HeardSpeakers(
             self, topic, self._guarded(callback, topic.each_step), raw=raw,
-            on_match=self.spoken_into,
+            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.qos,
         ))
 
     def destroy_node(self) -> None:
@@ -102,6 +111,8 @@ class Participant(Node):
     def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
         """Tell the simulator how this node stands in the current run."""
         ready = state == NodeStatus.READY
+        if state == NodeStatus.ERROR:
+            self._trouble = detail
         self._status.publish(NodeStatus(
             header=header(stamp_ns, ''),
             run_id=self.run_id,
@@ -119,6 +130,28 @@ class Participant(Node):
         return progress_cdr(
             self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
         )
+
+    def figures(self) -> Mapping[str, object]:
+        """What else there is to tell of this node on ``/diagnostics``."""
+        return {}
+
+    def health(self) -> Health:
+        """How this node is doing in its run."""
+        rate, work = self._work.look('message')
+        values = {
+            'run': self.run_id, 'implementation': self.implementation,
+            'fingerprint': self.fingerprint, 'message rate [1/s]': rate, **work, **self.figures(),
+        }
+        if self._trouble:
+            line = f'run {self.run_id}: {self._trouble}'
+            return Health(level=DiagnosticStatus.ERROR, message=line, values=values)
+        if self._scenario is None or self._poll.is_canceled():
+            return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
+        if not too_long(time.monotonic() - self._taken_s):
+            return Health(message=f'run {self.run_id}: gets ready', values=values)
+        values['waits for'] = ', '.join(self._unsettled())
+        line = f'run {self.run_id}: not all ends are found on {values["waits for"]}'
+        return Health(level=DiagnosticStatus.WARN, message=line, values=values)
 
     def may_leave(self) -> bool:
         """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
@@ -173,6 +206,7 @@ class Participant(Node):
         self._charged = self._begun = False
         self.run_id = scenario.run_id
         self._scenario = scenario
+        self._trouble, self._taken_s = '', time.monotonic()
         self.prepare(scenario)
         self._poll.reset()
         self._report_ready()
@@ -185,10 +219,7 @@ class Participant(Node):
         if self._scenario is None or self._poll.is_canceled():
             return
         present = self._scenario.participants
-        for topic, publisher in self._speakers:
-            if not heard_by(self, publisher, topic.listeners(present)):
-                return
-        if not all(heard.settled(present) for heard in self._listeners):
+        if next(self._unsettled(), None) is not None:
             return
         for heard in self._listeners:
             heard.pin(present)
@@ -196,6 +227,17 @@ class Participant(Node):
         self._begun = False
         self._poll.cancel()
         self.report(NodeStatus.READY)
+
+    def _unsettled(self) -> Iterator[str]:
+        """Topics on which not every end of this run has found this node's, or is alone."""
+        assert self._scenario is not None
+        present = self._scenario.participants
+        for topic, publisher in self._speakers:
+            if not heard_by(self, publisher, topic.listeners(present)):
+                yield topic.name
+        for heard in self._listeners:
+            if not heard.settled(present):
+                yield heard.topic.name
 
     @staticmethod
     def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
@@ -211,8 +253,12 @@ class Participant(Node):
                 self.silent_looks = 0
             if begins:
                 self._begun = True
+            watched = self._diagnostics.watched and message is not None
+            begun_s = time.perf_counter() if watched else 0.0
             try:
                 callback(message)
+                if watched:
+                    self._work.took(time.perf_counter() - begun_s)
             except Exception as error:
                 # What it cannot take may be somebody else's, and is not this node's fault then.
                 if self.spoken_into():

@@ -31,9 +31,9 @@ class PerceptionNode(Participant, abc.ABC):
         self.fingerprint = self._perception.fingerprint
         self._estimates = self.speak(interface.ESTIMATE)
         if self._perception.needs_image:
-            self.listen(interface.IMAGE, self._see, raw=True)
+            self.listen(interface.IMAGE, self._see, raw=True, newest=True)
         else:
-            self.listen(interface.TRUTH, self._know)
+            self.listen(interface.TRUTH, self._know, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
         """Forget the previous run."""

@@ -9,31 +9,38 @@ from __future__ import annotations
 
 import functools
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.serialization import deserialize_message, serialize_message
-from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario
+from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
 from taxinet_ros.bag.definitions import describe_topic
-from taxinet_ros.bag.layout import run_folder
+from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.free_run import FreeRunAccount
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.stop_on import StopOn, parse_stop_on
+from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import stamp_of
+from taxinet_ros.nodes.diagnostics import Health
+from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
@@ -129,10 +136,10 @@ class Recorder(Participant):
         self.listen(interface.NODE_STATUS, self._on_status, raw=True)
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
         self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
-        topic = interface.OBITUARY
-        self.create_subscription(
-            topic.type, topic.name, self._guarded(self._on_obituary), topic.qos
-        )
+        for topic, hear in (
+            (interface.OBITUARY, self._on_obituary), (interface.TIMING, self._on_timing),
+        ):
+            self.create_subscription(topic.type, topic.name, self._guarded(hear), topic.qos)
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
@@ -164,6 +171,34 @@ class Recorder(Participant):
         self._steps = StepCollector(self._expected)
         self._held: list[Step] = []
         self._verdict: bytes | None = None
+        self._free = False
+        self._account: FreeRunAccount | None = None
+        self._arrived = {
+            topic.name: -1 for topic in self._stepped if topic.publishers == (interface.SIMULATOR,)
+        }
+
+    def figures(self) -> dict[str, object]:
+        """See :class:`Participant`: of the bag at hand, and of the disk."""
+        bag = mcap_path(self._writer.folder) if self._writer is not None else None
+        return {
+            'bag': str(bag or ''), 'bag size [MB]': bag.stat().st_size / 1e6 if bag else 0.0,
+            'steps written': self._written if bag else 0,
+            'disk free [MB]': self._free_bytes() / 1e6,
+            'disk free, least [MB]': self._min_free / 1e6,
+        }
+
+    def health(self) -> Health:
+        """See :class:`Participant`; and whether there is room for another bag."""
+        health, free = super().health(), self._free_bytes()
+        if health.level == DiagnosticStatus.OK and free < self._min_free:
+            line = f'{self._out}: {free / 1e6:.0f} MB free, min_free is {self._min_free / 1e6:.0f}'
+            return replace(health, level=DiagnosticStatus.WARN, message=line)
+        return health
+
+    def _free_bytes(self) -> int:
+        """Free space where bags go, or will once their folder is made."""
+        there = next((at for at in (self._out, *self._out.parents) if at.is_dir()), Path())
+        return shutil.disk_usage(there).free
 
     def may_leave(self) -> bool:
         """Whether the bag is closed, or nothing more is heard of its run."""
@@ -208,6 +243,31 @@ class Recorder(Participant):
         if whole:
             self._held += whole
             self._write_steps()
+        if topic.name in self._arrived:
+            self._arrived[topic.name] = seq
+            self._report_free()
+
+    def _on_timing(self, timing: Timing) -> None:
+        """In a free run frames may have no answer, and time does not wait for the recorder."""
+        if self._writer is None or timing.run_id != self.run_id:
+            return
+        self._free = True
+        if timing.ended:
+            self._account = account_of(timing)
+            self._finish_if_whole()
+            return
+        for topic, frames in (
+            (interface.ESTIMATE, timing.unestimated), (interface.COMMAND, timing.uncommanded),
+        ):
+            for frame in frames:
+                self._held += self._steps.excuse(topic.name, frame)
+        self._write_steps()
+        self._report_free()
+
+    def _report_free(self) -> None:
+        if self._free:
+            arrived_ns = max(min(self._arrived.values()), 0) * CONTROL_PERIOD_NS
+            self._progress.publish(self.progress(max(self._written - 1, 0), arrived_ns))
 
     def _on_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, NodeStatus)
@@ -283,9 +343,12 @@ class Recorder(Participant):
     def _write_head(self) -> None:
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
         for node, cdr in sorted(self._ready_for(self.run_id).items()):
-            # Of the simulator there is nothing to say in a run whose answers take effect at once.
-            if node != interface.SIMULATOR or deserialize_message(cdr, NodeStatus).implementation:
-                self._write(interface.NODE_STATUS, cdr, 0)
+            if node == interface.SIMULATOR:
+                timing = deserialize_message(cdr, NodeStatus).implementation
+                self._free |= is_free(timing)
+                if not timing:
+                    continue  # Every answer takes effect at once: nothing to say.
+            self._write(interface.NODE_STATUS, cdr, 0)
         self._write(interface.TF_STATIC, camera_transform(), 0)
 
     def _write_steps(self) -> None:
@@ -295,9 +358,10 @@ class Recorder(Participant):
         for seq, messages in self._held:
             self._write_step(seq, messages)
             self._written += 1
-            if reports_progress(seq, self._last_seq, self._stop_on):
+            if not self._free and reports_progress(seq, self._last_seq, self._stop_on):
                 self._progress.publish(self.progress(seq, seq * CONTROL_PERIOD_NS))
         self._held.clear()
+        self._report_free()
 
     def _write_step(self, seq: int, messages: dict[str, list[bytes]]) -> None:
         assert self._writer is not None
@@ -328,14 +392,14 @@ class Recorder(Participant):
             # Whose word that was, nobody knows; the simulator ends the run for it.
             self._ended = None
             return
-        if judged and self._verdict is None:
+        if judged and not self._told:
             return
         last_seq = self._ended.seq if self._stop_on is not StopOn.NEVER else self._last_seq
         if judged and not self._written == last_seq + 1 == self._ended.seq + 1:
             raise RuntimeError(f'{self._written} of {last_seq + 1} steps were recorded')
         if judged:
             self._check_verdict()
-        if not judged:
+        else:
             if self._is_rest_under_way():
                 self._rest.reset()
                 return
@@ -346,17 +410,30 @@ class Recorder(Participant):
         self._write(interface.RUN_STATUS, self._ended_cdr, stamp_ns)
         writer = self._writer
         assert writer is not None
-        writer.add_metadata('taxinet_outcome', {
-            'outcome': self._ended.outcome, 'kind': self._ended.kind, 'who': self._ended.who,
-            'detail': self._ended.detail, 'steps': str(self._written),
-            'perception': self._ended.perception, 'weights_sha256': self._ended.fingerprint,
-        })
+        self._add_ending(writer, self._ended)
         writer.close()
         self._writer = None
         if self._images == 'failures':
             self._late_frames.begin(writer.folder, self._ended, self._min_free)
         else:
             self._done()
+
+    def _add_ending(self, writer: BagWriter, ended: RunStatus) -> None:
+        writer.add_metadata('taxinet_outcome', {
+            'outcome': ended.outcome, 'kind': ended.kind, 'who': ended.who,
+            'detail': ended.detail, 'steps': str(self._written),
+            'perception': ended.perception, 'weights_sha256': ended.fingerprint,
+        })
+        if self._account is not None:
+            writer.add_metadata(FREE_RUN_METADATA, {
+                **self._account.to_words(),
+                **{name: f'{x:g}' for name, x in self._account.figures().items()},
+            })
+
+    @property
+    def _told(self) -> bool:
+        """Whether all is there that is said once of a run that was judged."""
+        return self._verdict is not None and (not self._free or self._account is not None)
 
     def _check_verdict(self) -> None:
         """See that the run ended as the monitor has judged it, and when."""
@@ -404,8 +481,9 @@ class Recorder(Participant):
         begun = self._begun or self._ended.seq > 0
         if not begun or self._whole > self._ended.seq:
             return False
-        interrupted = self._ended.outcome == Outcome.INTERRUPTED
-        return self._rest_looks < (_REST_LOOKS if interrupted else _BROKEN_LOOKS)
+        # Of a free run steps are not whole that nobody has answered, however long one waits.
+        patient = self._ended.outcome == Outcome.INTERRUPTED and not self._free
+        return self._rest_looks < (_REST_LOOKS if patient else _BROKEN_LOOKS)
 
     def _await_rest(self, _: None) -> None:
         self._rest_looks += 1

@@ -13,6 +13,7 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.free_run import FreeRun
 from taxinet_ros.core.lockstep import Lockstep
 from taxinet_ros.core.loop import LateCommands
 from taxinet_ros.core.mtl import parse_assumptions, parse_spec
@@ -61,12 +62,17 @@ class ActiveRun:
         self.world = World(scenario)
         self.commands = LateCommands(timing, message.seed, message.index)
         may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
-        self.lockstep = Lockstep(
-            participants=self.participants,
-            chain=interface.CHAIN,
-            followers=interface.FOLLOWERS,
-            last_seq=self.world.last_seq,
-            enders=(interface.MTL_MONITOR,) if may_stop else (),
+        if timing.free and may_stop:
+            raise UsageError(
+                f'stop_on {message.stop_on}: not in a free run, where nobody waits for the monitor'
+            )
+        roles: dict[str, Any] = {
+            'participants': self.participants, 'chain': interface.CHAIN,
+            'followers': interface.FOLLOWERS, 'last_seq': self.world.last_seq,
+        }
+        self.free = FreeRun(**roles, factor=timing.factor) if timing.free else None
+        self.lockstep = self.free or Lockstep(
+            **roles, enders=(interface.MTL_MONITOR,) if may_stop else (),
         )
         self.listens: dict[str, set[str]] = {}
         self.ready: dict[str, NodeStatus] = {}

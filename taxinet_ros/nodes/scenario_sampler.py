@@ -18,6 +18,7 @@ from taxinet_ros.core.errors import plain_line
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
+from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
 from taxinet_ros.nodes.parameters import declare
 from taxinet_ros.nodes.speakers import Gid
@@ -295,6 +296,7 @@ def result_of(answer: Any) -> RunResult:
         perception=status.perception,
         fingerprint=status.fingerprint,
         timing=plain_line(answer.timing),
+        free=account_of(answer.account).figures() if answer.account.ended else {},
         **(_judged(verdict) if judged else {}),
     )
 

@@ -20,13 +20,24 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import InfraError
+from taxinet_ros.core.free_run import FreeRun
+from taxinet_ros.core.loop import ROLLING_ON
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.timing import LAWS, parse_latency
+from taxinet_ros.core.timing import LAWS, MOST_FACTOR, parse_latency
+from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
 from taxinet_ros.nodes.domain import stand_alone
+from taxinet_ros.nodes.free_run import (
+    FREE_TICK_S,
+    account_message,
+    chosen_timing,
+    settled_message,
+)
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by
@@ -64,6 +75,13 @@ class Simulator(Node):
         self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
         text = f'how late answers take effect, perception= and controller= [s]: {LAWS}'
         self._timing = parse_latency([declare(self, 'latency', '', text)])
+        text = 'simulated time waits for every answer; false: it goes by the wall clock'
+        lockstep = declare(self, 'lockstep', True, text)
+        text = 'simulated seconds per second of a free run (lockstep false); 0: as fast as it goes'
+        factor = declare(self, 'real_time_factor', 1.0, text, (0.0, MOST_FACTOR))
+        self._timing = chosen_timing(self._timing, lockstep=lockstep, factor=factor)
+        self._health = RunHealth()
+        self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
         self._run: ActiveRun | None = None
         self._leaving = False
@@ -101,11 +119,14 @@ class Simulator(Node):
             interface.RUN_SCENARIO,
             self._execute,
             goal_callback=self._accept,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            cancel_callback=self._cancel,
             result_timeout=_RESULT_KEPT_S,
         )
         steady = RclClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+        if self._timing.free:
+            self._held: TaxiCommand = ROLLING_ON
+            self.create_timer(FREE_TICK_S, self._tick, clock=steady)
 
     def may_leave(self) -> bool:
         """Whether the run at hand, which is to end as INTERRUPTED, has, or all others left."""
@@ -131,6 +152,12 @@ class Simulator(Node):
             self.get_logger().warning(f'refused run {goal.scenario.run_id}: another one is active')
         return GoalResponse.REJECT if busy else GoalResponse.ACCEPT
 
+    def _cancel(self, goal: Any) -> CancelResponse:
+        """Refuse for a run that is over: one that is told to be cancelled gets no verdict."""
+        run = self._run
+        over = run is not None and run.goal is goal and run.ending is not None
+        return CancelResponse.REJECT if over else CancelResponse.ACCEPT
+
     async def _execute(self, goal: Any) -> Any:
         result = interface.RUN_SCENARIO_TYPE.Result()
         scenario = goal.request.scenario
@@ -146,9 +173,12 @@ class Simulator(Node):
         self._say(interface.RUN_STATUS, run.status(RunStatus.PREPARING))
         result.timing = self._timing.words
         result.status = await run.done
+        if run.free is not None:
+            result.account = account_message(run.free, run.run_id)
         if result.status.outcome in (Outcome.PASS, Outcome.FAIL):
             result.verdict = run.verdict
         self._run = None
+        self._health.ended(run.run_id, result.status)
         self._may_leave_s = time.monotonic() + _DELIVERY_S
         for speakers in self._topics:
             speakers.release()
@@ -235,7 +265,7 @@ class Simulator(Node):
 
     def _on_estimate(self, run: ActiveRun, estimate: Said) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
-        if run.lockstep.answer(interface.PERCEPTION, estimate.seq):
+        if run.lockstep.answer(interface.PERCEPTION, estimate.seq, time.monotonic()):
             run.heard()
 
     def _on_command(self, run: ActiveRun, command: Said) -> None:
@@ -249,8 +279,9 @@ class Simulator(Node):
             return
         check_command(command.value, interface.STEERING_CONTROLLER, command.seq)
         # The estimate travels on another topic and may be overtaken by the command made from it.
-        run.lockstep.answer(interface.PERCEPTION, command.seq)
-        if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq):
+        if run.free is None:
+            run.lockstep.answer(interface.PERCEPTION, command.seq)
+        if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq, time.monotonic()):
             run.command = command.value
             run.heard()
             self._go_on(run)
@@ -259,7 +290,8 @@ class Simulator(Node):
         if progress.seq > run.lockstep.seq:
             detail = f'has come to frame {progress.seq}, which is not out yet'
             raise InfraError(PROTOCOL, progress.value, run.lockstep.seq, detail)
-        run.lockstep.progress(progress.value, progress.seq)
+        arrived = progress.stamp_ns // CONTROL_PERIOD_NS
+        run.lockstep.progress(progress.value, progress.seq, arrived, time.monotonic())
         run.heard()
         self._go_on(run)
 
@@ -297,24 +329,56 @@ class Simulator(Node):
     def _go_on(self, run: ActiveRun) -> None:
         if run.ending is not None or not run.started:
             return
-        if run.unwanted_s and run.command is not None:
+        if run.goal.is_cancel_requested and not run.unwanted_s:
+            run.unwanted_s = time.monotonic()
+        over = run.lockstep.complete and run.verdict is not None
+        if run.unwanted_s and (over or run.command is not None):
             self._break_off(run)
         elif run.lockstep.may_advance and run.command is not None:
             command, run.command = run.command, None
             run.world.advance(run.commands.at(run.lockstep.seq, command))
             self._publish_frame(run)
-        elif run.lockstep.complete and run.verdict is not None:
+        elif over and run.verdict is not None:
             self._conclude(run, run.verdict)
 
     def _publish_frame(self, run: ActiveRun) -> None:
         # A frame takes longer than all else, so it is not made for nobody.
+        begun_s = time.perf_counter() if self._diagnostics.watched else 0.0
         looked_at = self._speakers[interface.IMAGE.name].get_subscription_count() > 0
         now = run.world.observe(picture=looked_at)
-        run.lockstep.begin(now.seq)
+        run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
             if topic is interface.ODOMETRY:
                 self._transforms.follow(message)
+        if run.free is not None:
+            self._held = run.command or ROLLING_ON
+            self._say(interface.TIMING, settled_message(run.free, run.run_id))
+        if begun_s:
+            self._health.frames.took(time.perf_counter() - begun_s)
+
+    def _tick(self) -> None:
+        """Go on with a free run, if its time has come."""
+        run = self._run
+        if run is not None and run.free is not None and run.started and run.ending is None:
+            free = run.free
+            self._attempt(run, lambda: self._go_freely(run, free))
+
+    def _go_freely(self, run: ActiveRun, free: FreeRun) -> None:
+        now_s = time.monotonic()
+        if run.unwanted_s:
+            self._break_off(run)
+        elif free.seq < free.last_seq:
+            if free.pace.due(now_s) and free.room:
+                run.world.advance(self._held)
+                self._publish_frame(run)
+        elif free.closed:
+            message = settled_message(free, run.run_id)
+            if message.unestimated or message.uncommanded:
+                self._say(interface.TIMING, message)
+            self._go_on(run)
+        else:
+            free.closed = free.pace.due(now_s)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         if not (verdict.complete or verdict.stopped_early):
@@ -364,9 +428,19 @@ class Simulator(Node):
         """Announce the end, then wait for the recorder to close its bag where there is one."""
         run.ending = status
         run.heard()
+        if run.free is not None:
+            self._say(interface.TIMING, account_message(run.free, run.run_id))
         self._say(interface.RUN_STATUS, status)
         if recorder_lost or interface.RECORDER not in run.participants:
             run.finish()
+
+    def _diagnose(self) -> Health:
+        """How this node is doing."""
+        run = self._run
+        if run is None:
+            return self._health.look(None, '')
+        waits_for = ', '.join(run.lockstep.missing()) if run.started else self._unready(run)[1]
+        return self._health.look(run, waits_for)
 
     def _watch(self) -> None:
         run = self._run
@@ -389,6 +463,10 @@ class Simulator(Node):
         elif run.suspect is not None and now - run.suspect[1] > _SUSPECTED_S:
             error = run.suspect[0]
             self._fail(run, error.kind, error.who, error.detail)
+        elif run.free is not None and (
+            who := run.free.silent(now, self._answer_timeout_s)
+        ):
+            self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
             self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')

@@ -16,6 +16,7 @@ from typing import Any
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
 from taxinet_ros.core.errors import InfraError
 from taxinet_ros.nodes.interface import SIMULATOR, Topic
@@ -171,7 +172,7 @@ class HeardSpeakers(Speakers):
 
     def __init__(
         self, node: Node, topic: Topic, callback: Callable[[Any], None], *, raw: bool,
-        on_match: Callable[[], object],
+        on_match: Callable[[], object], qos: QoSProfile | None = None,
     ) -> None:
         """Subscribe.
 
@@ -181,12 +182,13 @@ class HeardSpeakers(Speakers):
             callback: takes the messages; where ``raw``, their bytes.
             raw: see above.
             on_match: called after a publisher was found or lost.
+            qos: of the subscription, where it is not the topic's.
         """
         def matched(_: object) -> None:
             on_match()
 
         self.subscription = node.create_subscription(
-            topic.type, topic.name, callback, topic.qos, raw=raw,
+            topic.type, topic.name, callback, qos or topic.qos, raw=raw,
             event_callbacks=SubscriptionEventCallbacks(matched=matched),
         )
         super().__init__(node, topic, self.subscription.topic_name)

@@ -55,7 +55,7 @@ class SteeringController(Participant):
         self.implementation = words_of_gains(tuned) if word == STEERING else IMPLEMENTATION
         self.fingerprint = self._controller.fingerprint
         self._commands = self.speak(interface.COMMAND)
-        self.listen(interface.ESTIMATE, self._answer)
+        self.listen(interface.ESTIMATE, self._answer, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
         """Forget the previous run."""

@@ -33,6 +33,9 @@ class StepCollector:
         if step is None:
             step = self._pending[seq] = _Pending(self._total)
         messages = step.messages.get(topic)
+        if topic in step.excused:
+            self.repeated += 1
+            return ()
         if messages is None:
             messages = step.messages[topic] = []
         if len(messages) == self._expected[topic]:
@@ -40,6 +43,16 @@ class StepCollector:
             return ()
         messages.append(message)
         step.missing -= 1
+        return () if step.missing or seq != self._next else self._whole()
+
+    def excuse(self, topic: str, seq: int) -> Sequence[Step]:
+        """What a topic says of a step does not come, or came for nothing; answer as :meth:`add`."""
+        if seq < self._next:
+            return ()
+        step = self._pending.setdefault(seq, _Pending(self._total))
+        if topic not in step.excused:
+            step.excused.add(topic)
+            step.missing -= self._expected[topic] - len(step.messages.pop(topic, ()))
         return () if step.missing or seq != self._next else self._whole()
 
     def _whole(self) -> list[Step]:
@@ -56,10 +69,11 @@ class StepCollector:
 
 
 class _Pending:
-    """Messages of a step by topic, and how many are still to come."""
+    """Messages of a step by topic, how many are to come, and topics of which none is."""
 
-    __slots__ = ('messages', 'missing')
+    __slots__ = ('excused', 'messages', 'missing')
 
     def __init__(self, missing: int) -> None:
         self.messages: dict[str, list[Any]] = {}
         self.missing = missing
+        self.excused: set[str] = set()

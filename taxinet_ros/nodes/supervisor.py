@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,7 +28,6 @@ _END_OF_RUN_S, _END_HEARD_S = 5.0, 20.0
 """How long the end of a run is awaited: of a silent simulator, and of one that is heard still."""
 
 _HEARD_S = 1.0
-_RESULT_S = 0.5
 
 
 class Restart(enum.StrEnum):
@@ -230,7 +228,7 @@ class Supervisor(Node):
             and silence_s > _KILL_AFTER * self._care.silent_s
         ):
             self._say(f'{watched.name} is killed: silent for {silence_s:.0f} s')
-            watched.process.send(signal.SIGKILL)
+            watched.process.kill()
 
     def _why_silent(self, watched: WatchedNode) -> str:
         pid = watched.process.process.pid
@@ -241,12 +239,11 @@ class Supervisor(Node):
     # The end ---------------------------------------------------------------------------------
 
     def _see_run_end(self, end_by_s: float, now_s: float) -> None:
-        """Leave when the run at hand has ended, its bag is closed, and its result is out."""
-        if not self.runs.run_id and self._end_by_s is not None:
-            recorded = interface.RECORDER in self._names and not self.runs.closed
-            if not recorded and end_by_s - now_s > _RESULT_S:
-                self._end_by_s = now_s + _RESULT_S
-                return
+        """Leave when the run at hand has ended, and its bag is closed."""
+        over = bool(self.runs.last_run) and not self.runs.run_id
+        if over and (self.runs.closed or interface.RECORDER not in self._names):
+            self.ended.set_result(None)  # the simulator waits until its answer is out
+            return
         # On a busy machine a step may take its time; a simulator that is heard has not forgotten.
         busy = bool(self.runs.run_id) and now_s - self.runs.heard_s < _HEARD_S
         if now_s >= end_by_s + (_END_HEARD_S - _END_OF_RUN_S if busy else 0.0):

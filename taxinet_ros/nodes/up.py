@@ -82,8 +82,8 @@ def stand(
     with (
         own_domain(options.domain) as domain,
         node_processes(options.graph, domain, options.logs, without) as processes,
-        _in_order(processes),
         _ros(domain) as (context, executor),
+        _in_order(processes),
     ):
         supervisor = Supervisor(processes, options.care, shown.say, context=context)
         executor.add_node(supervisor)

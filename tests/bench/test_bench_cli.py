@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
+from taxinet_ros.bench import monitor
 from taxinet_ros.cli.main import _exit_code, app
 
 
@@ -26,8 +27,10 @@ def call(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 
 
 def test_given_json_when_asked_for_then_it_is_all_there_is_and_can_be_compared_with(
-    tmp_path: Path, capsys
+    tmp_path: Path, capsys, monkeypatch
 ) -> None:
+    for word in monitor.LENGTHS:
+        monkeypatch.setitem(monitor.LENGTHS, word, 300)
     code, out, err = call(capsys, 'monitor', '--repeats', '2', '--json')
     assert (code, err) == (0, '')
     old = json.loads(out)

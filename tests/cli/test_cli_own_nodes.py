@@ -52,6 +52,23 @@ def hangs(estimate):
 
 def fails(estimate):
     return 1 / 0
+
+
+def thread():
+    import threading
+    import time
+    threading.Thread(target=time.sleep, args=(3600,)).start()
+    return steer
+
+
+def leaves(estimate):
+    import os
+    os._exit(1)
+
+
+def loud(image):
+    print('asked')
+    return 0.0, 0.0
 """
 
 
@@ -103,7 +120,7 @@ def test_given_functions_of_a_file_then_every_layout_has_the_same_rows(folder):
 
 @pytest.mark.parametrize('campaign', ['p', 'n', 't'])
 def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campaign):
-    done = taxinet_apart('doctor', campaign, cwd=folder)
+    done = taxinet('doctor', campaign, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     spec = 'soon=always(cte < 100)'
     done = taxinet('monitor', campaign, '--spec', spec, '--add', cwd=folder)
@@ -152,7 +169,7 @@ def test_given_what_cannot_be_done_with_them_then_one_line_says_what_is_needed(
 
 def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(folder):
     words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
-    done = taxinet_apart(*words, '--controller', 'mine.py:steer', cwd=folder)
+    done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert 'the same to the bit' in done.stdout
 
@@ -190,6 +207,30 @@ def test_given_a_function_that_never_returns_then_two_interrupts_end_it(folder):
     assert complaint.splitlines()[-1] == (
         'taxinet: error: what is at hand does not come back; it is left where it stands'
     )
+
+
+def test_given_a_function_whose_thread_goes_on_then_the_command_ends(folder):
+    executable = str(Path(sys.executable).with_name('taxinet'))
+    words = ('run', 'nominal', '--perception', 'truth', '--controller', 'mine.py:thread', *SHORT)
+    done = subprocess.run(
+        [executable, *words, '--out', 'th'], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode in (0, 1), done.stderr
+
+
+def test_given_a_function_that_would_end_the_process_then_it_is_named_and_the_bench_broke(folder):
+    words = ('nominal', '--perception', 'truth', '--controller', 'mine.py:leaves', *SHORT)
+    done = taxinet_apart('run', *words, '--out', 'le', cwd=folder)
+    assert done.returncode == 4
+    assert 'mine.py:34: SystemExit: os._exit(1)' in done.stdout
+
+
+def test_given_a_function_that_prints_then_json_stays_json(folder):
+    words = ('nominal', '--perception', 'mine.py:loud', '--images', '2', '--json')
+    done = taxinet_apart('evaluate', *words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)
+    assert 'asked' in done.stderr
 
 
 def test_given_a_search_with_nodes_then_each_worker_has_its_own_and_none_is_left(folder):

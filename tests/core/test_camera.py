@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from taxinet_ros.core import runway
+from taxinet_ros.core import runway, world
 from taxinet_ros.core.airframe_view import hidden_columns
 from taxinet_ros.core.camera import (
     IMAGE_HEIGHT,
@@ -378,3 +378,14 @@ def test_given_any_number_of_threads_when_rendered_then_the_bytes_are_equal(thre
         np.testing.assert_array_equal(shot(at(700.0, -2.0), 15.5), alone)
     finally:
         cv2.setNumThreads(before)
+
+
+def test_given_a_world_that_nobody_photographs_then_no_camera_is_made(monkeypatch) -> None:
+    made: list[Scenario] = []
+    monkeypatch.setattr(world, 'Camera', lambda scenario: made.append(scenario) or Camera(scenario))
+    seen = world.World(Scenario())
+    assert seen.observe(picture=False).image is None
+    assert made == []
+    assert seen.observe().image is not None
+    assert seen.observe().image is not None
+    assert made == [Scenario()], 'one for all its pictures'

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
+import re
 import sys
 from pathlib import Path
 
@@ -127,6 +129,49 @@ def test_given_a_file_that_closes_the_streams_when_loaded_then_ours_stay(file):
     text = 'import sys\nsys.stdout = None\ndef make():\n    sys.stderr = None\n    return print'
     make_perception(file(text))
     assert (sys.stdout, sys.stderr) == before
+
+
+LOUD = """
+print('loaded')
+class make:
+    def __init__(self):
+        print('made')
+    def reset(self):
+        print('reset')
+    def __call__(self, seen):
+        print('asked')
+        return 0.0, 1.0
+"""
+
+
+def test_given_a_file_that_prints_then_what_we_print_stays_alone(file, capfd):
+    controller = steering(file(LOUD))
+    controller.command(SEEN)
+    controller.begin()
+    assert tuple(capfd.readouterr()) == ('', 'loaded\nmade\nasked\nreset\n')
+
+
+@pytest.mark.parametrize(('text', 'says'), [
+    ('import os\ndef make(seen):\n    os._exit(1)', 'mine.py:3: SystemExit: os._exit(1)'),
+    ('def make(seen):\n    from os import _exit\n    _exit(0)',
+     'mine.py:3: SystemExit: os._exit(0)'),
+])
+def test_given_a_function_that_would_end_the_process_then_it_is_named_and_nothing_ends(
+    file, text, says
+):
+    controller, leave = steering(file(text)), os._exit
+    with pytest.raises(UserCodeError, match=re.escape(says)):
+        controller.command(SEEN)
+    assert os._exit is leave
+
+
+def test_given_a_function_that_forks_then_its_child_may_end(file):
+    text = (
+        'import os\ndef make(seen):\n    child = os.fork()\n'
+        '    if not child:\n        os._exit(7)\n'
+        '    return 0.0, float(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))'
+    )
+    assert steering(file(text)).command(SEEN).speed_mps == 7.0
 
 
 def test_given_a_file_when_checked_then_it_is_not_run(file, tmp_path):

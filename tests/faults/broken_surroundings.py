@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import io
 import json
 import os
 import pkgutil
@@ -23,6 +24,7 @@ from typer.main import get_command
 
 import taxinet_ros.cli
 from taxinet_ros.cli import main as program
+from taxinet_ros.core.errors import UsageError
 
 
 def closed(descriptor: int) -> Callable[[], None]:
@@ -130,6 +132,8 @@ if __name__ == '__main__':
     for module in pkgutil.iter_modules(taxinet_ros.cli.__path__):
         importlib.import_module(f'taxinet_ros.cli.{module.name}')
     program.app = get_command(program.app)
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(UsageError):
+        program.app(['gate', 'nowhere'], standalone_mode=False)
     gc.freeze()
     answers = os.fdopen(os.dup(1), 'w')
     for line in sys.stdin:

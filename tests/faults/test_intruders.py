@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import rclpy
 from fault_runs import PARTICIPANTS, once, request, run, steps_in
+from geometry_msgs.msg import TransformStamped
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -18,6 +19,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from tampering import tamper
 from taxinet_msgs.msg import NodeStatus, RunStatus, TaxiCommand, TrackingError, Verdict
+from tf2_msgs.msg import TFMessage
 from waiting import wait_for
 
 from taxinet_ros.bag.facts import read_facts
@@ -166,11 +168,40 @@ def test_f4_given_a_second_publisher_from_the_start_then_no_run_begins_and_it_is
     assert after.outcome.judged, 'he is gone, and is held against nobody'
 
 
+def test_ros21_given_others_who_speak_of_frames_then_the_run_goes_on_and_its_bag_is_the_same(
+    tmp_path
+):
+    """The topics of tf2 are everybody's."""
+    heard: list[TFMessage] = []
+
+    def speak_of_frames(graph: Any, stack: contextlib.ExitStack) -> None:
+        node = stack.enter_context(peer(graph))
+        lie = TransformStamped(child_frame_id=interface.BASE_FRAME)
+        lie.header.frame_id = interface.MAP_FRAME
+        moving = node.create_subscription(TFMessage, 'tf', heard.append, interface.TF.qos)
+        for topic in interface.TRANSFORMS:
+            publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+            publisher.publish(TFMessage(transforms=[lie]))
+        wait_for(lambda: moving.get_publisher_count() == 2)
+
+    bags = []
+    for folder, act in ((tmp_path / 'alone', None), (tmp_path / 'shared', speak_of_frames)):
+        options = GraphOptions(perception='truth', out=folder, images='none')
+        with composed_graph(options) as graph, contextlib.ExitStack() as stack:
+            if act is not None:
+                done = amid_the_run(graph, functools.partial(act, graph, stack))
+            (result,) = run(graph, request(duration=2.0))
+            assert result.outcome.judged, result
+        bags.append((folder / 'run' / 'run_0.mcap').read_bytes())
+    assert done
+    assert bags[0] == bags[1]
+
+
 def test_f4_given_onlookers_that_come_and_go_then_not_a_byte_changes(tmp_path):
     def look_on(graph: Any) -> None:
         for _ in range(2):
             with peer(graph) as node:
-                for topic in interface.TOPICS:
+                for topic in (*interface.TOPICS, *interface.TRANSFORMS):
                     node.create_subscription(topic.type, topic.name, lambda _: None, topic.qos)
                 wait_for(lambda: node.count_publishers('run_status') == 1)
 

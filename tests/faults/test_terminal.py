@@ -5,16 +5,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
 import re
+import shlex
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import psutil
 import pytest
-from command_process import COMMAND, Terminal, on_terminal
+from command_process import Terminal, on_terminal
 from fault_runs import grown, once, request, run, steps_in
 from process_table import children, gone
 from waiting import wait_for
@@ -38,6 +43,16 @@ ALL = (
     'scenario_sampler',
 )
 RUN = ('program:=nominal', 'runs:=3', 'set:=["duration=600"]')
+TAXINET = str(Path(sys.executable).with_name('taxinet'))
+PERCEPTION = REPOSITORY / 'examples' / 'own_perception.py'
+DEAF = """
+import runpy, signal, subprocess, sys
+every = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+signal.pthread_sigmask(signal.SIG_BLOCK, every)
+subprocess.Popen(['sleep', '3600'], start_new_session=True)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name='__main__')
+"""
 GROUP = """
 import json, signal, subprocess, sys
 processes = [subprocess.Popen(words) for words in json.loads(sys.argv[1])]
@@ -159,23 +174,59 @@ def test_r4_given_two_interrupts_at_once_then_no_node_is_aborted(tmp_path):
     assert steps == list(range(len(steps)))
 
 
-def test_r3_given_an_interrupt_of_a_standing_graph_then_its_run_ends_in_order(tmp_path):
+@contextlib.contextmanager
+def standing(folder: Path, *words: str) -> Iterator[tuple[Terminal, list[int], Place]]:
+    """A standing graph amid a run, every process that it has started, and where it all goes."""
     alone = {name: word for name, word in os.environ.items() if name != 'ROS_DOMAIN_ID'}
     with on_terminal(
-        *COMMAND, 'up', '--perception', 'truth', '--out', 'up', cwd=tmp_path,
-        env={**alone, 'COLUMNS': '200'},
+        TAXINET, 'up', *words, '--out', 'up', cwd=folder, env={**alone, 'COLUMNS': '200'},
     ) as terminal:
         wait_for(lambda: 'ready: ' in terminal.shown)
         domain = int(re.findall(r'ROS domain (\d+)', terminal.shown)[0])
-        pids = [*children(terminal.process.pid, '')]
-        words = node('scenario_sampler', *RUN, f'out:={tmp_path}/table')
-        place = Place(tmp_path / 'table', tmp_path / 'up' / 'table-00000')
-        with on_terminal(*words, cwd=tmp_path, env=environment(domain)) as sampler:
+        sampler = node('scenario_sampler', *RUN, f'out:={folder}/table')
+        place = Place(folder / 'table', folder / 'up' / 'table-00000')
+        with on_terminal(*sampler, cwd=folder, env=environment(domain)) as sampling:
             wait_for(lambda: grown(place.bag))
+            started = psutil.Process(terminal.process.pid).children(recursive=True)
+            yield terminal, [process.pid for process in started], place
+            wait_for(lambda: sampling.process.poll() is not None)
+
+
+ENDS = {
+    'once': (lambda terminal: terminal.press(CTRL_C), 130),
+    'twice': (lambda terminal: terminal.press(CTRL_C, CTRL_C), 130),
+    'asked': (lambda terminal: terminal.process.send_signal(signal.SIGTERM), 143),
+    'closed': (lambda terminal: terminal.close(), 129),
+}
+
+
+@pytest.mark.parametrize('end', ENDS)
+def test_r3_given_an_end_of_a_standing_graph_then_its_run_ends_in_order(end, tmp_path):
+    make_end, code = ENDS[end]
+    with standing(tmp_path, '--perception', 'truth') as (terminal, pids, place):
+        make_end(terminal)
+        ended(terminal, pids)
+        assert terminal.process.wait() == code
+    assert len(pids) == 5
+    if end == 'twice':  # two that do not come as one wait for nothing
+        steps = steps_in(place.bag)
+        assert steps == list(range(len(steps)))
+    else:
+        check_interrupted(place)
+
+
+@pytest.mark.parametrize('times', [1, 2])
+def test_r3_given_a_node_that_hears_nothing_then_it_ends_with_all_that_it_has_started(
+    times, tmp_path
+):
+    (tmp_path / 'deaf.py').write_text(DEAF)
+    command = shlex.join([sys.executable, 'deaf.py', str(PERCEPTION)])
+    with standing(tmp_path, '--perception-cmd', command) as (terminal, pids, place):
+        for _ in range(times):
             terminal.press(CTRL_C)
-            ended(terminal, pids)
-            assert terminal.process.wait() == 130
-            wait_for(lambda: sampler.process.poll() is not None)
+            wait_for(lambda: gone(pids[0]) or times == 1)
+        ended(terminal, pids)
+    assert len(pids) == 7
     check_interrupted(place)
 
 

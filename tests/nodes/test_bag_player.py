@@ -5,18 +5,13 @@ A perception that runs freely beside it answers as it did in the lockstep, to th
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.parameter import Parameter
+from playing import listening, make_player, playing, spin
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
@@ -25,8 +20,6 @@ from taxinet_ros.bag.reader import read_messages
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.playback import open_bag, portions, window
 from taxinet_ros.nodes.recorded_topics import message_class, recorded_qos
 
@@ -38,45 +31,6 @@ ESTIMATE = interface.ESTIMATE
 RENAMED = f'recorded/{ESTIMATE.name}'
 
 
-class Listener(rclpy.node.Node):
-    """Keeps what is said on some topics, serialised."""
-
-    def __init__(self, names: dict[str, interface.Topic], **node) -> None:
-        super().__init__('listener', **node)
-        self.heard: dict[str, list[bytes]] = {name: [] for name in names}
-        self.ears = [
-            self.create_subscription(
-                topic.type, name, self.heard[name].append, topic.qos, raw=True
-            )
-            for name, topic in names.items()
-        ]
-
-
-@contextlib.contextmanager
-def listening(*topics: interface.Topic, **renamed: interface.Topic):
-    """A listener, an executor that spins it, and its context on a domain of its own."""
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
-        names = {topic.name: topic for topic in topics} | renamed
-        listener = Listener(names, context=context)
-        executor.add_node(listener)
-        try:
-            yield listener, executor, context
-        finally:
-            listener.destroy_node()
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
-
-
-def spin(executor, until) -> None:
-    """Spin until something holds."""
-    future = rclpy.task.Future(executor=executor)
-    while not until():
-        executor.spin_until_future_complete(future, timeout_sec=0.05)
-
-
 def same(heard: list[bytes], recorded: list[bytes]) -> bool:
     """Whether these are the recorded bytes; on its way a message is filled up to four."""
     assert len(heard) == len(recorded) > 0
@@ -84,24 +38,6 @@ def same(heard: list[bytes], recorded: list[bytes]) -> bool:
         got.rstrip(b'\0') == sent.rstrip(b'\0') and 0 <= len(got) - len(sent) < 4
         for got, sent in zip(heard, recorded, strict=True)
     )
-
-
-def make_player(context: Context, bag: Path | str, **parameters) -> BagPlayer:
-    values = {'bag': str(bag), **parameters}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
-    return BagPlayer(context=context, parameter_overrides=overrides)
-
-
-@contextlib.contextmanager
-def playing(context: Context, executor, bag: Path, **parameters):
-    player = make_player(context, bag, **parameters)
-    executor.add_node(player)
-    try:
-        yield player
-    finally:
-        player.close()
-        executor.remove_node(player)
-        player.destroy_node()
 
 
 def start(module: str, domain: int, *words: str) -> subprocess.Popen[str]:

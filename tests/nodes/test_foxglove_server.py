@@ -34,7 +34,8 @@ pytestmark = pytest.mark.ros
 MESSAGE = struct.Struct('<BIQ')
 TOPICS = {
     '/' + topic.name.lstrip('/'): topic
-    for topic in (*interface.TOPICS, *interface.SCENE) if topic is not interface.PROGRESS
+    for topic in (*interface.TOPICS, *interface.TRANSFORMS, *interface.SCENE)
+    if topic is not interface.PROGRESS
 }
 
 
@@ -91,14 +92,17 @@ def test_given_a_client_that_looks_on_when_runs_go_then_it_sees_them_and_they_ar
         return True
 
     client = Client(port)
-    once = ['camera/image_raw', *(topic.name for topic in interface.SCENE)]
+    drawn = (*interface.TRANSFORMS, *interface.SCENE)
+    once = ['camera/image_raw', *(topic.name for topic in drawn)]
+
+    still = ['scene/runway', 'tf_static']
 
     def asked():
         # Who looks on joins when a run has begun, and a run takes a tenth of a second: so runs go
         # on until there was something to see.
         yield short_request
         for number in itertools.count():
-            if client.seen(once, 1) and client.seen(['scenario', 'scene/runway'], 2):
+            if client.seen(once, 1) and client.seen(['scenario', *still], 2):
                 return
             yield dataclasses.replace(short_request, run_id=f'again-{number}')
 
@@ -123,13 +127,14 @@ def test_given_a_client_that_looks_on_when_runs_go_then_it_sees_them_and_they_ar
     for stamp_ns, cdr in seen:
         # On its way a message is filled up to four bytes.
         assert cdr[: len(frames[stamp_ns])] == frames[stamp_ns]
-    for topic in interface.SCENE:
+    for topic in drawn:
         stamp_ns, cdr = client.heard['/' + topic.name][-1]
         assert deserialize_message(cdr, topic.type)
         assert stamp_ns <= 2_000_000_000
     began = [stamp_ns for stamp_ns, _ in client.heard['/scenario']]
     assert began[-2:] == [0, 0]
-    assert len(client.heard['/scene/runway']) >= 2, 'an app forgets it when time goes back'
+    for name in still:
+        assert len(client.heard[f'/{name}']) >= 2, 'an app forgets it when time goes back'
 
     files = [{f.name: f.read_bytes() for f in folder.iterdir()} for folder in
              (bag, tmp_path / 'played')]

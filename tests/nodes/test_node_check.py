@@ -207,7 +207,7 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
         for topic in interface.TOPICS if topic.type.__module__.startswith('taxinet_msgs')
     }
     assert fields.pop(interface.SCENARIO.name) == fields.pop(interface.VERDICT.name) == {'run_id'}
-    assert len(fields) == 7
+    assert len(fields) == 8
     assert all(found == {'seq', 'run_id'} for found in fields.values()), fields
 
 

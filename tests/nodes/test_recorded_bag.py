@@ -24,6 +24,8 @@ from taxinet_ros.bag.run_topics import (
     ROBUSTNESS,
     RUN_STATUS,
     SCENARIO,
+    TF,
+    TF_STATIC,
     TRUTH,
     VERDICT,
 )
@@ -67,9 +69,12 @@ def wrong(bag) -> dict[str, list[str]]:
 
 
 def test_given_the_table_of_the_graph_then_the_names_for_readers_without_ros_are_its():
-    names = {topic.name.lstrip('/'): topic.recorded for topic in interface.TOPICS}
+    names = {
+        topic.name.lstrip('/'): topic.recorded
+        for topic in (*interface.TOPICS, *interface.TRANSFORMS)
+    }
     told = {SCENARIO, NODE_STATUS, IMAGE, ODOMETRY, TRUTH, ESTIMATE, COMMAND, ROBUSTNESS,
-            VERDICT, RUN_STATUS}
+            VERDICT, RUN_STATUS, TF, TF_STATIC}
     assert told <= set(names)
     assert {n for n, r in names.items() if r in (interface.PER_RUN, interface.PER_NODE)} == ONCE
     assert interface.TOPICS[-1].recorded

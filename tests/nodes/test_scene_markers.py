@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import rclpy
@@ -15,16 +13,15 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
-from scipy.spatial.transform import Rotation
 from taxinet_msgs.msg import RunStatus
 
 from taxinet_ros.bag.trace import read_trace
-from taxinet_ros.core import camera, runway
+from taxinet_ros.core import runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
 from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.scene import Aircraft, base_transform, camera_transform, runway_markers
+from taxinet_ros.nodes.scene import Aircraft, runway_markers
 from taxinet_ros.nodes.scene_markers import SceneMarkers
 from taxinet_ros.nodes.step_cdr import odometry_cdr
 
@@ -45,14 +42,6 @@ def odometry(at: AircraftState, stamp_ns: int) -> Odometry:
 
 def points_of(marker) -> np.ndarray:
     return np.array([(p.x, p.y, p.z) for p in marker.points])
-
-
-def parts(transform) -> tuple[np.ndarray, Rotation]:
-    moved, turned = transform.transform.translation, transform.transform.rotation
-    return (
-        np.array([moved.x, moved.y, moved.z]),
-        Rotation.from_quat([turned.x, turned.y, turned.z, turned.w]),
-    )
 
 
 def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_it():
@@ -92,20 +81,6 @@ def test_given_time_that_goes_back_then_another_path_begins():
     aircraft.markers(odometry(state(), 100_000_000))
     _, path = aircraft.markers(odometry(state(x_m=10.0), 0)).markers
     assert points_of(path)[:, 0].tolist() == [10.0]
-
-
-def test_given_the_frames_then_a_point_goes_through_them_to_the_pixel_that_the_camera_sees():
-    at = state()
-    target = np.array([730.0, -4.0, 0.0])
-    base, turned = parts(base_transform(odometry(at, 0)))
-    in_base = turned.inv().apply(target - base)
-    lens, mounted = parts(camera_transform())
-    seen = mounted.inv().apply(in_base - lens)
-    pixel = camera.intrinsics() @ seen
-    expected, depth = camera.project(at, target[None])
-    assert pixel[2] == pytest.approx(depth[0])
-    assert (pixel[:2] / pixel[2]).tolist() == pytest.approx(expected[0].tolist())
-    assert math.isclose(np.linalg.norm(mounted.as_quat()), 1.0)
 
 
 @pytest.mark.ros
@@ -166,7 +141,7 @@ def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
             for node in nodes:
                 executor.add_node(node)
             assert player.play(executor) == 0
-            while not len(heard['scene/aircraft']) == len(heard['scene/base_link']) == STEPS:
+            while len(heard['scene/aircraft']) < STEPS:
                 executor.spin_until_future_complete(Future(executor=executor), timeout_sec=0.05)
         finally:
             for node in nodes:
@@ -174,8 +149,7 @@ def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
                 node.destroy_node()
             executor.shutdown()
             rclpy.try_shutdown(context=context)
-    assert [len(heard[name]) for name in ('scene/runway', 'scene/camera_optical')] == [1, 1]
+    assert len(heard['scene/runway']) == 1
     trace = read_trace(bag)
-    assert [t.transform.translation.y for t in heard['scene/base_link']] == trace['cte_m'].tolist()
     path = heard['scene/aircraft'][-1].markers[1]
     assert points_of(path)[:, 1].tolist() == trace['cte_m'].tolist()

@@ -49,6 +49,9 @@ def test_given_the_table_of_topics_then_every_end_in_it_is_in_the_nodes_interfac
             assert (node, name) in ends['subscribe']
             count += 1
     assert count > 20
+    for topic in interface.TRANSFORMS:  # The recorder makes what it writes of odometry.
+        speakers = {node for node, name in ends['publish'] if name == f'/{topic.name}'}
+        assert speakers == {interface.SIMULATOR, 'bag_player'}
 
 
 @pytest.mark.parametrize('path', sorted(FOLDER.iterdir()), ids=lambda path: path.name)

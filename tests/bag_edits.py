@@ -17,7 +17,7 @@ from taxinet_ros.core.attitude import quaternion
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 
-GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden'
+GOLDEN = Path(__file__).parents[1] / 'bags' / 'golden'
 SEEN = GOLDEN / 'taxinet-broken-clouds'
 """A recorded run of the network, without frames."""
 

@@ -1,0 +1,181 @@
+"""How each node of a graph is doing, on ``/diagnostics``, for whoever asks.
+
+The form is that of diagnostic_updater (REP-107): names are ``NODE: WHAT``, levels OK, WARN and
+ERROR, figures are pairs of texts. They are of the wall clock, so no bag has them, and as nothing is
+said while nobody listens, a campaign pays for no more than a look once a second.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from taxinet_msgs.msg import RunStatus
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.parameters import declare
+
+if TYPE_CHECKING:
+    from taxinet_ros.nodes.run_state import ActiveRun
+
+PARAMETER = 'diagnostics'
+PERIOD_S = 1.0
+"""Between two reports, where the parameter does not say otherwise [s]."""
+
+PATIENCE_S = 2.0
+"""A node that waits for longer [s] says so as a warning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """How a node is doing.
+
+    Attributes:
+        level: OK, WARN or ERROR of :class:`diagnostic_msgs.msg.DiagnosticStatus`.
+        message: one line for people.
+        values: figures by name, the unit in the name.
+    """
+
+    level: bytes = DiagnosticStatus.OK
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class Diagnostics:
+    """Asks a node how it is doing, and publishes the answer, while somebody subscribes.
+
+    Attributes:
+        watched: whether somebody does, so that it pays to measure.
+    """
+
+    def __init__(self, node: Node, health: Callable[[], Health]) -> None:
+        """Declare the parameter and begin.
+
+        Args:
+            node: who tells.
+            health: gives what to tell; it is asked once in a period.
+        """
+        text = 'wall-clock time between two reports on /diagnostics [s]; 0: none'
+        period_s = declare(node, PARAMETER, PERIOD_S, text, (0.0, 3600.0))
+        self._node, self._health = node, health
+        self.watched = False
+        if period_s:
+            topic = interface.DIAGNOSTICS
+            self._publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            node.create_timer(period_s, self._tell, clock=steady)
+
+    def _tell(self) -> None:
+        before, self.watched = self.watched, self._publisher.get_subscription_count() > 0
+        if not self.watched:
+            return
+        try:
+            health = self._health()
+        except Exception as error:  # What is only told must not end what it is told of.
+            line = f'{type(error).__name__}: {error}'.splitlines()[0]
+            health = Health(level=DiagnosticStatus.ERROR, message=line)
+        if not before:
+            return  # Its figures are of when nobody looked.
+        name = self._node.get_fully_qualified_name().lstrip('/')
+        status = DiagnosticStatus(
+            level=health.level, name=f'{name}: run', message=health.message, hardware_id='',
+            values=[KeyValue(key=key, value=_words(of)) for key, of in health.values.items()],
+        )
+        report = DiagnosticArray(status=[status])
+        report.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(report)
+
+
+class Pace:
+    """How often something was done, and how long it took, since the last look."""
+
+    def __init__(self) -> None:
+        """Begin now."""
+        self._count, self._total_s, self._most_s = 0, 0.0, 0.0
+        self._since_s = time.monotonic()
+
+    def took(self, seconds: float) -> None:
+        """It was done once more, and took so long [s]."""
+        self._count += 1
+        self._total_s += seconds
+        self._most_s = max(self._most_s, seconds)
+
+    def look(self, what: str) -> tuple[float, dict[str, object]]:
+        """How often a second, and the figures of ``what`` since the last look; begins anew."""
+        elapsed_s = max(time.monotonic() - self._since_s, 1e-9)
+        mean_ms = 1e3 * self._total_s / self._count if self._count else 0.0
+        figures: dict[str, object] = {
+            f'{what}s': self._count,
+            f'{what} time, mean [ms]': mean_ms, f'{what} time, most [ms]': 1e3 * self._most_s,
+        }
+        rate = self._count / elapsed_s
+        self._count, self._total_s, self._most_s = 0, 0.0, 0.0
+        self._since_s = time.monotonic()
+        return rate, figures
+
+
+class RunHealth:
+    """How the simulator is doing: the run at hand, its pace and whom it waits for.
+
+    Attributes:
+        frames: what making and publishing frames takes.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a run."""
+        self.frames = Pace()
+        self._ended: Counter[str] = Counter()
+        self._broken = ''
+
+    def ended(self, run_id: str, status: RunStatus) -> None:
+        """A run has ended."""
+        self._ended[status.outcome] += 1
+        self._broken = ''
+        if status.outcome == Outcome.INFRA_ERROR:
+            self._broken = f'run {run_id} broke: {status.kind} {status.who}: {status.detail}'
+
+    def look(self, run: ActiveRun | None, waits_for: str) -> Health:
+        """What to tell.
+
+        Args:
+            run: the run at hand, if there is one.
+            waits_for: names of the nodes that it waits for now; '' for none.
+        """
+        rate, frames = self.frames.look('frame')
+        values: dict[str, object] = {
+            'step rate [1/s]': rate, 'real-time factor': rate * CONTROL_PERIOD_NS / NS_PER_S,
+            **frames, 'runs ended': self._ended.total(),
+            **{f'runs {outcome}': count for outcome, count in sorted(self._ended.items())},
+        }
+        if run is None:
+            level = DiagnosticStatus.ERROR if self._broken else DiagnosticStatus.OK
+            return Health(level=level, message=self._broken or 'no run', values=values)
+        waited_s = time.monotonic() - run.last_heard
+        values |= {
+            'run': run.run_id, 'step': run.lockstep.seq, 'last step': run.world.last_seq,
+            'waits for': waits_for, 'silent for [s]': waited_s, **run.perception,
+        }
+        if waits_for and too_long(waited_s):
+            line = f'run {run.run_id} has waited {waited_s:.1f} s for {waits_for}'
+            return Health(level=DiagnosticStatus.WARN, message=line, values=values)
+        line = f'run {run.run_id}: step {run.lockstep.seq} of {run.world.last_seq}'
+        return Health(message=line if run.started else f'run {run.run_id}: gets ready',
+                      values=values)
+
+
+def too_long(waited_s: float) -> bool:
+    """Whether a wait [s] is worth a warning."""
+    return waited_s > PATIENCE_S
+
+
+def _words(value: object) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)
