@@ -225,20 +225,16 @@ class Stage:
         self._publishers.setdefault(topic.name, publisher)
 
     def _listen(self, node: Node, name: str, topic: Topic) -> None:
+        read = reader_of(topic)
+
         def hear(message: Any) -> None:
-            return
+            if name == interface.SIMULATOR and topic is interface.NODE_STATUS:
+                self._on_status(message)
+            elif name == interface.SIMULATOR and topic is self._role.answers:
+                self._on_answer(read(message))
 
-        callback: Callable[[Any], None] = hear
-        raw = True
-        if name == interface.SIMULATOR and topic is interface.NODE_STATUS:
-            callback, raw = self._on_status, False
-        elif name == interface.SIMULATOR and topic is self._role.answers:
-            read = reader_of(topic)
-
-            def callback(cdr: Any) -> None:
-                self._on_answer(read(cdr))
-
-        node.create_subscription(topic.type, topic.name, callback, topic.qos, raw=raw)
+        raw = topic is not interface.NODE_STATUS
+        node.create_subscription(topic.type, topic.name, hear, topic.qos, raw=raw)
 
     def _on_status(self, status: NodeStatus) -> None:
         run = self._run
@@ -250,7 +246,7 @@ class Stage:
             status.run_id == one.run_id for one in self._record.runs
         ):
             run.others.append(status.run_id)
-        elif status.state == NodeStatus.ERROR:
+        elif status.state == NodeStatus.ERROR and status.run_id == run.run_id:
             run.errors.append(status.detail)
         self._changed()
 
@@ -311,6 +307,7 @@ class Stage:
         """Wait for the node's ends, and take them down."""
         if self._until(self._theirs, START_S if self._process is not None else _AWAITED_S):
             self._until(self._whole, _READY_FACTOR * self._options.patience_s)
+            self._watch(2 * _MOMENT_S)  # what it has beside
         self._dead()
         self._survey()
 
@@ -379,6 +376,7 @@ class Stage:
             self._asked('second')
             self._third()
             self._memory()
+            self._survey()
         if self._process is None:
             with contextlib.suppress(SilenceError):
                 self._strange()

@@ -11,6 +11,7 @@ import enum
 import math
 import re
 import statistics
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -359,7 +360,7 @@ def _topics(record: Record) -> Judged:
     if f'/{record.role.node}' not in record.nodes:
         return None
     ends, role = _of_node(record), record.role
-    spoken = {end.topic.name for end in ends if end.publishes}
+    spoken = Counter(end.topic.name for end in ends if end.publishes)
     heard = {end.topic.name for end in ends if not end.publishes}
     wrong = [
         f'does not publish {topic.name}' for topic in (role.answers, interface.NODE_STATUS)
@@ -368,8 +369,13 @@ def _topics(record: Record) -> Judged:
     wrong += [] if interface.SCENARIO.name in heard else ['does not hear scenario']
     if not heard & {topic.name for topic in role.hears}:
         wrong.append(f'does not hear {" or ".join(topic.name for topic in role.hears)}')
-    extra = spoken - {role.answers.name, interface.NODE_STATUS.name}
+    extra = spoken.keys() - {role.answers.name, interface.NODE_STATUS.name}
     wrong += [f'publishes {name}' for name in sorted(extra)]
+    wrong += [f'publishes {name} {times} times' for name, times in spoken.items() if times > 1]
+    wrong += [
+        f'{end.node} publishes {end.topic.name}, an intruder' for end in record.ends
+        if end.publishes and end.node != role.node
+    ]
     if wrong and record.elsewhere:
         wrong.append(f'there is {", ".join(record.elsewhere)}')
     return _kept('; '.join(wrong), f'hears {", ".join(sorted(heard))}')
