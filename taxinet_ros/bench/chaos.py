@@ -317,7 +317,7 @@ class _Trial:
             self._check(name, sitting, code, {*fault.codes, self._code, 0, 1, *([2] * early)})
         fault.afterwards(sitting)
         self._note(name, 'too early' if early else str(code) if in_time else 'too late')
-        if code == 2 and self._kept:  # a damage that was refused by name
+        if code == 2 and self._kept and not early:  # a damage that was refused by name
             return self._mended(name, sitting)
         if self._kept and code not in (0, 1) and self._told() == before:
             return code  # it may have ended before it read what is damaged: the next one will

@@ -15,6 +15,7 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core.timing import parse_timing
 
 SIMPLY_DRAWN = ('', 'random')
 """Samplers of which every run is an independent draw from the program; '' is none at all."""
@@ -142,6 +143,12 @@ class RunRow:
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
                 raise ValueError(f'{column.name} is {value}')
+        try:
+            parse_timing(self.timing)
+        except UsageError as error:
+            raise ValueError(str(error)) from error
+        if not all(map(math.isfinite, self.free.values())):
+            raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
         self._check_robustness()
 
     def _check_robustness(self) -> None:

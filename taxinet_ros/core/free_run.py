@@ -272,8 +272,11 @@ class FreeRun(Lockstep):
         return self.closed and self.settled == self.last_seq and not self.missing()
 
     def silent(self, now_s: float, limit_s: float) -> str:
-        """Who has said nothing for too long, or ''; of the chain the first, whom others await."""
+        """Who has said nothing for too long, or ''; of several the one who fell silent first.
+
+        Whom others await, and whom the simulator waits for, is silent before them.
+        """
         limit_s = max(limit_s, 3 * self.pace.step_s)
         awaited = [*([] if self.closed else self._chain), *self._progress]
-        silent = (name for name in awaited if now_s - self._heard_s[name] > limit_s)
-        return next(silent, '')
+        silent = [name for name in awaited if now_s - self._heard_s[name] > limit_s]
+        return min(silent, key=self._heard_s.__getitem__, default='')

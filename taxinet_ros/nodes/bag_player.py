@@ -27,11 +27,12 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import time_of
 from taxinet_ros.nodes.main import complain, run_node
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.playback import Portion, known_topics, open_bag, portions, window
 from taxinet_ros.nodes.recorded_topics import is_latched, message_class, recorded_qos
 from taxinet_ros.nodes.spinning import spin_until
 from taxinet_ros.nodes.transforms import TransformBroadcaster
+from taxinet_ros.nodes.usage import Usage
 
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
@@ -39,6 +40,48 @@ _MOST_AT_ONCE = 8
 """Portions in one go for a player that is late: its subscribers hold 16 messages of a topic."""
 
 INFRA, INTERRUPTED = 4, 130
+
+USAGE = Usage(
+    executable='bag_player',
+    does='Plays a recorded run on its topics again, at any rate, with its clock; nodes run freely '
+    'beside it.',
+    publishes=('what the bag holds',),
+    other='serves ~/pause (std_srvs/srv/SetBool)',
+    parameters=(
+        Parameter(
+            name='bag', default='', takes='a run folder or an .mcap file',
+            description='what to play',
+        ),
+        Parameter(
+            name='rate', default=1.0, limits=(0.01, 1000.0),
+            description='recorded seconds per second of the wall clock',
+        ),
+        Parameter(
+            name='start_offset', default=0.0, limits=(0.0, 1e9),
+            description='begin so far into the recording [s]',
+        ),
+        Parameter(
+            name='playback_duration', default=0.0, limits=(0.0, 1e9),
+            description='play so much of the recording [s]; 0: to its end',
+        ),
+        Parameter(
+            name='loop', default=False, description='begin again at the end, until stopped',
+        ),
+        Parameter(
+            name='exclude', default=[''], takes='topic names',
+            description='recorded topics to leave out',
+        ),
+        Parameter(
+            name='wait_for', default=[''], takes='topic names',
+            description='topics that somebody has to subscribe to before the first message goes '
+            'out',
+        ),
+        Parameter(
+            name='wait_timeout', default=30.0, limits=(0.1, 3600.0),
+            description='wall-clock time for those subscribers to come [s]',
+        ),
+    ),
+)
 
 
 class BagPlayer(Node):
@@ -92,28 +135,15 @@ class BagPlayer(Node):
     # Parameters ------------------------------------------------------------------------------
 
     def _declare(self) -> None:
-        bag = declare(self, 'bag', '', 'what to play: a run folder or an .mcap file')
-        self._rate = declare(
-            self, 'rate', 1.0, 'recorded seconds per second of the wall clock', (0.01, 1000.0)
-        )
-        offset = declare(
-            self, 'start_offset', 0.0, 'begin so far into the recording [s]', (0.0, 1e9)
-        )
-        text = 'play so much of the recording [s]; 0: to its end'
-        duration = declare(self, 'playback_duration', 0.0, text, (0.0, 1e9))
-        self._loop = declare(self, 'loop', False, 'begin again at the end, until stopped')
-        # An empty list would have no type, so one empty text stands for none.
-        exclude = declare(self, 'exclude', [''], 'recorded topics to leave out')
-        text = 'topics that somebody has to subscribe to before the first message goes out'
-        wait_for = declare(self, 'wait_for', [''], text)
-        text = 'wall-clock time for those subscribers to come [s]'
-        self._patience_s = declare(self, 'wait_timeout', 30.0, text, (0.1, 3600.0))
+        given = declare_all(self, USAGE.parameters)
         refuse_unknown(self)
-        self._info = open_bag(bag)
-        self._part = window(self._info, offset, duration)
+        self._rate, self._loop = given['rate'], given['loop']
+        self._patience_s = given['wait_timeout']
+        self._info = open_bag(given['bag'])
+        self._part = window(self._info, given['start_offset'], given['playback_duration'])
         made = {place + TF for place in self._without_transforms().values()}
-        self._excluded = known_topics(self._info, exclude, 'exclude', made)
-        self._awaited = known_topics(self._info, wait_for, 'wait_for')
+        self._excluded = known_topics(self._info, given['exclude'], 'exclude', made)
+        self._awaited = known_topics(self._info, given['wait_for'], 'wait_for')
         for name in sorted(self._awaited & self._excluded):
             raise UsageError(f'bag_player: {name} stands in exclude and in wait_for; drop one')
 
@@ -292,7 +322,7 @@ def _relative(name: str) -> str:
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros bag_player``."""
-    run_node(BagPlayer, BagPlayer.play)
+    run_node(BagPlayer, BagPlayer.play, usage=USAGE)
 
 
 if __name__ == '__main__':

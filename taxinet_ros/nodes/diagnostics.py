@@ -22,14 +22,15 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.parameters import declare
+from taxinet_ros.nodes.parameters import Parameter, declare
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.run_state import ActiveRun
 
-PARAMETER = 'diagnostics'
-PERIOD_S = 1.0
-"""Between two reports, where the parameter does not say otherwise [s]."""
+PARAMETER = Parameter(
+    name='diagnostics', default=1.0, limits=(0.0, 3600.0),
+    description='wall-clock time between two reports on /diagnostics [s]; 0: none',
+)
 
 PATIENCE_S = 2.0
 """A node that waits for longer [s] says so as a warning."""
@@ -64,8 +65,7 @@ class Diagnostics:
             node: who tells.
             health: gives what to tell; it is asked once in a period.
         """
-        text = 'wall-clock time between two reports on /diagnostics [s]; 0: none'
-        period_s = declare(node, PARAMETER, PERIOD_S, text, (0.0, 3600.0))
+        period_s = declare(node, PARAMETER)
         self._node, self._health = node, health
         self.watched = False
         if period_s:

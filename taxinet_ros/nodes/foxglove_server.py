@@ -20,9 +20,10 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.onlooker import Onlooker
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.recorded_topics import is_latched
 from taxinet_ros.nodes.scene import Aircraft, runway_markers
+from taxinet_ros.nodes.usage import Usage
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -36,6 +37,20 @@ _STATIC_HELD = 100
 """Messages of static transforms that are repeated, whoever said them."""
 
 NOT_INSTALLED = 'foxglove-sdk is not installed; pip install -c constraints.txt foxglove-sdk'
+
+USAGE = Usage(
+    executable='foxglove_server',
+    does='Passes on every topic of the graph, live, to the Foxglove app on this machine.',
+    subscribes=tuple(
+        topic.name for topic in interface.TOPICS if topic is not interface.PROGRESS
+    ),
+    parameters=(
+        Parameter(
+            name='port', default=PORT, limits=(0, 65535),
+            description='TCP port on 127.0.0.1; 0: any',
+        ),
+    ),
+)
 
 
 class FoxgloveServer(Onlooker):
@@ -52,7 +67,7 @@ class FoxgloveServer(Onlooker):
             UsageError: foxglove-sdk is not installed, or the port is taken.
         """
         super().__init__('foxglove_server', **node)
-        port = declare(self, 'port', PORT, 'TCP port on 127.0.0.1; 0: any', (0, 65535))
+        port = declare_all(self, USAGE.parameters)['port']
         refuse_unknown(self)
         self._held: dict[str, deque[tuple[int, bytes]]] = {}
         self._now_ns = 0
@@ -153,7 +168,7 @@ class _Latecomers:
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros foxglove_server``."""
-    run_node(FoxgloveServer)
+    run_node(FoxgloveServer, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -3,8 +3,19 @@
 from __future__ import annotations
 
 from taxinet_ros.core.perception import Perception, make_perception
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.perception import PerceptionNode
+from taxinet_ros.nodes.usage import Usage, heard, spoken
+
+USAGE = Usage(
+    executable='ground_truth_perception',
+    does="Passes the true tracking error on as its estimate: the network's twin, always right.",
+    publishes=spoken(interface.PERCEPTION),
+    subscribes=heard(interface.PERCEPTION, interface.IMAGE.name),
+    parameters=(DIAGNOSTICS,),
+)
 
 
 class GroundTruthPerception(PerceptionNode):
@@ -17,7 +28,7 @@ class GroundTruthPerception(PerceptionNode):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros ground_truth_perception``."""
-    run_node(GroundTruthPerception)
+    run_node(GroundTruthPerception, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -30,6 +30,8 @@ from taxinet_ros.campaign.interrupts import (
 )
 from taxinet_ros.core.errors import InfraError, RecordError, UsageError
 from taxinet_ros.nodes.spinning import spin_for
+from taxinet_ros.nodes.usage import Usage, read_arguments
+from taxinet_ros.nodes.waiting import Waiting
 
 _BAD_ARGUMENTS = (
     rclpy_implementation.RCLInvalidROSArgsError,
@@ -46,7 +48,7 @@ _LOOK_S = 0.05
 
 
 def run_node(
-    build: Callable[[], Any], work: Callable[[Any, Any], int] | None = None
+    build: Callable[[], Any], work: Callable[[Any, Any], int] | None = None, *, usage: Usage
 ) -> None:
     """Run one node until Ctrl-C, SIGTERM, a closed terminal or the end of its work, then exit.
 
@@ -61,20 +63,28 @@ def run_node(
         work: given the node and its executor, spins until the work is done and returns the exit
             code, after an interrupt too, which is its own to handle; where None the node spins
             until it is stopped, or until its future ``ended`` is done, if it has one.
+        usage: what the executable says of itself; a command line that holds more than arguments of
+            ROS exits 2 with one line.
     """
     code = stopped = INTERRUPTED if work else 0
     handle_from_now_on(leave_with(stopped))  # Nothing is begun that would have to be ended.
     try:
+        if read_arguments(usage, sys.argv):
+            sys.exit(0)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
         executor.add_node(node)
+        if work is None:  # else it says what it does
+            node.get_logger().info(f'up on ROS domain {node.context.get_domain_id()}')
+        waiting = Waiting(node)
         try:
             handle_from_now_on(end_now)
             code = work(node, executor) if work else _serve(node, executor)
         finally:
             # All is done but leaving, which may be torn.
             handle_from_now_on(leave_with(code))
+            waiting.end()
             _leave(node, executor)
     except KeyboardInterrupt:
         code = stopped

@@ -12,7 +12,52 @@ from taxinet_ros.core.mtl import Assumptions, Spec, parse_assumptions, parse_spe
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.signal_source import SignalSource, parse_signals
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
+
+ALONE = (
+    Parameter(
+        name='signals', default=[''], takes='NAME[unit]=/topic:field.path*factor each',
+        description='where the signals come from, one for each that formulas read',
+    ),
+    Parameter(
+        name='specs', default=[''], takes='NAME=FORMULA over the signals each',
+        description='the requirements',
+    ),
+    Parameter(
+        name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each',
+        description='vouched for: bounds of signals',
+    ),
+    Parameter(
+        name='rates', default=[''], takes='SIGNAL=CHANGE per second each',
+        description='vouched for: how fast signals change',
+    ),
+    Parameter(
+        name='sampled_on', default='', takes='a signal, or empty for the first',
+        description='signal whose messages make samples',
+    ),
+    Parameter(
+        name='period', default=0.0, limits=(0.0, 1e6),
+        description='sample on a grid instead [s]; 0: do not',
+    ),
+    Parameter(
+        name='max_age', default=1.0, limits=(0.0, 1e6),
+        description='older values, and longer times without a sample, are not judged [s]; 0: any '
+        'age',
+    ),
+    Parameter(
+        name='horizon', default=0.0, limits=(0.0, 1e9),
+        description='length of what is judged, from the first sample on [s]; 0: no end',
+    ),
+    Parameter(
+        name='repeat', default=False, description='begin anew where the horizon is reached',
+    ),
+    Parameter(
+        name='time_source', default='header', words=('header', 'clock'),
+        description="whose time a sample has: the messages' stamps where they have any, or the "
+        'clock',
+    ),
+)
+"""Parameters of the monitor on its own; with none of them it is the one of a graph."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,43 +93,25 @@ def declared_options(node: Node) -> AloneOptions:
     Raises:
         UsageError: a parameter is unknown, missing or wrong.
     """
-    text = 'NAME[unit]=/topic:field.path*factor, one for each signal that formulas read'
-    sources = _texts(node, 'signals', text)
-    specs = _texts(node, 'specs', 'NAME=FORMULA over the signals, one for each requirement')
-    bounds = _texts(node, 'bounds', 'vouched for: SIGNAL=LOW:HIGH')
-    rates = _texts(node, 'rates', 'vouched for: SIGNAL=CHANGE per second')
-    sampled_on = declare(node, 'sampled_on', '', 'signal whose messages make samples; the first')
-    period_s = declare(node, 'period', 0.0, 'sample on a grid instead [s]; 0: do not', (0.0, 1e6))
-    text = 'older values, and longer times without a sample, are not judged [s]; 0: any age'
-    max_age_s = declare(node, 'max_age', 1.0, text, (0.0, 1e6))
-    text = 'length of what is judged, from the first sample on [s]; 0: no end'
-    horizon_s = declare(node, 'horizon', 0.0, text, (0.0, 1e9))
-    repeat = declare(node, 'repeat', False, 'begin anew where the horizon is reached')
-    time_source = declare(
-        node, 'time_source', 'header', "header: the messages' stamps where they have any; clock"
-    )
+    given = declare_all(node, ALONE)
     refuse_unknown(node)
+    horizon_ns = round(given['horizon'] * NS_PER_S)
     try:
-        found = parse_signals(sources)
+        found = parse_signals(given['signals'])
         names = {source.name: source.unit for source in found}
         return AloneOptions(
             sources=found,
-            specs=_parse_specs(specs, names, round(horizon_s * NS_PER_S)),
-            assumptions=_parse_assumptions(bounds, rates, list(names)),
-            sampled_on=_sampler(sampled_on, period_s, found),
-            period_ns=round(period_s * NS_PER_S),
-            max_age_ns=round(max_age_s * NS_PER_S),
-            horizon_ns=round(horizon_s * NS_PER_S),
-            repeat=_repeats(repeat, horizon_s),
-            by_clock=_by_clock(time_source),
+            specs=_parse_specs(given['specs'], names, horizon_ns),
+            assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names)),
+            sampled_on=_sampler(given['sampled_on'], given['period'], found),
+            period_ns=round(given['period'] * NS_PER_S),
+            max_age_ns=round(given['max_age'] * NS_PER_S),
+            horizon_ns=horizon_ns,
+            repeat=_repeats(given['repeat'], given['horizon']),
+            by_clock=given['time_source'] == 'clock',
         )
     except UsageError as error:
         raise UsageError(f'{node.get_name()}: parameter {error}') from None
-
-
-def _texts(node: Node, name: str, description: str) -> list[str]:
-    # An empty list would have no type, so one empty text stands for none.
-    return [text for text in declare(node, name, [''], description) if text]
 
 
 def _parse_specs(
@@ -131,9 +158,3 @@ def _repeats(repeat: bool, horizon_s: float) -> bool:
     if repeat and not horizon_s:
         raise UsageError('repeat: needs a horizon > 0, after which to begin anew')
     return repeat
-
-
-def _by_clock(time_source: str) -> bool:
-    if time_source not in ('header', 'clock'):
-        raise UsageError(f'time_source: {time_source!r} is unknown; known: header, clock')
-    return time_source == 'clock'

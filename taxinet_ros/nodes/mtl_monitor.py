@@ -27,14 +27,25 @@ from taxinet_ros.nodes.convert import (
     statistics_fields,
 )
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.monitor_alone import MonitorAlone
+from taxinet_ros.nodes.monitor_alone import RESTART, MonitorAlone
+from taxinet_ros.nodes.monitor_options import ALONE
 from taxinet_ros.nodes.parameters import any_given, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import robustness_cdr
 from taxinet_ros.nodes.steps import StepCollector
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
+
+USAGE = Usage(
+    executable=interface.MTL_MONITOR,
+    does='Judges each run of the graph by its formulas. With parameters other than diagnostics it '
+    'judges any numeric fields of any topics instead, on its own, without a simulator.',
+    publishes=spoken(interface.MTL_MONITOR), subscribes=heard(interface.MTL_MONITOR),
+    other=f'with parameters: hears what signals names, serves {RESTART} (std_srvs/srv/Trigger)',
+    parameters=(diagnostics.PARAMETER, *ALONE),
+)
 
 
 class MtlMonitor(Participant):
@@ -161,12 +172,12 @@ class MtlMonitor(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
-    run_node(lambda: (MonitorAlone if stands_alone() else MtlMonitor)())
+    run_node(lambda: (MonitorAlone if stands_alone() else MtlMonitor)(), usage=USAGE)
 
 
 def stands_alone() -> bool:
     """Whether the command line makes it a monitor of topics of its own, outside any graph."""
-    return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER])
+    return any_given(interface.MTL_MONITOR, besides=[diagnostics.PARAMETER.name])
 
 
 if __name__ == '__main__':

@@ -51,6 +51,10 @@ class Onlooker(Node):
     def found(self) -> None:
         """Called once, when there is something to look at."""
 
+    def waits_for(self) -> list[str]:
+        """Who plays a graph, where nobody does: see :mod:`.waiting`."""
+        return [] if self._found else [f'{interface.SIMULATOR} or bag_player']
+
     def close(self) -> None:
         """Stop looking; called once before the node goes away."""
         self._looking.cancel()

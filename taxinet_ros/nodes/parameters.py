@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -13,35 +14,94 @@ from rclpy.node import Node
 from taxinet_ros.core.errors import UsageError
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+_QOS = 'qos_overrides.'
+_FIXED = (
+    'the quality of service of these topics cannot be overridden: with another one a step could be '
+    'lost, or waited for in vain (docs/ros.md tells why)'
+)
 
 
-def declare(
-    node: Node, name: str, default: Any, description: str, limits: tuple[Any, Any] | None = None
-) -> Any:
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One parameter of a node.
+
+    Attributes:
+        name: lower_snake_case.
+        default: value where nobody set one; its type is the parameter's. An empty list would have
+            no type, so one empty text stands for none.
+        description: one line with the unit.
+        limits: lowest and highest value, both allowed, of numbers.
+        words: those of which it has to be one, of a text.
+        takes: what else a text has to be, in words.
+    """
+
+    name: str
+    default: Any
+    description: str
+    limits: tuple[Any, Any] | None = None
+    words: tuple[str, ...] = ()
+    takes: str = ''
+
+    @property
+    def allowed(self) -> str:
+        """What it may be, in words."""
+        if self.limits:
+            low, high = (round(limit, 6) for limit in self.limits)
+            return f'{low}..{high}'
+        if isinstance(self.default, bool):
+            return 'true, false'
+        return ', '.join(self.words) or self.takes
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """What ``ros2 param describe`` tells of it."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=True)
+        if self.limits is None:
+            descriptor.additional_constraints = self.allowed
+        elif isinstance(self.default, float):
+            low, high = map(float, self.limits)
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=low, to_value=high, step=0.0)
+            ]
+        else:
+            low, high = self.limits
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        return descriptor
+
+
+def declare(node: Node, parameter: Parameter) -> Any:
     """Declare one read-only parameter and return its value.
 
-    Args:
-        node: the node that it belongs to.
-        name: parameter name, lower_snake_case.
-        default: value where nobody set one; its type is the parameter's.
-        description: one line with the unit.
-        limits: lowest and highest value, both allowed, for numbers.
+    Raises:
+        UsageError: the value given is of another type, out of range, or none of its words.
+    """
+    where = f'{node.get_name()}: parameter {parameter.name}'
+    try:
+        value = node.declare_parameter(
+            parameter.name, parameter.default, parameter.descriptor
+        ).value
+    except ParameterException as error:
+        span_text = f'; allowed: {parameter.allowed}' if parameter.limits else ''
+        reason = ' '.join(str(error).split())
+        raise UsageError(f'{where}: {reason}{span_text}') from error
+    if parameter.words and value not in parameter.words:
+        raise UsageError(f'{where}: {value!r} is unknown; known: {parameter.allowed}')
+    return value
+
+
+def declare_all(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
+    """Declare parameters and return their values by name.
+
+    Of a list that holds one empty text by default, for none, empty texts are left out.
 
     Raises:
-        UsageError: the value given is of another type or out of range.
+        UsageError: as :func:`declare`.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
-    if limits is not None and isinstance(default, float):
-        span = FloatingPointRange(from_value=float(limits[0]), to_value=float(limits[1]), step=0.0)
-        descriptor.floating_point_range = [span]
-    elif limits is not None:
-        descriptor.integer_range = [IntegerRange(from_value=limits[0], to_value=limits[1], step=1)]
-    try:
-        return node.declare_parameter(name, default, descriptor).value
-    except ParameterException as error:
-        span_text = f'; allowed: {limits[0]}..{limits[1]}' if limits else ''
-        reason = ' '.join(str(error).split())
-        raise UsageError(f'{node.get_name()}: parameter {name}: {reason}{span_text}') from error
+    values = {}
+    for one in parameters:
+        value = declare(node, one)
+        values[one.name] = [text for text in value if text] if one.default == [''] else value
+    return values
 
 
 def refuse_unknown(node: Node) -> None:
@@ -54,6 +114,8 @@ def refuse_unknown(node: Node) -> None:
     for name in _given(node):
         if name in known:
             continue
+        if name.startswith(_QOS):
+            raise UsageError(f'{node.get_name()}: parameter {name}: {_FIXED}')
         near = difflib.get_close_matches(name, known, 1)
         own = sorted(set(known) - set(_OF_RCLPY))
         hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
@@ -64,14 +126,12 @@ def any_given(name: str, besides: Collection[str] = ()) -> bool:
     """Whether the command line sets parameters, but for some, of a node that is yet to be made."""
     probe = Node(name, start_parameter_services=False, enable_rosout=False)
     try:
-        return not set(_given(probe)) <= set(besides)
+        given = {name for name in _given(probe) if not name.startswith(_QOS)}
+        return not given <= set(besides)
     finally:
         probe.destroy_node()
 
 
 def _given(node: Node) -> list[str]:
     """Names of the parameters that somebody set for a node, those of every node left out."""
-    return [
-        name for name in node._parameter_overrides
-        if name not in _OF_RCLPY and not name.startswith('qos_overrides.')
-    ]
+    return [name for name in node._parameter_overrides if name not in _OF_RCLPY]

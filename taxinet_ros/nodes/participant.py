@@ -167,6 +167,22 @@ class Participant(Node):
             publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
         )
 
+    def waits_for(self) -> set[str]:
+        """Names of those of the run that are not found yet: see :mod:`.waiting`."""
+        if self._scenario is None or self._poll.is_canceled():
+            return set()
+        present = self._scenario.participants
+        found: set[str] = set()
+        for topic, publisher in self._speakers:
+            names = topic.listeners(present)
+            if not heard_by(self, publisher, names):
+                ends = self.get_subscriptions_info_by_topic(publisher.topic_name)
+                found |= names - {end.node_name for end in ends} or names
+        for heard in self._listeners:
+            if not heard.settled(present):
+                found |= heard.absent(present) or heard.wanted(present)
+        return found - {self.get_name()}
+
     def close(self) -> None:
         """Finish what must not be lost; called once before the node goes away."""
 

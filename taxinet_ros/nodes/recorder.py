@@ -29,7 +29,7 @@ from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.core.errors import InfraError
 from taxinet_ros.core.free_run import FreeRunAccount
 from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.outcome import Outcome
@@ -39,17 +39,19 @@ from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.world import last_step
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import stamp_of
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.diagnostics import Health
 from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.late_frames import LateFrames
 from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, lost_run, same_ready, two_of_a_name
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.run_attachments import run_attachments
 from taxinet_ros.nodes.speakers import UNKNOWN
 from taxinet_ros.nodes.steps import Step, StepCollector
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _REST_LOOK_S = 0.05
 _REST_LOOKS, _BROKEN_LOOKS = 70, 5
@@ -96,25 +98,50 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
     )
 
 
+_OPTIONS = (
+    Parameter(
+        name='out', default='bags', takes='a folder',
+        description='folder that takes one folder per run',
+    ),
+    Parameter(
+        name='min_free', default=1000, limits=(0, 10_000_000),
+        description='free space below which no bag is begun, and a tenth of it none goes on '
+        '[MB]',
+    ),
+    Parameter(
+        name='make_out', default=True,
+        description='whether the folder is made where it is missing',
+    ),
+    Parameter(
+        name='images', default='all', words=IMAGES,
+        description='runs whose camera frames go into the bags',
+    ),
+    Parameter(
+        name='alone', default=False,
+        description='whether to record nothing while there is a second simulator',
+    ),
+)
+
+USAGE = Usage(
+    executable=interface.RECORDER,
+    does='Writes one rosbag2 bag for each run: everything that was said, step by step.',
+    publishes=spoken(interface.RECORDER), subscribes=heard(interface.RECORDER),
+    parameters=(*_OPTIONS, DIAGNOSTICS),
+)
+
+
 class Recorder(Participant):
     """Writes one bag per run, ``<out>/<run_id>``, and vouches for it at the end."""
 
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.RECORDER, **node)
-        self._out = Path(declare(self, 'out', 'bags', 'folder that takes one folder per run'))
-        text = 'free space below which no bag is begun, and a tenth of it none goes on [MB]'
-        self._min_free = declare(self, 'min_free', 1000, text, (0, 10_000_000)) * 1_000_000
-        text = 'whether the folder is made where it is missing'
-        self._make_out = declare(self, 'make_out', True, text)
-        text = 'runs whose camera frames go into the bags: all, failures or none'
-        images = declare(self, 'images', 'all', text)
-        text = 'whether to record nothing while there is a second simulator'
-        self._alone = declare(self, 'alone', False, text)
+        given = declare_all(self, _OPTIONS)
         refuse_unknown(self)
-        if images not in IMAGES:
-            raise UsageError(f'recorder: images is {images!r}; known: {", ".join(IMAGES)}')
-        self._images = images
+        self._out = Path(given['out'])
+        self._min_free = given['min_free'] * 1_000_000
+        self._make_out, self._alone = given['make_out'], given['alone']
+        self._images = images = given['images']
         self._late_frames = LateFrames(self, self._on_frame, self._on_frames)
         self._topics = bag_topics(images == 'all')
         self._stepped = tuple(
@@ -517,7 +544,7 @@ def _commit() -> dict[str, str]:
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros recorder``."""
-    run_node(Recorder)
+    run_node(Recorder, usage=USAGE)
 
 
 if __name__ == '__main__':

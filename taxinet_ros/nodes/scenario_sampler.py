@@ -20,7 +20,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.convert import scenario_message, statistics_of
 from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
-from taxinet_ros.nodes.parameters import declare
+from taxinet_ros.nodes.parameters import Parameter, declare_all
 from taxinet_ros.nodes.speakers import Gid
 
 _WATCH_PERIOD_S = 0.1
@@ -30,6 +30,17 @@ _ASK_AGAIN_S = 2.0
 """A simulator says several times a second how far it is; one that is silent for so long may have
 ended the run. Its answer can be lost (once in 3,900 tests on a busy machine), and is kept a while.
 """
+
+PATIENCE = (
+    Parameter(
+        name='server_timeout', default=30.0, limits=(0.1, 3600.0),
+        description='wall-clock time to find the simulator [s]',
+    ),
+    Parameter(
+        name='silence_timeout', default=60.0, limits=(0.1, 3600.0),
+        description='wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]',
+    ),
+)
 
 
 class _Asker(ActionClient):
@@ -63,11 +74,8 @@ class ScenarioSampler(Node):
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.SCENARIO_SAMPLER, **node)
-        text = 'wall-clock time to find the simulator [s]'
-        server_timeout_s = declare(self, 'server_timeout', 30.0, text, (0.1, 3600.0))
-        text = 'wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]'
-        silence_timeout_s = declare(self, 'silence_timeout', 60.0, text, (0.1, 3600.0))
-        self._limits = (server_timeout_s, silence_timeout_s)
+        given = declare_all(self, PATIENCE)
+        self._limits = (given['server_timeout'], given['silence_timeout'])
         self._client = _Asker(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         topic = interface.OBITUARY
         self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)

@@ -15,6 +15,15 @@ from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.onlooker import Onlooker
 from taxinet_ros.nodes.parameters import refuse_unknown
 from taxinet_ros.nodes.scene import Aircraft, runway_markers
+from taxinet_ros.nodes.usage import Usage, spoken
+
+USAGE = Usage(
+    executable=interface.SCENE_MARKERS,
+    does='Draws runway, aircraft and path as markers for RViz and other viewers, beside any graph '
+    'or bag_player.',
+    publishes=spoken(interface.SCENE_MARKERS),
+    subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name),
+)
 
 
 class SceneMarkers(Onlooker):
@@ -41,7 +50,7 @@ class SceneMarkers(Onlooker):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros scene_markers``."""
-    run_node(SceneMarkers)
+    run_node(SceneMarkers, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -30,6 +30,7 @@ from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
 from taxinet_ros.nodes.domain import stand_alone
 from taxinet_ros.nodes.free_run import (
@@ -43,13 +44,14 @@ from taxinet_ros.nodes.main import run_node
 from taxinet_ros.nodes.matching import heard_by
 from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged, same_ready, two_of_a_name
 from taxinet_ros.nodes.observation_messages import observation_messages
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.participant import one_line
 from taxinet_ros.nodes.presence import missing
 from taxinet_ros.nodes.reading import Said, read_here, reader_of
 from taxinet_ros.nodes.run_state import ActiveRun, not_begun
 from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
 from taxinet_ros.nodes.transforms import TransformBroadcaster
+from taxinet_ros.nodes.usage import Usage, heard, spoken
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -58,9 +60,48 @@ _LAST_STEP_S = 1.0
 _DELIVERY_S = 0.3
 """What the last answer may take on its way before this node leaves the graph."""
 
+_STALLED_S = 1.0
+"""A step that takes longer is one that somebody is awaited for."""
+
 _RESULT_KEPT_S = 10  # rclpy would keep all of 15 minutes, and list them at each change
 _SUSPECTED_S = 1.0
 """How long it is awaited that somebody else turns out to have begun what a node did wrong."""
+
+
+_OPTIONS = (
+    Parameter(
+        name='answer_timeout', default=10.0, limits=(0.1, 3600.0),
+        description='wall-clock silence of a participant that ends a run as INFRA_ERROR [s]',
+    ),
+    Parameter(
+        name='ready_timeout', default=30.0, limits=(0.1, 3600.0),
+        description='wall-clock time for every participant to get ready [s]',
+    ),
+    Parameter(
+        name='latency', default='',
+        takes=f'perception=LATENCY or controller=LATENCY, LATENCY being {LAWS}; or empty',
+        description='how late answers take effect [s]',
+    ),
+    Parameter(
+        name='lockstep', default=True,
+        description='simulated time waits for every answer; false: it goes by the wall clock',
+    ),
+    Parameter(
+        name='real_time_factor', default=1.0, limits=(0.0, MOST_FACTOR),
+        description='simulated seconds per second of a free run (lockstep false); 0: as fast as it '
+        'goes',
+    ),
+)
+
+USAGE = Usage(
+    executable=interface.SIMULATOR,
+    does='The world, its camera, the clock, and the keeper of the lockstep: for each goal it has '
+    'the graph get ready, and steps the world by its answers.',
+    publishes=spoken(interface.SIMULATOR),
+    subscribes=heard(interface.SIMULATOR),
+    other=f'serves the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
+    parameters=(*_OPTIONS, DIAGNOSTICS),
+)
 
 
 class Simulator(Node):
@@ -69,17 +110,13 @@ class Simulator(Node):
     def __init__(self, **node: Any) -> None:
         """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.SIMULATOR, **node)
-        text = 'wall-clock silence of a participant that ends a run as INFRA_ERROR [s]'
-        self._answer_timeout_s = declare(self, 'answer_timeout', 10.0, text, (0.1, 3600.0))
-        text = 'wall-clock time for every participant to get ready [s]'
-        self._ready_timeout_s = declare(self, 'ready_timeout', 30.0, text, (0.1, 3600.0))
-        text = f'how late answers take effect, perception= and controller= [s]: {LAWS}'
-        self._timing = parse_latency([declare(self, 'latency', '', text)])
-        text = 'simulated time waits for every answer; false: it goes by the wall clock'
-        lockstep = declare(self, 'lockstep', True, text)
-        text = 'simulated seconds per second of a free run (lockstep false); 0: as fast as it goes'
-        factor = declare(self, 'real_time_factor', 1.0, text, (0.0, MOST_FACTOR))
-        self._timing = chosen_timing(self._timing, lockstep=lockstep, factor=factor)
+        given = declare_all(self, _OPTIONS)
+        self._answer_timeout_s = given['answer_timeout']
+        self._ready_timeout_s = given['ready_timeout']
+        self._timing = chosen_timing(
+            parse_latency([given['latency']]), lockstep=given['lockstep'],
+            factor=given['real_time_factor'],
+        )
         self._health = RunHealth()
         self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
@@ -133,6 +170,15 @@ class Simulator(Node):
         self._leaving = True
         alone = not self._speakers[interface.SCENARIO.name].get_subscription_count()
         return alone or (self._run is None and time.monotonic() >= self._may_leave_s)
+
+    def waits_for(self) -> Iterable[str]:
+        """Names of those whom the run at hand waits for: see :mod:`.waiting`."""
+        run = self._run
+        if run is None:
+            return ()
+        if run.started and time.monotonic() - run.last_heard < _STALLED_S:
+            return ()
+        return (interface.RECORDER,) if run.ending is not None else self._awaited(run)
 
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
@@ -439,8 +485,11 @@ class Simulator(Node):
         run = self._run
         if run is None:
             return self._health.look(None, '')
-        waits_for = ', '.join(run.lockstep.missing()) if run.started else self._unready(run)[1]
-        return self._health.look(run, waits_for)
+        return self._health.look(run, ', '.join(self._awaited(run)))
+
+    def _awaited(self, run: ActiveRun) -> list[str]:
+        """Names of the nodes that a run waits for now."""
+        return run.lockstep.missing() if run.started else self._unready(run)[1].split(', ')
 
     def _watch(self) -> None:
         run = self._run
@@ -508,7 +557,7 @@ class Simulator(Node):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros simulator``."""
-    run_node(_alone)
+    run_node(_alone, usage=USAGE)
 
 
 def _alone() -> Simulator:

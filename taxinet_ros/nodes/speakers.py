@@ -103,6 +103,10 @@ class Speakers:
             and len(others) == len(set(others))
         )
 
+    def absent(self, participants: Collection[str]) -> set[str]:
+        """Those of the speakers of a run that are not there."""
+        return self.wanted(participants) - {end.node_name for end in self._ends()}
+
     def pin(self, participants: Collection[str]) -> None:
         """From now on whoever is there speaks for the run, and who comes is a stranger."""
         wanted = self.wanted(participants)

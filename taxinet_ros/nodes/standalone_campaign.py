@@ -18,7 +18,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.main import complain, run_node
 from taxinet_ros.nodes.spinning import spin_until
-from taxinet_ros.nodes.standalone_sampler import StandaloneSampler, parameter_words
+from taxinet_ros.nodes.standalone_sampler import USAGE, StandaloneSampler, parameter_words
 
 INFRA, INTERRUPTED = 4, 130
 
@@ -30,7 +30,7 @@ _RIVAL = (
 
 def run_standalone() -> None:
     """Sample, run and tabulate as the parameters say, then exit."""
-    run_node(StandaloneSampler, _work)
+    run_node(StandaloneSampler, _work, usage=USAGE)
 
 
 def _work(node: StandaloneSampler, executor: Any) -> int:

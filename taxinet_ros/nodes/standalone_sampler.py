@@ -18,14 +18,91 @@ from taxinet_ros.core.stop_on import StopOn
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.names import check_participants
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
-from taxinet_ros.nodes.scenario_sampler import ScenarioSampler
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
+from taxinet_ros.nodes.scenario_sampler import PATIENCE, ScenarioSampler
+from taxinet_ros.nodes.usage import Usage, spoken
 
 _PROGRAMS = 'program'
 """In place of a sampler's word: the one that the program names, else the default."""
 
 _RUNS, _RUNS_OF_A_SEARCH = 1, 100
 """Numbers of runs where none is given: those of ``taxinet run`` and ``taxinet falsify``."""
+
+_OPTIONS = (
+    Parameter(
+        name='participants', default=list(PARTICIPANTS), takes=', '.join(PARTICIPANTS),
+        description='node names that take part in the lockstep beside the simulator',
+    ),
+    Parameter(
+        name='program', default='s_falsif', takes='a shipped word or a .scenic file',
+        description='Scenic program that the scenes are drawn from',
+    ),
+    Parameter(
+        name='runs', default=0, limits=(0, 1_000_000),
+        description=f'number of scenes; 0: {_RUNS}, or with a sampler {_RUNS_OF_A_SEARCH}',
+    ),
+    Parameter(
+        name='seed', default=0, limits=(0, 2**31 - 1), description='seed of the scenes',
+    ),
+    Parameter(
+        name='set', default=[''], takes='KEY=VALUE each, as --set of taxinet run',
+        description='scenario values that replace what is drawn',
+    ),
+    Parameter(
+        name='specs', default=list(DEFAULT_SPECS),
+        takes='names of shipped formulas, NAME=FORMULA, or YAML files',
+        description='formulas to judge by; the first is the headline',
+    ),
+    Parameter(
+        name='out', default='', takes='a folder, or empty',
+        description='folder of the table; one below bags/ that says so where empty',
+    ),
+    Parameter(
+        name='stop_on', default=str(StopOn.NEVER), words=tuple(map(str, StopOn)),
+        description='when to end a run before its end',
+    ),
+    Parameter(
+        name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each, e.g. cte=-25:25',
+        description='vouched for: bounds of signals',
+    ),
+    Parameter(
+        name='rates', default=[''], takes='SIGNAL=CHANGE per second each, e.g. cte=3',
+        description='vouched for: how fast signals change',
+    ),
+    Parameter(
+        name='sampler', default='', takes=f'{_PROGRAMS}, {", ".join(SAMPLERS)}, or empty',
+        description='how scenes are chosen, as in taxinet falsify; program: as the program says; '
+        'empty: as taxinet run',
+    ),
+    Parameter(
+        name='sampler_options', default=[''], takes='KEY=VALUE each',
+        description='options of the sampler',
+    ),
+    Parameter(
+        name='resume', default=False, description='continue what was interrupted in out',
+    ),
+    Parameter(
+        name='until', default='', takes='failures=K, half-width=W or empty',
+        description='a search stops early',
+    ),
+    Parameter(
+        name='budget', default=0.0, limits=(0.0, 1e6),
+        description='a search begins no run after so long [min]; 0: ever',
+    ),
+)
+_WHAT = ('program', 'runs', 'seed', 'specs', 'stop_on', 'bounds', 'rates')
+_HOW = ('sampler_options', 'resume', 'until', 'budget')
+
+USAGE = Usage(
+    executable=interface.SCENARIO_SAMPLER,
+    does='Runs a campaign, or a search, on the graph that stands, and writes its table; the '
+    'options are those of taxinet run and taxinet falsify.',
+    publishes=spoken(interface.SCENARIO_SAMPLER),
+    subscribes=(interface.OBITUARY.name,),
+    other=f'asks for the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
+    parameters=(*PATIENCE, *_OPTIONS),
+    ends=('here 0: every run satisfied its formulas; 1: some run violated one',),
+)
 
 
 class StandaloneSampler(ScenarioSampler):
@@ -46,16 +123,19 @@ class StandaloneSampler(ScenarioSampler):
         super().__init__(**node)
         topic = interface.OBITUARY
         self.create_subscription(NodeStatus, topic.name, self._on_obituary, topic.qos)
-        text = 'node names that take part in the lockstep beside the simulator'
-        self.participants = tuple(declare(self, 'participants', list(PARTICIPANTS), text))
+        given = declare_all(self, _OPTIONS)
+        self.participants = tuple(given['participants'])
         check_participants(self.participants)
-        sampler, how = self._declare_search()
-        what = self._declare_campaign()
+        sampler = given['sampler']
+        how = {name: given[name] for name in _HOW}
+        what = {name: given[name] for name in _WHAT}
+        what['settings'] = given['set']
+        what['out'] = Path(given['out']) if given['out'] else None
         refuse_unknown(self)
         with parameter_words():
             if not sampler and any(how.values()):
-                given = ', '.join(name for name, value in how.items() if value)
-                raise UsageError(f'--{given}: for a --sampler only; known: {", ".join(SAMPLERS)}')
+                told = ', '.join(name for name, value in how.items() if value)
+                raise UsageError(f'--{told}: for a --sampler only; known: {", ".join(SAMPLERS)}')
             what['runs'] = what['runs'] or (_RUNS_OF_A_SEARCH if sampler else _RUNS)
             self.campaign: CampaignOptions = make_options(
                 **what, perception='', processes=True, resume=how['resume']
@@ -71,6 +151,11 @@ class StandaloneSampler(ScenarioSampler):
                 sampler_options=how['sampler_options'], until=how['until'] or None,
                 budget_min=how['budget'] or None,
             ) if sampler else None
+
+    def waits_for(self) -> list[str]:
+        """The simulator, where it is not found: see :mod:`.waiting`."""
+        asked = self._request is not None and not self._last_heard
+        return [interface.SIMULATOR] if asked else []
 
     def rivals(self) -> int:
         """Number of other samplers that have been seen in this graph."""
@@ -93,45 +178,6 @@ class StandaloneSampler(ScenarioSampler):
     def _in_graph(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
-
-    def _declare_campaign(self) -> dict[str, Any]:
-        text = 'Scenic program: a shipped word such as s_falsif, or a .scenic file'
-        program = declare(self, 'program', 's_falsif', text)
-        text = f'number of scenes; 0: {_RUNS}, or with a sampler {_RUNS_OF_A_SEARCH}'
-        runs = declare(self, 'runs', 0, text, (0, 1_000_000))
-        seed = declare(self, 'seed', 0, 'seed of the scenes', (0, 2**31 - 1))
-        text = 'scenario values that replace what is drawn, key=value'
-        settings = self._texts('set', text)
-        specs = declare(self, 'specs', list(DEFAULT_SPECS), 'formulas to judge by')
-        text = 'folder of the table; one below bags/ that says so where empty'
-        out = declare(self, 'out', '', text)
-        text = f'when to end a run before its end: {", ".join(StopOn)}'
-        stop_on = declare(self, 'stop_on', str(StopOn.NEVER), text)
-        bounds = self._texts('bounds', 'vouched for: SIGNAL=LOW:HIGH, e.g. cte=-25:25')
-        rates = self._texts('rates', 'vouched for: SIGNAL=CHANGE per second, e.g. cte=3')
-        return {
-            'program': program, 'runs': runs, 'seed': seed, 'settings': settings, 'specs': specs,
-            'out': Path(out) if out else None, 'stop_on': stop_on,
-            'bounds': bounds, 'rates': rates,
-        }
-
-    def _declare_search(self) -> tuple[str, dict[str, Any]]:
-        text = (
-            'how scenes are chosen: ce, random, … as in taxinet falsify, or program for the one '
-            'that the program names; empty: as taxinet run'
-        )
-        sampler = declare(self, 'sampler', '', text)
-        return sampler, {
-            'sampler_options': self._texts('sampler_options', 'of the sampler, key=value'),
-            'resume': declare(self, 'resume', False, 'continue what was interrupted in out'),
-            'until': declare(self, 'until', '', 'stop early: failures=K or half-width=W'),
-            'budget': declare(self, 'budget', 0.0, 'begin no run after so long [min]; 0: ever',
-                              (0.0, 1e6)),
-        }
-
-    def _texts(self, name: str, description: str) -> list[str]:
-        # An empty list would have no type, so one empty text stands for none.
-        return [text for text in declare(self, name, [''], description) if text]
 
 
 @contextlib.contextmanager

@@ -13,11 +13,40 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains
 from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.parameters import declare, refuse_unknown
+from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
 from taxinet_ros.nodes.participant import Participant
 from taxinet_ros.nodes.reading import Said
 from taxinet_ros.nodes.step_cdr import command_cdr
+from taxinet_ros.nodes.usage import Usage, heard, spoken
+
+_OPTIONS = (
+    Parameter(
+        name='controller', default=STEERING, takes='steering or FILE.py:NAME',
+        description='the handwritten law, or a function',
+    ),
+    Parameter(
+        name='controller_sha256', default='', takes='64 hexadecimal digits, or empty',
+        description="what that file's SHA-256 has to be; empty: whatever it is",
+    ),
+    *(
+        Parameter(
+            name=name, default=getattr(SteeringGains(), name), limits=(gain.low, gain.high),
+            description=f'{gain.description} [{gain.unit}]',
+        )
+        for name, gain in GAIN_RANGES.items()
+    ),
+)
+
+USAGE = Usage(
+    executable=interface.STEERING_CONTROLLER,
+    does='Answers every estimate with a taxi command, by the handwritten law or by a function of '
+    'yours.',
+    publishes=spoken(interface.STEERING_CONTROLLER),
+    subscribes=heard(interface.STEERING_CONTROLLER),
+    parameters=(*_OPTIONS, DIAGNOSTICS),
+)
 
 
 class SteeringController(Participant):
@@ -29,19 +58,9 @@ class SteeringController(Participant):
     def __init__(self, **node: Any) -> None:
         """Declare the gains; ``node`` goes to :class:`rclpy.node.Node`."""
         super().__init__(interface.STEERING_CONTROLLER, **node)
-        word = declare(
-            self, 'controller', STEERING, 'steering, the handwritten law; or FILE.py:NAME'
-        )
-        sha256 = declare(
-            self, 'controller_sha256', '', "what that file's has to be; empty: whatever it is"
-        )
-        self.gains = SteeringGains(**{
-            name: declare(
-                self, name, getattr(SteeringGains(), name), f'{gain.description} [{gain.unit}]',
-                (gain.low, gain.high),
-            )
-            for name, gain in GAIN_RANGES.items()
-        })
+        given = declare_all(self, _OPTIONS)
+        word, sha256 = given['controller'], given['controller_sha256']
+        self.gains = SteeringGains(**{name: given[name] for name in GAIN_RANGES})
         refuse_unknown(self)
         usual = asdict(SteeringGains())
         tuned = {name: x for name, x in asdict(self.gains).items() if x != usual[name]}
@@ -70,7 +89,7 @@ class SteeringController(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros steering_controller``."""
-    run_node(SteeringController)
+    run_node(SteeringController, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -3,9 +3,30 @@
 from __future__ import annotations
 
 from taxinet_ros.core.perception import Perception, make_perception
+from taxinet_ros.core.weights import SHIPPED
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.parameters import declare
+from taxinet_ros.nodes.parameters import Parameter, declare_all
 from taxinet_ros.nodes.perception import PerceptionNode
+from taxinet_ros.nodes.usage import Usage, heard, spoken
+
+_OPTIONS = (
+    Parameter(
+        name='weights', default='taxinet',
+        takes=f'{", ".join(SHIPPED)}; a .safetensors or .onnx file; or FILE.py:NAME',
+        description='the network: a shipped one or a file; or a function',
+    ),
+)
+
+USAGE = Usage(
+    executable='taxinet_perception',
+    does='Answers every camera frame with an estimate of the tracking error, by a network or by a '
+    'function of yours.',
+    publishes=spoken(interface.PERCEPTION),
+    subscribes=heard(interface.PERCEPTION, interface.TRUTH.name),
+    parameters=(*_OPTIONS, DIAGNOSTICS),
+)
 
 
 class TaxinetPerception(PerceptionNode):
@@ -13,13 +34,12 @@ class TaxinetPerception(PerceptionNode):
 
     def choose(self) -> Perception:
         """The network that the parameter ``weights`` names."""
-        text = 'taxinet for the shipped network, a .safetensors or .onnx file, or FILE.py:NAME'
-        return make_perception(declare(self, 'weights', 'taxinet', text))
+        return make_perception(declare_all(self, _OPTIONS)['weights'])
 
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros taxinet_perception``."""
-    run_node(TaxinetPerception)
+    run_node(TaxinetPerception, usage=USAGE)
 
 
 if __name__ == '__main__':

@@ -119,6 +119,16 @@ def test_r5_given_a_node_that_is_silent_then_the_first_of_the_chain_is_named():
     assert free_run().missing() == []
 
 
+def test_r5_given_a_recorder_that_hangs_then_it_is_named_and_not_who_gets_no_frames_for_it():
+    run = free_run(100)
+    run.begin(0, 0.0)
+    run.progress(TAPE, 0, 0, 0.01)
+    for node in (EYES, WHEEL):
+        run.answer(node, 0, 0.02)
+    run.progress(JUDGE, 0, 0, 0.03)
+    assert run.silent(60.0, 10.0) == TAPE
+
+
 def test_r5_given_a_pace_then_what_is_late_is_counted_and_a_lost_step_is_not_caught_up():
     pace = Pace(2.0)
     pace.begin(0.0)

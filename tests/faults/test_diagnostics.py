@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import threading
 from collections.abc import Callable, Iterator
@@ -37,7 +38,8 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
     """Told often, and warned of soon."""
-    monkeypatch.setattr(diagnostics, 'PERIOD_S', 0.05)
+    often = dataclasses.replace(diagnostics.PARAMETER, default=0.05)
+    monkeypatch.setattr(diagnostics, 'PARAMETER', often)
     monkeypatch.setattr(diagnostics, 'PATIENCE_S', 0.3)
 
 

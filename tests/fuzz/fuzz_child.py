@@ -72,8 +72,10 @@ def parameters(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
     from taxinet_ros.nodes.main import run_node
     from taxinet_ros.nodes.simulator import Simulator
     from taxinet_ros.nodes.steering_controller import SteeringController
+    from taxinet_ros.nodes.usage import Usage
 
     path = folder / 'parameters.yaml'
+    usage = Usage(executable='fuzzed', does='')
     said = os.memfd_create('said')
 
     def use(data: bytes) -> object:
@@ -86,10 +88,11 @@ def parameters(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
         before = os.dup(2)
         os.dup2(said, 2)
         try:
-            run_node(node, lambda node, executor: 0)
+            run_node(node, lambda node, executor: 0, usage=usage)
         except SystemExit as end:
             sys.stderr.flush()
-            words = os.pread(said, 1 << 20, 0).decode(errors='replace')
+            lines = os.pread(said, 1 << 20, 0).decode(errors='replace').splitlines(keepends=True)
+            words = ''.join(line for line in lines if not line.startswith('[INFO]'))
             if end.code == 2:
                 raise UsageError(words.removeprefix('error: ').rstrip('\n')) from None
             if end.code != 0 or words:

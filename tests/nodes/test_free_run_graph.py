@@ -30,6 +30,7 @@ pytestmark = pytest.mark.ros
 SLEEP_S = 0.25
 MINE = f"""
 import os
+import signal
 import time
 
 
@@ -58,7 +59,7 @@ class Dying(Silent):
     def __call__(self, truth):
         self.frames += 1
         if self.frames > 3:
-            os._exit(7)
+            os.kill(os.getpid(), signal.SIGKILL)
         return truth
 """
 STEPS = 101
@@ -158,7 +159,7 @@ def test_r5_given_a_free_run_when_run_again_then_it_is_free_again(slow, tmp_path
 
 
 @pytest.mark.parametrize(('name', 'kind', 'says'), [
-    ('Silent', 'timeout', 'silent for 2 s'), ('Dying', 'died', 'exit code 7'),
+    ('Silent', 'timeout', 'silent for 2 s'), ('Dying', 'died', 'killed by SIGKILL'),
 ])
 def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and_names_it(
     mine, tmp_path, name, kind, says

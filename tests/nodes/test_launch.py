@@ -54,6 +54,14 @@ with_launch = pytest.mark.skipif(
 )
 
 
+def test_given_the_docs_then_their_table_of_launch_arguments_is_that_of_the_launch_file():
+    section = (REPOSITORY / 'docs' / 'ros.md').read_text().partition('\n## Launch\n')[2]
+    rows = [line for line in section.partition('\n## ')[0].splitlines() if line.startswith('| `')]
+    assert rows == [
+        f'| `{name}` | {default} | {text} |' for name, (default, text) in ARGUMENTS.items()
+    ]
+
+
 def words(**given: str) -> dict[str, str]:
     return {name: given.get(name, default) for name, (default, _) in ARGUMENTS.items()}
 

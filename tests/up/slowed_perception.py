@@ -7,7 +7,7 @@ import time
 
 from taxinet_ros.core.perception import Perception
 from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+from taxinet_ros.nodes.taxinet_perception import USAGE, TaxinetPerception
 
 _LONGEST_S = 0.04
 
@@ -31,4 +31,4 @@ class _Slowed(Perception):
 
 
 if __name__ == '__main__':
-    run_node(SlowedPerception)
+    run_node(SlowedPerception, usage=USAGE)

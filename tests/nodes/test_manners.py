@@ -1,0 +1,264 @@
+"""Manners of the executables: help, words that are none, and a line on who is up and waits."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import DescribeParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter as Given
+from waiting import wait_for
+
+from taxinet_ros.cli.node import NODES
+from taxinet_ros.nodes.bag_player import BagPlayer
+from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.foxglove_server import FoxgloveServer
+from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
+from taxinet_ros.nodes.monitor_alone import MonitorAlone
+from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+from taxinet_ros.nodes.parameters import Parameter
+from taxinet_ros.nodes.recorder import Recorder
+from taxinet_ros.nodes.scene_markers import SceneMarkers
+from taxinet_ros.nodes.simulator import Simulator
+from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
+from taxinet_ros.nodes.steering_controller import SteeringController
+from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+from taxinet_ros.nodes.usage import Usage
+
+pytestmark = pytest.mark.ros
+
+FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
+DOCS = Path(__file__).parents[2] / 'docs' / 'ros.md'
+OF_RCLPY = {'use_sim_time', 'start_type_description_service'}
+CLASSES: dict[str, type[Any]] = {
+    'simulator': Simulator,
+    'taxinet_perception': TaxinetPerception,
+    'ground_truth_perception': GroundTruthPerception,
+    'steering_controller': SteeringController,
+    'mtl_monitor': MonitorAlone,
+    'recorder': Recorder,
+    'scenario_sampler': StandaloneSampler,
+    'bag_player': BagPlayer,
+    'scene_markers': SceneMarkers,
+    'foxglove_server': FoxgloveServer,
+}
+
+
+def usage_of(executable: str) -> Usage:
+    module = 'standalone_sampler' if executable == 'scenario_sampler' else executable
+    usage: Usage = import_module(f'taxinet_ros.nodes.{module}').USAGE
+    return usage
+
+
+def start(name: str, domain: int, *words: str, log: Path | None = None) -> subprocess.Popen[str]:
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    with log.open('w') if log else contextlib.nullcontext(subprocess.PIPE) as into:
+        return subprocess.Popen(
+            [str(FOLDER / name), *words], env=environment, text=True,
+            stdout=subprocess.DEVNULL if log else subprocess.PIPE, stderr=into,
+        )
+
+
+def ends_of(commands: dict[str, tuple[str, ...]]) -> dict[str, tuple[int, str, str]]:
+    """Exit code and output of executables that were started side by side, by their label."""
+    with own_domain() as domain:
+        running = {label: start(*words[:1], domain, *words[1:])
+                   for label, words in commands.items()}
+        said = {label: process.communicate() for label, process in running.items()}
+    return {label: (process.returncode, *said[label]) for label, process in running.items()}
+
+
+def test_r15_given_help_then_each_executable_tells_its_parameters_and_topics_and_leaves():
+    assert set(CLASSES) == set(NODES)
+    for name, (code, told, errors) in ends_of({name: (name, '--help') for name in NODES}).items():
+        assert (code, errors) == (0, ''), name
+        usage = usage_of(name)
+        assert told.rstrip() == usage.text
+        assert told.startswith(f'usage: ros2 run taxinet_ros {name} ')
+        assert max(map(len, told.splitlines())) <= 100
+        for one in usage.parameters:
+            assert f'  {one.name} = ' in told
+        for topic in (*usage.publishes, *usage.subscribes):
+            assert topic in told
+
+
+def test_r15_given_an_argument_that_is_none_then_each_executable_refuses_it_in_one_line():
+    found = ends_of({name: (name, '--bogus') for name in NODES})
+    for name, (code, told, errors) in found.items():
+        assert (code, told) == (2, ''), errors
+        (line,) = errors.splitlines()
+        assert line.startswith(f"error: {name}: unknown argument '--bogus'; ")
+
+
+def test_r15_given_arguments_that_ros_cannot_read_then_one_line_says_so(tmp_path):
+    wrong = ('--bogus', '-p x', '-r foo', '--params-file gone.yaml')
+    found = ends_of({
+        text: ('ground_truth_perception', '--ros-args', *text.split()) for text in wrong
+    })
+    for text, (code, told, errors) in found.items():
+        assert (code, told) == (2, ''), errors
+        (line,) = errors.splitlines()
+        assert line.startswith('error: ')
+        assert text.split()[-1] in line
+
+
+@pytest.mark.parametrize('executable', ['simulator', 'scene_markers', 'mtl_monitor'])
+def test_given_an_override_of_the_quality_of_service_then_it_is_refused_by_name(
+    executable, tmp_path
+):
+    file = tmp_path / 'qos.yaml'
+    file.write_text(
+        '/**: {ros__parameters: {qos_overrides: {/clock: {publisher: {depth: 1}}}}}\n'
+    )
+    words = (executable, '--ros-args', '--params-file', str(file))
+    code, _, errors = ends_of({'x': words})['x']
+    assert code == 2, errors
+    (line,) = errors.splitlines()
+    assert 'parameter qos_overrides./clock.publisher.depth: the quality of service' in line
+
+
+def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_for(tmp_path):
+    """And once it has them; a Ctrl-C meanwhile is no reason for a complaint."""
+    with own_domain() as domain:
+        logs = {}
+
+        def begin(name: str, *words: str) -> subprocess.Popen[str]:
+            logs[name] = tmp_path / f'{name}.log'
+            return start(name, domain, *words, log=logs[name])
+
+        def says(name: str, text: str) -> Callable[[], bool]:
+            return lambda: text in logs[name].read_text()
+
+        nodes = [
+            begin('scenario_sampler', '--ros-args', '-p', 'program:=nominal', '-p',
+                  'set:=["duration=1"]', '-p', f'out:={tmp_path}/c'),
+        ]
+        try:
+            wait_for(says('scenario_sampler', 'waiting for: simulator'))
+            nodes += [
+                begin('simulator', '--ros-args', '-p', 'ready_timeout:=600.0'),
+                begin('ground_truth_perception'),
+                begin('mtl_monitor'),
+                begin('recorder', '--ros-args', '-p', f'out:={tmp_path}/bags'),
+            ]
+            wait_for(says('simulator', 'waiting for: steering_controller'))
+            wait_for(says('recorder', 'waiting for: steering_controller'))
+            nodes.append(begin('steering_controller'))
+            assert nodes[0].wait() == 0, logs['scenario_sampler'].read_text()
+            wait_for(says('simulator', 'no longer waiting for: '))
+        finally:
+            for node in nodes:
+                node.send_signal(signal.SIGINT)
+            codes = [node.wait() for node in nodes]
+        assert codes == [0] * 6
+        for name, log in logs.items():
+            text = log.read_text()
+            up = 'on the graph that runs' if name == 'scenario_sampler' else f'ROS domain {domain}'
+            assert up in text, name
+            assert not re.search('FATAL|Traceback|ERROR', text), text
+        # Said when it lasts, and when it changes: not at every look.
+        assert logs['recorder'].read_text().count('waiting for: ') <= 8
+
+
+# Parameters ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope='module')
+def described(bag: Path, tmp_path_factory) -> dict[str, list[ParameterDescriptor]]:
+    """What each node tells of its own parameters."""
+    given = {
+        'bag_player': {'bag': str(bag)},
+        'mtl_monitor': {'signals': ['cte=/odom:pose.pose.position.y'], 'specs': ['a=cte <= 1']},
+        'scenario_sampler': {'out': str(tmp_path_factory.mktemp('sampler') / 'c')},
+        'foxglove_server': {'port': 0},
+    }
+    found = {}
+    with own_domain() as domain:
+        for name, kind in {**CLASSES, 'graph_monitor': MtlMonitor}.items():
+            context = Context()
+            rclpy.init(context=context, domain_id=domain)
+            overrides = [Given(key, value=value) for key, value in given.get(name, {}).items()]
+            node = kind(context=context, parameter_overrides=overrides)
+            try:
+                found[name] = described_by(node)
+            finally:
+                node.close()
+                node.destroy_node()
+                rclpy.shutdown(context=context)
+    # One executable with two faces.
+    found['mtl_monitor'] = [*found.pop('graph_monitor'), *found['mtl_monitor']]
+    return found
+
+
+def described_by(node: Node) -> list[ParameterDescriptor]:
+    """What ``ros2 param describe`` asks a node for: by the service, as anybody would."""
+    asker = rclpy.create_node('asker', context=node.context)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    executor.add_node(asker)
+    service = f'{node.get_name()}/describe_parameters'
+    client = asker.create_client(DescribeParameters, service)
+    assert client.wait_for_service()
+    names = [name for name in node._parameters if name not in OF_RCLPY]
+    answer = client.call_async(DescribeParameters.Request(names=names))
+    executor.spin_until_future_complete(answer)
+    executor.remove_node(node)
+    asker.destroy_node()
+    executor.shutdown()
+    return list(answer.result().descriptors)
+
+
+def allowed(one: ParameterDescriptor) -> str:
+    """What a value may be, as the node tells it."""
+    for span in (*one.floating_point_range, *one.integer_range):
+        return f'{round(span.from_value, 6)}..{round(span.to_value, 6)}'
+    return one.additional_constraints
+
+
+def row(name: str, default: str, what: str, description: str) -> str:
+    return f'| `{name}` | {default} | {what} | {description} |'
+
+
+def default_text(one: Parameter) -> str:
+    value = one.default
+    if value in ('', ['']):
+        return ''
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f'{value:.6g}' if value % 1 else str(value)
+    return ', '.join(value) if isinstance(value, list) else str(value)
+
+
+@pytest.mark.parametrize('executable', NODES)
+def test_given_a_node_when_its_parameters_are_described_then_the_docs_table_says_the_same(
+    executable, described
+):
+    """``ros2 param describe``, the executable's own list, and docs/ros.md."""
+    parameters = {one.name: one for one in usage_of(executable).parameters}
+    told = {one.name: one for one in described[executable]}
+    assert told.keys() == parameters.keys()
+    section = DOCS.read_text().partition(f'\n### `{executable}`\n')[2].partition('\n##')[0]
+    rows = [line for line in section.splitlines() if line.startswith('| `')]
+    expected = []
+    for name in parameters:
+        one = told[name]
+        assert one.description == parameters[name].description
+        assert one.read_only
+        assert allowed(one), f'{name}: neither a range nor words'
+        expected.append(row(name, default_text(parameters[name]), allowed(one), one.description))
+    assert rows == expected
