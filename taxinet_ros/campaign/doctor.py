@@ -2,8 +2,9 @@
 
 Looked at are, in the folder and in all below it: every journal (ledgers, trials, stages, rounds,
 finished images), every sealed JSON file and the files that it vouches for, a campaign's tables
-against its ledger, each bag against its row, each picture of a dataset against its label, and
-drafts that a killed process has left.
+against its ledger, each bag against its row, each picture of a dataset against its label, what a
+study says that it has made, and drafts that a killed process has left. All else is named as not
+checked: nothing vouches for it, as for pages and pictures, which are made from the rest.
 
 Mending trusts the ledger. Tables and ``campaign.json`` are written anew from it. A journal with
 damaged lines is put aside as it is, and its sound lines are written into a new one. A table or
@@ -61,6 +62,10 @@ MEND = 'taxinet doctor --mend {folder}'
 """The command that mends, with the folder's path to be filled in."""
 
 _LABELS, _IMAGE, _DIGEST = 'labels.parquet', 'image', 'sha256'
+_DATASET, _REQUEST, _STAGES = 'dataset.json', 'request.json', 'stages.jsonl'
+_RESUME = 'the command that made it, with --resume'
+_DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
+_MOST_NAMED = 6
 _DRAFTS = ('*.tmp', '.*.part.*', '.*.draft')
 
 
@@ -72,15 +77,21 @@ class Examination:
         looked_at: how many there were, by what they are.
         findings: what is wrong.
         notes: what is not wrong, and yet to be known.
+        checked: files, and folders of bags, that were compared with what vouches for them.
+        unchecked: all others.
     """
 
     looked_at: dict[str, int] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    checked: set[Path] = field(default_factory=set)
+    unchecked: list[Path] = field(default_factory=list)
 
-    def saw(self, what: str, number: int = 1) -> None:
+    def saw(self, what: str, number: int = 1, path: Path | None = None) -> None:
         """Count what was looked at."""
         self.looked_at[what] = self.looked_at.get(what, 0) + number
+        if path is not None:
+            self.checked.add(path)
 
     def wrong(self, where: object, what: object, mend: str = '') -> None:
         """One more finding; words that begin with the place do not repeat it."""
@@ -98,14 +109,16 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     Raises:
         UsageError: there is nothing in it that could be checked.
     """
-    found = Examination()
-    for place in _places(folder):
+    found, places = Examination(), list(_places(folder))
+    for place in places:
         journals = _files(place, '*.jsonl', found)
         for path in journals:
-            found.saw('journals')
+            found.saw('journals', path=path)
             if path.name != LEDGER_NAME:
                 for number, why in parse_journal(path.read_bytes()).troubles:
                     found.wrong(f'{path}:{number}', why, MEND)
+            if path.name == _STAGES:
+                _check_stages(path, found)
         _check_sealed(place, found)
         if place / LEDGER_NAME in journals:
             _check_campaign(place, found, on_bag)
@@ -115,6 +128,8 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
         raise UsageError(
             f'{folder}: no campaign, experiment, dataset or study: nothing here can be checked'
         )
+    for place in places:
+        _name_unchecked(place, set(places), found)
     return found
 
 
@@ -216,7 +231,7 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
         if path.is_file():
-            found.saw('tables')
+            found.saw('tables', path=path)
             if not same(path, expected):
                 more = _only_there(path, content)
                 also = f': it has run {ranges(more)}, and the ledger has not' if more else ''
@@ -260,7 +275,7 @@ def _same_parquet(path: Path, expected: Any) -> bool:
 
 def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
     """Whether a bag is sound, and that of its row."""
-    found.saw('bags')
+    found.saw('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
     if not bag.is_dir():
         found.wrong(bag, f'is not there, and its run is {row.outcome}')
@@ -321,13 +336,14 @@ def _check_sealed(place: Path, found: Examination) -> None:
             if path.name == FACTS_NAME:
                 found.notes.append(f'{path}: of an earlier version, without a checksum')
             continue
-        found.saw('indices')
+        found.saw('indices', path=path)
         mended = MEND if path.name == FACTS_NAME else 'the command that made it, again'
         try:
             sealed = read_sealed(path)
         except UsageError as error:
             found.wrong(path, error, mended)
             continue
+        found.checked |= {place / name for name in sealed.files}
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
                 found.wrong(place / name, f'is not there, and {path.name} tells of it', mended)
@@ -343,7 +359,11 @@ def _check_sealed(place: Path, found: Examination) -> None:
 def _check_pictures(place: Path, found: Examination) -> None:
     """Whether a dataset's pictures are those of its labels."""
     if not (place / _LABELS).is_file():
+        if (place / _REQUEST).is_file() and not (place / _DATASET).is_file():
+            found.notes.append(f'{place}: a dataset that is not finished; --resume goes on')
         return
+    if not (place / _DATASET).is_file():
+        found.wrong(place / _LABELS, f'nothing vouches for it: {_DATASET} is not there', _RESUME)
     import pandas as pd
 
     try:
@@ -352,11 +372,46 @@ def _check_pictures(place: Path, found: Examination) -> None:
         return
     for name, digest in zip(labels[_IMAGE], labels[_DIGEST], strict=True):
         path = place / str(name)
-        found.saw('pictures')
+        found.saw('pictures', path=path)
         if not path.is_file():
             found.wrong(path, f'is not there, and {_LABELS} has it')
         elif file_sha256(path) != digest:
             found.wrong(path, f'is not the picture that {_LABELS} tells of')
+
+
+def _check_stages(path: Path, found: Examination) -> None:
+    """Whether what the finished stages of a study have left behind is there, and is the same."""
+    last = {
+        line.event['stage']: line.event for line in parse_journal(path.read_bytes()).lines
+        if line.event is not None and 'stage' in line.event
+    }
+    for stage, event in last.items():
+        for name, digest in event.get('outputs', {}).items():
+            output = path.parent / name
+            found.checked.add(output)
+            if not output.is_file():
+                found.wrong(output, f'is not there, and stage {stage} has made it', _RESUME)
+            elif file_sha256(output) != digest:
+                found.wrong(output, f'is not the file that stage {stage} has made', _RESUME)
+
+
+def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
+    """Tell of all in a folder that nothing vouches for."""
+    told = {Path(one.where) for one in found.findings}
+    left = [
+        path for path in sorted(place.iterdir())
+        if path not in found.checked | places | told
+    ]
+    found.unchecked += left
+    derived = [path for path in left if path.suffix in _DERIVED]
+    for names, what in ((derived, 'made from the rest'), (
+        [path for path in left if path not in derived], 'nothing vouches for it'
+    )):
+        if names:
+            more = len(names) - _MOST_NAMED
+            listed = ', '.join(path.name for path in names[:_MOST_NAMED])
+            also = f' and {more} more' if more > 0 else ''
+            found.notes.append(f'{place}: not checked, {what}: {listed}{also}')
 
 
 def _check_drafts(place: Path, found: Examination) -> None:

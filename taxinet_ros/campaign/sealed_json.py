@@ -1,4 +1,4 @@
-"""A JSON file with a checksum of itself, which vouches for other files in its folder too.
+"""A JSON file with a checksum of itself, which vouches for other files in or below its folder.
 
 Beside its values it has, under ``seal``, digests of whole files and the ends of journals, and as
 its last line, under ``checksum``, the SHA-256 of all its text before. Files of earlier versions
@@ -30,8 +30,8 @@ class SealedJson:
 
     Attributes:
         values: without seal and checksum.
-        files: SHA-256 by name of files in the same folder.
-        journals: where they ended, by name of journals in the same folder.
+        files: SHA-256 of files in the same folder or below, by path from it.
+        journals: where they ended, of journals in the same folder or below, likewise.
         sealed: False for a file of an earlier version.
     """
 
@@ -75,14 +75,14 @@ def write_sealed(
     path: Path, values: Mapping[str, Any], files: Iterable[Path] = (),
     journals: Iterable[Path] = (),
 ) -> None:
-    """Write a sealed file that vouches for files in its folder as they are now.
+    """Write a sealed file that vouches for files in and below its folder as they are now.
 
     Raises:
         OSError: it cannot be written, or one of them cannot be read.
     """
     write_atomically(path, sealed_text(
-        values, {one.name: file_sha256(one) for one in files},
-        {one.name: journal_end(one) for one in journals},
+        values, {str(one.relative_to(path.parent)): file_sha256(one) for one in files},
+        {str(one.relative_to(path.parent)): journal_end(one) for one in journals},
     ))
 
 
@@ -114,7 +114,8 @@ def read_sealed(path: Path) -> SealedJson:
             name: JournalEnd(int(end['lines']), str(end['link']))
             for name, end in seal['journals'].items()
         }
-        if any(Path(name).name != name for name in (*files, *journals)):
+        paths = [Path(name) for name in (*files, *journals)]
+        if any(path.is_absolute() or '..' in path.parts for path in paths):
             raise ValueError('it vouches for files elsewhere')
         return SealedJson(values=values, files=files, journals=journals)
     except (ValueError, LookupError, TypeError, AttributeError) as error:

@@ -10,8 +10,10 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recorded_run import RecordedRun
 from taxinet_ros.bag.runs import read_recording, write_runs
+from taxinet_ros.campaign.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import PERCEPTION, check_perception
@@ -56,8 +58,14 @@ def one_run(bag: Path, run: str | None) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def readable_run(bag: Path, run: str | None) -> Iterator[Path]:
-    """:func:`one_run` for commands in which 1 is a difference: what cannot be read is bad input."""
+    """:func:`one_run` for commands that do the run once more, in which 1 is a difference.
+
+    Raises:
+        UsageError: it cannot be read, or it lies where its campaign has another run.
+    """
     with readable_bags(), one_run(bag, run) as whole:
+        if whole == bag:
+            BagPlaces().check(bag, whole=read_info(bag).complete)
         yield whole
 
 

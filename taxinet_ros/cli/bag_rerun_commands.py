@@ -104,11 +104,11 @@ def compare(
     """
     from taxinet_ros.bag.limits import read_within_limits
     from taxinet_ros.cli.bag_compare import run_compare
-    from taxinet_ros.cli.bag_input import readable_run
+    from taxinet_ros.cli.bag_input import one_run, readable_bags
 
     with (
-        read_within_limits(bag, other), readable_run(bag, run_id) as one,
-        readable_run(other, other_run) as two,
+        readable_bags(), read_within_limits(bag, other), one_run(bag, run_id) as one,
+        one_run(other, other_run) as two,
     ):
         code = run_compare(one, two, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)

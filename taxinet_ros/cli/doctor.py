@@ -53,7 +53,7 @@ def _words(found: Examination, done: list[str], folder: Path) -> str:
 def _json(found: Examination, done: list[str], folder: Path) -> str:
     return json.dumps({
         'folder': str(folder), 'sound': not found.findings, 'looked_at': found.looked_at,
-        'mended': done, 'notes': found.notes,
+        'mended': done, 'notes': found.notes, 'not_checked': list(map(str, found.unchecked)),
         'findings': [
             {**asdict(one), 'mend': _filled(one.mend, folder)} for one in found.findings
         ],

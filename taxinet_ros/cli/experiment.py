@@ -11,6 +11,7 @@ from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.crew import Crew
 from taxinet_ros.campaign.experiment import arm_rows, arm_searches, check_paired
 from taxinet_ros.campaign.experiment_file import Experiment
+from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.interrupts import interrupts
 from taxinet_ros.campaign.lines import check_lines, row_line
 from taxinet_ros.campaign.row import RunRow
@@ -109,7 +110,8 @@ def _report(
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
     write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
-    write_sealed(out / JSON_NAME, values, [pairs])
+    # Two arms that change places would be sound campaigns, each with the other's name.
+    write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures

@@ -17,7 +17,7 @@ from taxinet_ros.analysis.fault_report import (
 )
 from taxinet_ros.campaign.facts import other_stack
 from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.campaign.localize import LocalizeOptions, localize
+from taxinet_ros.campaign.localize import TRIALS_NAME, LocalizeOptions, localize
 from taxinet_ros.campaign.sealed_json import write_sealed
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.mtl import parse_spec
@@ -78,7 +78,7 @@ def _write(found: Localisation, out: Path) -> list[Path]:
 
     report = localisation_report(found)
     path, tables = out / JSON_NAME, write_cases(found, out)
-    write_sealed(path, localisation_json(found), tables)
+    write_sealed(path, localisation_json(found), tables, [out / TRIALS_NAME])
     pictures = [
         write_png(picture, out, LIGHT) for section in report.sections
         for picture in section.pictures

@@ -36,6 +36,7 @@ from taxinet_ros.cli.bag import bag_app
 from taxinet_ros.cli.camera import camera_app
 from taxinet_ros.cli.given import asks_for, given_options
 from taxinet_ros.cli.monitor_command import monitor, spec
+from taxinet_ros.cli.regular_files import refuse_strange_files
 from taxinet_ros.cli.run_commands import (
     check_node,
     demo,
@@ -207,6 +208,7 @@ def _command(output_closed: bool) -> object:
     with contextlib.suppress(OSError):  # a folder that is gone matters to few commands
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
+    refuse_strange_files()
     return app(standalone_mode=False)
 
 

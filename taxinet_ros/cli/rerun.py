@@ -12,7 +12,6 @@ from taxinet_ros.bag.facts import made_on
 from taxinet_ros.bag.frames import IMAGE
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.recorded_run import read_run
-from taxinet_ros.campaign.judged_run import BagPlaces
 from taxinet_ros.campaign.lines import row_line
 from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
 from taxinet_ros.campaign.row import RunRow
@@ -76,7 +75,6 @@ def run_again(
     """
     with readable_bags():
         run, info = read_run(bag), read_info(bag)
-        BagPlaces().check(bag, whole=info.complete)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

@@ -203,7 +203,10 @@ def test_ros14_given_a_recording_that_lost_a_step_then_doctor_says_which(tmp_pat
 
 
 @pytest.mark.parametrize('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
-@pytest.mark.parametrize('words', [('monitor',), ('bag', 'info'), ('bag', 'doctor')])
+@pytest.mark.parametrize('words', [
+    ('monitor',), ('bag', 'info'), ('bag', 'doctor'), ('bag', 'export', '--out', 'new.csv'),
+    ('bag', 'split', '--out', 'new'), ('explain',), ('bag', 'compare', GOOD),
+])
 def test_ros14_given_a_compressed_bag_then_one_line_says_how_to_make_it_plain(
     mode, words, tmp_path, capsys
 ):

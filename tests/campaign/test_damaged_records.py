@@ -391,10 +391,28 @@ def test_doctor_given_a_sound_campaign_then_it_says_so_and_mending_changes_no_by
     before = contents()
     code, out, err = taxinet('doctor', campaign)
     assert (code, err) == (0, '')
-    assert out == (f'{campaign}: 1 journals, 1 indices, {RUNS} runs, 2 tables, {RUNS} bags: '
-                   'sound\n')
+    *notes, last = out.splitlines()
+    assert last == f'{campaign}: 1 journals, 1 indices, {RUNS} runs, 2 tables, {RUNS} bags: sound'
+    nothing = 'not checked, nothing vouches for it'
+    assert notes == [f'note    {campaign / "logs"}: {nothing}: worker-1.log, worker-2.log']
     assert taxinet('doctor', campaign, '--mend')[0] == 0
     assert contents() == before
+
+
+def test_doctor_given_what_nothing_vouches_for_then_all_of_it_is_named(campaign, taxinet, tmp_path):
+    shutil.copytree(campaign / 'nominal-s3-00000', campaign / 'more' / 'bag')
+    (campaign / 'elsewhere').symlink_to(tmp_path)
+    for name in ('report.html', 'notes.txt', 'runs.csv.damaged-1'):
+        (campaign / name).write_text('1')
+    code, out, _ = taxinet('doctor', campaign)
+    assert code == 0
+    assert f'note    {campaign}: not checked, made from the rest: report.html\n' in out
+    assert ': elsewhere, notes.txt, runs.csv.damaged-1\n' in out
+    found = json.loads(taxinet('doctor', campaign, '--json')[1])
+    assert {str(Path(path).relative_to(campaign)) for path in found['not_checked']} == {
+        'report.html', 'notes.txt', 'runs.csv.damaged-1', 'elsewhere', 'more/bag',
+        'logs/worker-1.log', 'logs/worker-2.log',
+    }
 
 
 def test_doctor_given_no_campaign_then_one_line_says_so(taxinet, tmp_path):
@@ -669,7 +687,9 @@ def test_f2_given_the_bag_of_another_run_then_no_command_gives_its_numbers(
     said = f'is not the bag of its run: its run_id is {other.run_id}'
     again = ('run', '--from', bag, '--out', tmp_path / 'again')
     for words in (('monitor', campaign), ('monitor', bag), ('monitor', mcap),
-                  ('monitor', campaign, '--json'), again, ('shrink', bag)):
+                  ('monitor', campaign, '--json'), again, ('shrink', bag),
+                  ('explain', bag, '--perception', 'original', '--out', tmp_path / 'explained'),
+                  ('bag', 'replay', bag, '--into', 'mtl_monitor', '--out', tmp_path / 'replayed')):
         code, out, err = taxinet(*words)
         assert (code, said in err, len(err.splitlines())) == (2, True, 1), (words, out, err)
         assert f'{failed.run_id}  ' not in out

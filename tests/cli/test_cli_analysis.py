@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -46,6 +47,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert (done.returncode, done.stderr) == (1, '')
     return folder
+
+
+def exchange(experiment: Path) -> None:
+    (experiment / 'near').rename(experiment / 'other')
+    (experiment / 'far').rename(experiment / 'near')
+    (experiment / 'other').rename(experiment / 'far')
+
+
+@pytest.mark.parametrize(('change', 'says'), [
+    (exchange, 'near/ledger.jsonl: its first '),
+    (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
+    (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
+])
+def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(
+    folder, tmp_path, change, says
+):
+    experiment = shutil.copytree(folder / 'e', tmp_path / 'e')
+    done = taxinet('doctor', experiment)
+    assert (done.returncode, 'made from the rest: ' in done.stdout) == (0, True), done.stdout
+    change(experiment)
+    done = taxinet('doctor', experiment)
+    assert done.returncode == 3
+    assert f'BAD     {experiment}/{says}' in done.stdout
 
 
 def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_go_on(folder):
@@ -114,6 +138,12 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
     assert list(frame['scene_exact']) == [True, True]
     lines = [json.loads(line) for line in trials.read_text().splitlines()]
     assert len(lines) == 1 + 2 * 2
+    assert taxinet('doctor', 'l', cwd=folder).returncode == 0
+    whole = trials.read_bytes()
+    trials.write_bytes(b''.join(whole.splitlines(keepends=True)[:-1]))
+    done = taxinet('doctor', 'l', cwd=folder)
+    trials.write_bytes(whole)
+    assert (done.returncode, '1 of the 5 lines that it had are missing' in done.stdout) == (3, True)
 
 
 def test_given_a_campaign_then_the_gate_exits_with_what_it_proves(folder):

@@ -304,6 +304,11 @@ def test_f2_given_any_damage_to_a_dataset_then_it_is_refused_and_the_doctor_name
                 load_folders([out], workers=1)
             assert str(out / name) in {one.where for one in examine(out).findings}
         (out / name).write_bytes(data)
+    facts = (out / 'dataset.json').rename(tmp_path / 'dataset.json')
+    assert [one.what for one in examine(out).findings] == [
+        'nothing vouches for it: dataset.json is not there'
+    ]
+    facts.rename(out / 'dataset.json')
     request = out / 'request.json'
     request.write_text(request.read_text().replace('"seed": 4', '"seed": 5'))
     assert [one.where for one in examine(out).findings] == [str(request)]
