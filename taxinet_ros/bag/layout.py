@@ -64,6 +64,8 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     if path.is_file():
         if path.name.endswith(f'.{STORAGE_ID}.zstd'):
             raise BagForeign(compressed(path, 'file'), path=path)
+        if path.suffix == '.db3':
+            raise _sqlite3(path)
         return (path,)
     if not path.is_dir():
         raise UsageError(f'{path}: no such bag; give a run folder or an .mcap file')
@@ -73,8 +75,12 @@ def storage_files(path: Path) -> tuple[Path, ...]:
     if any(path.glob(f'*.{STORAGE_ID}.zstd')):
         raise BagForeign(compressed(path, 'file'), path=path)
     if any(path.glob('*.db3')):
-        raise BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
+        raise _sqlite3(path)
     raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
+
+
+def _sqlite3(path: Path) -> BagForeign:
+    return BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
 
 
 def compressed(path: Path, mode: str) -> str:

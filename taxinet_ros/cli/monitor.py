@@ -100,7 +100,8 @@ def _bags(place: Path) -> list[Path]:
         return [place]
     if not place.is_dir():
         raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
-    if any(place.glob(f'*.{STORAGE_ID}*')):  # compressed ones too, to be refused by name
+    # What is compressed, or of another storage, is to be refused by name.
+    if any(path for kind in (f'*.{STORAGE_ID}*', '*.db3') for path in place.glob(kind)):
         return [place]
     bags = campaign_bags(place)
     if not bags:

@@ -217,6 +217,17 @@ def test_ros14_given_a_compressed_bag_then_one_line_says_how_to_make_it_plain(
     assert f'compressed by {mode.name.lower()}; make it plain: ros2 bag convert -i' in err
 
 
+@pytest.mark.parametrize('words', [('monitor',), ('bag', 'info'), ('bag', 'doctor')])
+@pytest.mark.parametrize('name', ['', 'small_0.db3'])
+def test_ros14_given_an_sqlite3_bag_then_one_line_says_how_to_make_it_mcap(
+    words, name, tmp_path, capsys
+):
+    (tmp_path / 'small_0.db3').write_bytes(b'SQLite format 3\0')
+    code, out, err = call(capsys, *words, tmp_path / name)
+    assert (code, out, len(err.splitlines())) == (2, '', 1)
+    assert 'an sqlite3 bag; make it MCAP with: ros2 bag convert' in err
+
+
 def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(tmp_path, capsys):
     bag = record(tmp_path / 'named', heard([BAD]), namespace='/left')
     assert [essence(one) for one in judge_runs(bag)] == [essence(judge_runs(BAD)[0])]
