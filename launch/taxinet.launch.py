@@ -68,7 +68,7 @@ def until_the_end(
 
     def over(event: ProcessExited, context: LaunchContext) -> list[LogInfo | EmitEvent]:
         ends = ending.over(event.pid, processes.get(event.action, ''), event.returncode)
-        if ending.exit_code is not None and context.is_shutdown:
+        if ending.exit_code is not None:
             # Launch itself knows 0 and 1 only. Nothing is left that it would have to end.
             raise SystemExit(ending.exit_code)
         if not ends:

@@ -11,8 +11,6 @@ from __future__ import annotations
 import functools
 import struct
 
-from scipy.spatial.transform import Rotation
-
 from taxinet_ros.bag.definitions import describe_topic
 from taxinet_ros.bag.image_cdr import ENCAPSULATION, aligned, with_text
 from taxinet_ros.bag.message_fields import FieldReader
@@ -59,8 +57,8 @@ def camera_transform() -> bytes:
     The optical frame is REP-103's: z ahead along the optical axis, x right and y down in the
     picture.
     """
-    turned = Rotation.from_matrix(camera.BODY_TO_OPTICAL.T).as_quat().tolist()
-    return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *camera.CAMERA_OFFSET_M, *turned)
+    pose = *camera.CAMERA_OFFSET_M, *camera.CAMERA_ATTITUDE
+    return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
 
 
 def _transform(sec: int, nanosec: int, frame: str, child: str, *pose: float) -> bytes:

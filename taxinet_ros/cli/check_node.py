@@ -79,6 +79,8 @@ def _say(line: str) -> None:
 def _starter(command: str, role: str | None, scratch: Path) -> Starter:
     words = command_of(COMMAND + command) or []
     if len(words) > 1 or not names_user_code(command):
+        if shutil.which(words[0]) is None:
+            raise UsageError(f'check-node: {words[0]}: no such program')
         return command_starter(words)
     if role is None:
         raise UsageError(f'--role: {command} is a function; say perception or controller')

@@ -16,3 +16,20 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def product(
+    outer: tuple[float, float, float, float], inner: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """Attitude of a frame that has ``inner`` within a frame that has ``outer``, as x, y, z, w.
+
+    It is Hamilton's product of unit quaternions.
+    """
+    ax, ay, az, aw = outer
+    bx, by, bz, bw = inner
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from taxinet_ros.core import pixels
 from taxinet_ros.core.airframe_view import AirframeView, hidden_columns
 from taxinet_ros.core.atmosphere import Atmosphere
+from taxinet_ros.core.attitude import product, quaternion
 from taxinet_ros.core.cloud_shade import CloudShade
 from taxinet_ros.core.ground import grain_atlas, ground_atlas, uncrossed_atlas
 from taxinet_ros.core.ground_view import GroundView
@@ -53,6 +54,10 @@ _SCREEN_FOCAL_PX = 1125.0
 _COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
 
 _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+CAMERA_ATTITUDE = product(
+    quaternion(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD), (-0.5, 0.5, -0.5, 0.5)
+)
+"""That of ``camera_optical`` in ``base_link``, x, y, z, w: z ahead, x right, y down (REP-103)."""
 
 
 def intrinsics() -> NDArray[np.float64]:
@@ -76,10 +81,9 @@ def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.fl
     ])  # fmt: skip
 
 
-BODY_TO_OPTICAL = (
+_BODY_TO_OPTICAL = (
     rotation(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD) @ _OPTICAL_TO_LINK
 ).T
-"""Rotation from ``base_link`` to ``camera_optical`` (3, 3): z ahead, x right, y down (REP-103)."""
 
 
 def pose(
@@ -99,7 +103,7 @@ def pose(
         raise ValueError(
             f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
         )
-    return body, BODY_TO_OPTICAL @ body.T, camera
+    return body, _BODY_TO_OPTICAL @ body.T, camera
 
 
 def project(

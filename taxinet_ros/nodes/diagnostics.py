@@ -36,6 +36,10 @@ PATIENCE_S = 2.0
 """A node that waits for longer [s] says so as a warning."""
 
 
+_OF_FREE_RUNS = ('unanswered', 'late', 'stale', 'overruns')
+"""What is told of a free run so far, see :meth:`.FreeRunAccount.figures`; in lockstep it is 0."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Health:
     """How a node is doing.
@@ -148,7 +152,8 @@ class RunHealth:
 
         Args:
             run: the run at hand, if there is one.
-            waits_for: names of the nodes that it waits for now; '' for none.
+            waits_for: names of the nodes that it waits for now; '' for none. Of a free run, which
+                waits for nobody, of those that have been silent for too long.
         """
         rate, frames = self.frames.look('frame')
         values: dict[str, object] = {
@@ -164,8 +169,13 @@ class RunHealth:
             'run': run.run_id, 'step': run.lockstep.seq, 'last step': run.world.last_seq,
             'waits for': waits_for, 'silent for [s]': waited_s, **run.perception,
         }
-        if waits_for and too_long(waited_s):
-            line = f'run {run.run_id} has waited {waited_s:.1f} s for {waits_for}'
+        free = run.free is not None and run.started and run.ending is None
+        if run.free is not None:
+            figures = run.free.account.figures()
+            values |= {f'free run, {name}': figures[name] for name in _OF_FREE_RUNS}
+        if waits_for and (free or too_long(waited_s)):
+            since = '' if free else f' {waited_s:.1f} s'
+            line = f'run {run.run_id} has waited{since} for {waits_for}'
             return Health(level=DiagnosticStatus.WARN, message=line, values=values)
         line = f'run {run.run_id}: step {run.lockstep.seq} of {run.world.last_seq}'
         return Health(message=line if run.started else f'run {run.run_id}: gets ready',

@@ -8,17 +8,19 @@ keeper's parent goes, however it goes, all of it is ended.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from types import FrameType
 
 import psutil
 
 from taxinet_ros.core.parent_death import adopt_orphans, die_with_parent
 
-_ASKED_S, _TOLD_S = 1.5, 1.0
+ASKED_S, TOLD_S = 1.5, 1.0
 """What is left to a command after SIGINT, and after SIGTERM, which follows.
 
 Shorter than what whoever ends a keeper waits: what is in another session is known to it alone.
@@ -28,10 +30,20 @@ CHILDREN_LEFT = 'keeper: ended what the command left behind: '
 """How the line begins that a keeper prints on processes which outlived its command."""
 
 
-def keeper_command(command: list[str], parent: int) -> list[str]:
-    """What starts a keeper of a command; ``parent`` is the process that starts it."""
+def keeper_command(
+    command: list[str], parent: int, asked_s: float = ASKED_S, told_s: float = TOLD_S
+) -> list[str]:
+    """What starts a keeper of a command.
+
+    Args:
+        command: program and arguments.
+        parent: the process that starts the keeper.
+        asked_s: what is left to the command after SIGINT [s].
+        told_s: likewise after SIGTERM.
+    """
     # -P: a module in the user's folder must not stand in for one of ours.
-    return [sys.executable, '-P', '-m', 'taxinet_ros.nodes.keeper', str(parent), *command]
+    ours = [sys.executable, '-P', '-m', 'taxinet_ros.nodes.keeper']
+    return [*ours, str(parent), str(asked_s), str(told_s), *command]
 
 
 def main() -> int:
@@ -40,9 +52,11 @@ def main() -> int:
     Returns:
         Its exit code; 127 where it cannot be started.
     """
-    parent, command = int(sys.argv[1]), sys.argv[2:]
-    signal.signal(signal.SIGINT, _end_soon)
-    signal.signal(signal.SIGTERM, _end_group)
+    parent, command = int(sys.argv[1]), sys.argv[4:]
+    asked_s, told_s = map(float, sys.argv[2:4])
+    end_group = functools.partial(_end_group, told_s)
+    signal.signal(signal.SIGINT, functools.partial(_end_soon, asked_s, end_group))
+    signal.signal(signal.SIGTERM, end_group)
     die_with_parent(signal.SIGTERM)
     adopt_orphans()
     if os.getppid() != parent:
@@ -65,14 +79,17 @@ def _usual_signals() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _end_soon(number: int, frame: FrameType | None) -> None:
+def _end_soon(
+    after_s: float, end_group: Callable[[int, FrameType | None], None], number: int,
+    frame: FrameType | None,
+) -> None:
     """The command's group has the signal too: leave it a while to end by itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGALRM, _end_group)
-    signal.setitimer(signal.ITIMER_REAL, _ASKED_S)
+    signal.signal(signal.SIGALRM, end_group)
+    signal.setitimer(signal.ITIMER_REAL, after_s)
 
 
-def _end_group(number: int, frame: FrameType | None) -> None:
+def _end_group(grace_s: float, number: int, frame: FrameType | None) -> None:
     """Ask all that the command has started to end, and end them after a grace."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -80,7 +97,7 @@ def _end_group(number: int, frame: FrameType | None) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
             process.terminate()
     signal.signal(signal.SIGALRM, lambda *_: _end_what_is_left())
-    signal.setitimer(signal.ITIMER_REAL, _TOLD_S)
+    signal.setitimer(signal.ITIMER_REAL, grace_s)
 
 
 def _end_what_is_left() -> None:

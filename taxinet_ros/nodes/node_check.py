@@ -71,7 +71,12 @@ _LOOK_S = 0.01
 _MOMENT_S = 0.3
 """How long it is watched whether something comes that should not [s]."""
 
-_ENDING_S: Final = {'SIGINT': 5.0, 'SIGTERM': 5.0}
+_ENDING_S: Final = 5.0
+"""How long a node may take to end [s]."""
+
+_KEPT_S: Final = 60.0, 4.5
+"""How long its keeper leaves it to itself after SIGINT, and after SIGTERM [s]."""
+
 _TRACEBACK = 'Traceback (most recent call last)'
 _SCENE = Scenario(distance_m=1000.0, time_of_day_s=10 * 3600.0, duration_s=60.0)
 
@@ -220,20 +225,16 @@ class Stage:
         self._publishers.setdefault(topic.name, publisher)
 
     def _listen(self, node: Node, name: str, topic: Topic) -> None:
+        read = reader_of(topic)
+
         def hear(message: Any) -> None:
-            return
+            if name == interface.SIMULATOR and topic is interface.NODE_STATUS:
+                self._on_status(message)
+            elif name == interface.SIMULATOR and topic is self._role.answers:
+                self._on_answer(read(message))
 
-        callback: Callable[[Any], None] = hear
-        raw = True
-        if name == interface.SIMULATOR and topic is interface.NODE_STATUS:
-            callback, raw = self._on_status, False
-        elif name == interface.SIMULATOR and topic is self._role.answers:
-            read = reader_of(topic)
-
-            def callback(cdr: Any) -> None:
-                self._on_answer(read(cdr))
-
-        node.create_subscription(topic.type, topic.name, callback, topic.qos, raw=raw)
+        raw = topic is not interface.NODE_STATUS
+        node.create_subscription(topic.type, topic.name, hear, topic.qos, raw=raw)
 
     def _on_status(self, status: NodeStatus) -> None:
         run = self._run
@@ -245,7 +246,7 @@ class Stage:
             status.run_id == one.run_id for one in self._record.runs
         ):
             run.others.append(status.run_id)
-        elif status.state == NodeStatus.ERROR:
+        elif status.state == NodeStatus.ERROR and status.run_id == run.run_id:
             run.errors.append(status.detail)
         self._changed()
 
@@ -306,6 +307,7 @@ class Stage:
         """Wait for the node's ends, and take them down."""
         if self._until(self._theirs, START_S if self._process is not None else _AWAITED_S):
             self._until(self._whole, _READY_FACTOR * self._options.patience_s)
+            self._watch(2 * _MOMENT_S)  # what it has beside
         self._dead()
         self._survey()
 
@@ -374,6 +376,7 @@ class Stage:
             self._asked('second')
             self._third()
             self._memory()
+            self._survey()
         if self._process is None:
             with contextlib.suppress(SilenceError):
                 self._strange()
@@ -415,11 +418,7 @@ class Stage:
         for heard in self._role.hears:
             for speaker in heard.publishers:
                 self._speak(speaker, heard)
-        begun_s = time.monotonic()
         self._await_ready(run, _READY_FACTOR * self._options.patience_s)
-        run.ready_s = time.monotonic() - begun_s
-        if run.early:  # It would miss what is sent before the ends have found each other.
-            self._until(self._matched, _READY_FACTOR * self._options.patience_s)
         self._ask_all(run)
 
     def _note_early(self, run: Run, who: str) -> None:
@@ -427,11 +426,12 @@ class Stage:
             run.early = who
 
     def _matched(self) -> bool:
-        """Whether each end of the node has found those of the kit."""
-        return any(
-            heard_by(self._nodes[topic.publishers[0]], self._publishers[topic.name],
-                     [self._role.node])
-            for topic in self._role.hears
+        """Whether what is sent to the node now reaches it."""
+        heard = {end.topic.name for end in self._record.ends if not end.publishes}
+        return all(
+            heard_by(
+                self._nodes[topic.publishers[0]], self._publishers[topic.name], [self._role.node]
+            ) for topic in self._role.hears if topic.name in heard
         )
 
     def _uninvited(self) -> None:
@@ -499,6 +499,7 @@ class Stage:
         run.ready_s = time.monotonic() - begun_s
         if not run.ready:
             self._give_up(run)
+        self._until(lambda: self._matched() or self._dead(), within_s)  # as the simulator does
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.RUNNING))
 
     def _ask_all(self, run: Run) -> None:
@@ -588,7 +589,7 @@ class Stage:
         process, printed = self._process, self._options.log.stat().st_size
         begun_s = time.monotonic()
         process.send(signal.Signals[name])
-        self._until(lambda: process.dead, _ENDING_S[name])
+        self._until(lambda: process.dead, _ENDING_S)
         after_s: float | None = time.monotonic() - begun_s
         if not process.dead or process.process.returncode == -signal.SIGKILL:
             after_s = None
@@ -656,6 +657,8 @@ def command_starter(words: list[str]) -> Starter:
     """Starts somebody's command as the graph does."""
     def start(role: Role, domain: int, log: Path) -> NodeProcess:
         command = [*words, '--ros-args', '-r', f'__node:={role.node}']
-        return NodeProcess.of_command(role.node, command, domain=domain, log=log)
+        return NodeProcess.of_command(
+            role.node, command, domain=domain, log=log, graces_s=_KEPT_S
+        )
 
     return start

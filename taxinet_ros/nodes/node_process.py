@@ -20,7 +20,7 @@ import yaml
 from taxinet_ros.core.child_process import child_environment
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.parent_death import die_with_parent
-from taxinet_ros.nodes.keeper import CHILDREN_LEFT, keeper_command
+from taxinet_ros.nodes.keeper import ASKED_S, CHILDREN_LEFT, TOLD_S, keeper_command
 
 _LAST_GRACE_S = 10.0
 _LAST_BYTES = 4096
@@ -67,16 +67,24 @@ class NodeProcess:
 
     @classmethod
     def of_command(
-        cls, name: str, command: list[str], *, domain: int, log: Path
+        cls, name: str, command: list[str], *, domain: int, log: Path,
+        graces_s: tuple[float, float] = (ASKED_S, TOLD_S),
     ) -> Self:
         """Start somebody's command, which is to be a node, whatever it starts in turn.
+
+        Args:
+            name: of the node.
+            command: program and arguments.
+            domain: ROS domain that it joins.
+            log: file that takes what it prints.
+            graces_s: what is left to it after SIGINT, and after SIGTERM [s].
 
         Raises:
             UsageError: there is no such program.
         """
         if shutil.which(command[0]) is None:
             raise UsageError(f'{name}: {command[0]}: no such program')
-        words = keeper_command(command, os.getpid())
+        words = keeper_command(command, os.getpid(), *graces_s)
         return cls(name, words, domain=domain, log=log)  # the keeper looks after its parent's death
 
     @classmethod

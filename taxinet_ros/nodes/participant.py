@@ -149,8 +149,8 @@ class Participant(Node):
             return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
         if not too_long(time.monotonic() - self._taken_s):
             return Health(message=f'run {self.run_id}: gets ready', values=values)
-        values['waits for'] = ', '.join(self._unsettled())
-        line = f'run {self.run_id}: not all ends are found on {values["waits for"]}'
+        values['waits for'] = ', '.join(sorted(self.waits_for()))
+        line = f'run {self.run_id}: not all ends are found on {", ".join(self._unsettled())}'
         return Health(level=DiagnosticStatus.WARN, message=line, values=values)
 
     def may_leave(self) -> bool:

@@ -27,7 +27,7 @@ from taxinet_ros.core.loop import ROLLING_ON
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.nodes import interface
+from taxinet_ros.nodes import diagnostics, interface
 from taxinet_ros.nodes.answer_check import check_answer, check_command
 from taxinet_ros.nodes.convert import header
 from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
@@ -178,7 +178,7 @@ class Simulator(Node):
             return ()
         if run.started and time.monotonic() - run.last_heard < _STALLED_S:
             return ()
-        return (interface.RECORDER,) if run.ending is not None else self._awaited(run)
+        return self._awaited(run)
 
     def close(self) -> None:
         """Leave the graph: a server that lingers would answer the next graph's goals."""
@@ -488,8 +488,15 @@ class Simulator(Node):
         return self._health.look(run, ', '.join(self._awaited(run)))
 
     def _awaited(self, run: ActiveRun) -> list[str]:
-        """Names of the nodes that a run waits for now."""
-        return run.lockstep.missing() if run.started else self._unready(run)[1].split(', ')
+        """Names of the nodes that a run waits for now, or in a free run has long waited for."""
+        if run.ending is not None:
+            return [interface.RECORDER]
+        if not run.started:
+            return self._unready(run)[1].split(', ')
+        if run.free is not None:
+            silent = run.free.silent(time.monotonic(), diagnostics.PATIENCE_S)
+            return [silent] if silent else []
+        return [interface.MTL_MONITOR] if run.lockstep.complete else run.lockstep.missing()
 
     def _watch(self) -> None:
         run = self._run

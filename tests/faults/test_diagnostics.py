@@ -23,6 +23,7 @@ from waiting import wait_for
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.timing import free_timing
 from taxinet_ros.nodes import diagnostics, interface, mtl_monitor
 from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.graph import GraphOptions, composed_graph
@@ -160,6 +161,25 @@ def test_ros21_given_a_controller_that_is_silent_then_the_simulator_warns_and_na
         assert after.level == ERROR
         assert f'run run broke: died {STEERING_CONTROLLER}' in after.message
         assert (after.values['runs ended'], after.values['runs INFRA_ERROR']) == (1, 1)
+
+
+def test_ros21_given_a_free_run_then_what_was_dropped_is_told_and_who_is_silent(tmp_path):
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', timing=free_timing('1'),
+        timeouts={'answer_timeout': 600.0},
+    )
+    with composed_graph(options) as graph, gathering(graph.domain) as gatherer:
+        tamper(graph, interface.COMMAND, lambda step, message: [message] if step < 5 else [])
+        dead = obituary('run', STEERING_CONTROLLER, 'nobody knows why')
+        with once(
+            lambda: gatherer.told(SIMULATOR, WARN, STEERING_CONTROLLER),
+            lambda: gatherer.obituaries.publish(dead),
+        ):
+            (result,) = run(graph, request())
+        warned = values_of(gatherer.told(SIMULATOR, WARN, STEERING_CONTROLLER))
+    assert result.outcome is Outcome.INFRA_ERROR
+    assert int(float(warned['step'])) > 5
+    assert float(warned['free run, unanswered']) > 0
 
 
 def test_ros21_given_a_run_that_cannot_begin_then_nodes_warn_of_the_topic_and_then_go_on(tmp_path):

@@ -26,6 +26,7 @@ from taxinet_ros.nodes.node_contract import (
     ROLES,
     SIDES,
     Answer,
+    End,
     Finding,
     Question,
     Record,
@@ -167,6 +168,29 @@ def test_given_commands_then_it_is_told_to_which_side_they_steer(gain, says):
     assert says in by_clause(judge(record))['sign'].came
 
 
+@pytest.mark.parametrize(('more', 'says'), [
+    ([], ''),
+    ([('steering_controller', interface.COMMAND)], 'publishes taxi_command 2 times'),
+    ([('helper', interface.COMMAND)], 'helper publishes taxi_command, an intruder'),
+    ([('steering_controller', interface.PROGRESS)], 'publishes lockstep/progress'),
+])
+def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
+    name = 'steering_controller'
+    spoken = [(name, interface.COMMAND), (name, interface.NODE_STATUS), *more]
+    heard = [(name, interface.SCENARIO), (name, interface.ESTIMATE)]
+    ends = [
+        End(
+            node=node, topic=topic, publishes=publishes, type_name=topic.type_name, qos=topic.qos
+        ) for publishes, of in ((True, spoken), (False, heard)) for node, topic in of
+    ]
+    record = Record(role=ROLES['controller'], nodes=[f'/{name}'], ends=ends)
+    found = by_clause(judge(record))['topics']
+    assert (found.status, found.came) == (
+        (Status.FAIL, says) if says
+        else (Status.PASS, 'hears perception/tracking_error, scenario')
+    )
+
+
 def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
     findings = judge(Record(role=ROLES['perception']))
     assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
@@ -207,7 +231,7 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
         for topic in interface.TOPICS if topic.type.__module__.startswith('taxinet_msgs')
     }
     assert fields.pop(interface.SCENARIO.name) == fields.pop(interface.VERDICT.name) == {'run_id'}
-    assert len(fields) == 7
+    assert len(fields) == 8
     assert all(found == {'seq', 'run_id'} for found in fields.values()), fields
 
 

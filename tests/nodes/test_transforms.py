@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from bag_edits import GOLDEN, altered, unaltered
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from playing import listening, make_player, playing, spin
+from rclpy.context import Context
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
@@ -28,7 +30,9 @@ from taxinet_ros.core import camera, runway
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.recorder import bag_topics
+from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.step_cdr import odometry_cdr
 
 BEFORE = GOLDEN / 'truth-nominal'
@@ -216,6 +220,20 @@ def test_ros21_given_a_bag_that_is_played_then_whoever_asks_hears_where_the_fram
     recorded = [of_odometry(one.cdr) for one in messages(played, ODOMETRY)[ODOMETRY]]
     told = [one[:len(recorded[0])] for one in heard['tf']]
     assert told == recorded[-len(told):]
+
+
+@pytest.mark.ros
+def test_ros21_given_a_namespace_then_the_frames_are_in_it_and_the_diagnostics_are_everybodys():
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        try:
+            node = Simulator(context=context, namespace='/left')
+            names = {publisher.topic_name for publisher in node.publishers}
+            node.destroy_node()
+        finally:
+            rclpy.try_shutdown(context=context)
+    assert names >= {'/left/tf', '/left/tf_static', '/diagnostics'}
 
 
 @pytest.mark.ros
