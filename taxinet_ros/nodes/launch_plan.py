@@ -41,6 +41,10 @@ ARGUMENTS = {
     'resume': ('false', 'continues the search that was interrupted in out'),
     'out': ('', 'folder for table and bags, which must be new; one below bags/ where empty'),
     'images': ('all', 'runs whose camera frames go into the bags: all, failures or none'),
+    'latency': ('', 'how late answers take effect, such as perception=0.15 [s]'),
+    'lockstep': ('true', 'simulated time waits for every answer; false: it goes by the wall clock'),
+    'real_time_factor': ('1.0', 'simulated seconds per second where lockstep is false; 0: as fast '
+                         'as it goes'),
     'namespace': ('', 'prefix of every name of the graph, its clock included: two graphs with '
                   'namespaces of their own run side by side on one domain'),
     'domain': ('', 'ROS domain of the nodes; empty: that of the environment'),
@@ -112,7 +116,7 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
     seeing, weights = names.perception_executable(perception)
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
-        _ours(names.SIMULATOR),
+        _ours(names.SIMULATOR, **_timing(words)),
         _elsewhere(names.PERCEPTION, perception, words) if is_node_elsewhere(perception)
         else NodePlan(name=names.PERCEPTION, executable=seeing, parameters=weights),
         _elsewhere(names.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)
@@ -271,6 +275,20 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
         'resume': _flag(words, 'resume'),
         'out': out,
     }
+
+
+def _timing(words: Mapping[str, str]) -> dict[str, Any]:
+    """Parameters of the simulator that were asked for; it refuses those that have no effect.
+
+    Raises:
+        UsageError: a number or a flag is none.
+    """
+    every = {
+        'latency': words['latency'],
+        'lockstep': _flag(words, 'lockstep'),
+        'real_time_factor': _number(words, 'real_time_factor', float),
+    }
+    return {name: value for name, value in every.items() if words[name] != ARGUMENTS[name][0]}
 
 
 def _number(words: Mapping[str, str], name: str, kind: type[int] | type[float]) -> int | float:

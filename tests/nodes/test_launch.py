@@ -114,6 +114,16 @@ def test_r11_given_nodes_of_somebody_s_own_then_they_are_awaited_or_started():
     ]
 
 
+def test_given_words_on_timing_then_the_simulator_has_them_and_else_what_the_parameter_file_says():
+    assert planned()['simulator'].parameters == {}
+    assert planned(latency='perception=0.15')['simulator'].parameters == {
+        'latency': 'perception=0.15',
+    }
+    assert planned(lockstep='false', real_time_factor='0.5')['simulator'].parameters == {
+        'lockstep': False, 'real_time_factor': 0.5,
+    }
+
+
 def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_path):
     file = tmp_path / 'own.py'
     file.write_text('def steer(estimate): return 0, 5\n')
@@ -127,6 +137,7 @@ def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_pa
     [
         ({'runs': 'many'}, 'runs:=many: expected a whole number'),
         ({'budget': 'x'}, 'budget:=x: expected a number'),
+        ({'lockstep': 'no'}, 'lockstep:=no: expected true or false'),
         ({'resume': 'perhaps'}, 'resume:=perhaps: expected true or false'),
         ({'perception': 'gone.py:look'}, 'gone.py: No such file'),
         ({'perception': 'truth', 'perception_cmd': 'mine'}, 'give one of the two'),
