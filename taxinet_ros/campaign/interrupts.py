@@ -26,7 +26,8 @@ _newest: int = signal.SIGINT
 
 @contextlib.contextmanager
 def interrupts(
-    first: Callable[[], None], second: Callable[[], bool] = lambda: False
+    first: Callable[[], None], second: Callable[[], bool] = lambda: False,
+    gone_s: float | None = None,
 ) -> Iterator[None]:
     """Within the ``with``, have the first interrupt call ``first``, and the next one ``second``.
 
@@ -36,12 +37,14 @@ def interrupts(
     Args:
         first: has what is at hand end in order.
         second: has whoever waits give up, or answers False where there is nobody to be told.
+        gone_s: the process is ended so long after the second interrupt [s], whatever ``second``
+            answers; for what has nothing to clear away that the kernel does not. None: not so.
 
     Raises:
         KeyboardInterrupt: where ``second`` answers False, and at the third interrupt.
     """
     asked = 0
-    stuck = threading.Timer(_STUCK_S, _leave_stuck)
+    stuck = threading.Timer(_STUCK_S if gone_s is None else gone_s, _leave_stuck)
     stuck.daemon = True
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -50,10 +53,12 @@ def interrupts(
         _note(number)
         if asked == 1:
             first()
-        elif asked > 2 or not second():
-            raise KeyboardInterrupt
-        else:
+            return
+        told = asked == 2 and second()
+        if asked == 2 and (told or gone_s is not None):
             stuck.start()
+        if not told:
+            raise KeyboardInterrupt
 
     with handled(handle):
         try:

@@ -28,6 +28,8 @@ from taxinet_ros.nodes.supervisor import Care, GraphLostError, Restart
 from taxinet_ros.nodes.up import UpOptions, stand
 
 _INFRA = 4
+_GONE_S = 3.0
+"""How long the graph may take to be gone after a second interrupt."""
 
 
 def make_up_options(
@@ -94,7 +96,8 @@ def run_up(options: UpOptions) -> int:
             raise KeyboardInterrupt
         stops[-1]()
 
-    with interrupts(stop):
+    # Every node dies with this process, so nothing is lost if the ways out of DDS take long.
+    with interrupts(stop, gone_s=_GONE_S):
         try:
             stand(options, view, stops.append)
             view.say('ended')

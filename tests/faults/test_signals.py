@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 
@@ -171,3 +172,22 @@ def test_given_signal_after_signal_then_the_second_gives_up_and_the_third_ends_a
     assert heard == ['first', 'and on', 'second', *['and on'] * told]
     assert told_apart(INTERRUPTED) == code
     assert told_apart(1) == 1
+
+
+def test_given_a_second_interrupt_that_is_lost_then_what_has_to_be_gone_is_gone_all_the_same():
+    """As one is that comes while a library's own code in C calls back and forgets it."""
+    program = '\n'.join((
+        'import os, signal, time',
+        'from taxinet_ros.campaign.interrupts import interrupts',
+        'with interrupts(lambda: None, gone_s=0.2):',
+        '    for _ in range(2):',
+        '        try:',
+        '            os.kill(os.getpid(), signal.SIGINT)',
+        '        except KeyboardInterrupt:',
+        '            pass',
+        '    while True:',
+        '        time.sleep(1)',
+    ))
+    lost = subprocess.run([sys.executable, '-P', '-c', program], capture_output=True, check=False)
+    assert lost.returncode == 130
+    assert lost.stderr.count(b'\n') == 1
