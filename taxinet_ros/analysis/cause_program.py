@@ -15,6 +15,7 @@ from taxinet_ros.analysis.campaign_runs import CampaignRuns
 from taxinet_ros.analysis.causes import Cause
 from taxinet_ros.analysis.failure_region import Either, Kinds, Part, Slant
 from taxinet_ros.campaign.programs import SUFFIX, find_program, known_programs
+from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.timing import parse_timing
 
 RUNS = 100
@@ -68,7 +69,8 @@ def confirming(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str |
         return None
     seed = int(runs.facts.get('seed') or 0) + _ANOTHER_SEED
     words = ['taxinet', 'run', str(folder / program_name(cause)), '--runs', str(RUNS),
-             '--seed', str(seed), '--perception', runs.perception]
+             '--seed', str(seed), '--perception', runs.perception,
+             *controller_options(runs.facts.get('controller', STEERING))]
     values = {**runs.facts.get('overrides', {}), **runs.facts.get('laid_over', {})}
     for key, value in values.items():
         words += ['--set', f'{key}={value}']

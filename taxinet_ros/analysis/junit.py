@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 from taxinet_ros.analysis.gate import Criterion, GateAnswer, Verdict
 from taxinet_ros.campaign.facts import stacks_in
 from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import words
 from taxinet_ros.core.scenario import HUMAN_KEYS
@@ -65,6 +66,7 @@ def again(row: RunRow, folder: Path, facts: Mapping[str, Any]) -> str:
     settings = [f'{key}={_setting(getattr(row, key))}' for key in HUMAN_KEYS]
     settings += [f'steering.{name}={value!r}' for name, value in facts.get('gains', {}).items()]
     words = ['taxinet', 'run', 'nominal', '--perception', row.perception]
+    words += controller_options(facts.get('controller', STEERING))
     for name, formula in facts.get('specs', {}).items():
         words += ['--spec', f'{name}={formula}']
     for setting in settings:
@@ -78,7 +80,7 @@ def _add_properties(
 ) -> None:
     names = (
         'taxinet_ros_version', 'program', 'program_sha256', 'seed', 'sampler', 'perception',
-        'perception_sha256', 'timing',
+        'perception_sha256', 'controller', 'controller_sha256', 'timing',
     )
     values = {name: facts[name] for name in names if name in facts} | {
         **{f'stack_{name}': words(one) for name, one in stacks_in(facts).items()},

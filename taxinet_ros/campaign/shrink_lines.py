@@ -13,7 +13,7 @@ from taxinet_ros.campaign.options import DEFAULT_SPECS
 from taxinet_ros.campaign.shrink import End
 from taxinet_ros.campaign.shrink_options import ShrinkOptions
 from taxinet_ros.campaign.shrink_report import Finding, Report
-from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.controller import controller_options
 from taxinet_ros.core.mtl import parse_spec
 
 _UNITS = {
@@ -100,8 +100,7 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     """What to type to run the shrunk scenario."""
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
-    if campaign.controller != STEERING:
-        words += ['--controller', campaign.controller]
+    words += controller_options(campaign.controller)
     specs = [parse_spec(text) for text in campaign.specs]
     if specs != [parse_spec(text) for text in DEFAULT_SPECS]:
         words += [word for text in campaign.specs for word in ('--spec', text)]

@@ -139,6 +139,11 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
     raise _unknown(word)
 
 
+def controller_options(word: str) -> list[str]:
+    """What to type after ``taxinet run`` for the controller of a word."""
+    return [] if word == STEERING else ['--controller', word]
+
+
 def _unknown(word: str) -> UsageError:
     if is_node_elsewhere(word):
         return UsageError(f'controller {word}: {NO_NODE_HERE}')

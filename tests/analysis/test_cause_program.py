@@ -30,6 +30,9 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
         assert (values['time_of_day'] <= 9) != (values['distance'] >= 1000)
     command = confirming(runs, cause, tmp_path)
     assert command.startswith(f'taxinet run {program} --runs 100 --seed 1000003 --perception')
+    assert '--controller' not in command
+    runs.facts['controller'] = 'mine.py:steer'
+    assert '--controller mine.py:steer' in confirming(runs, cause, tmp_path)
 
 
 def test_given_parts_when_written_as_json_then_they_are_read_back():

@@ -280,3 +280,5 @@ def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
     assert "'phi=always(abs(cte) <= 1)'" in words
     for setting in ('rain=50.0', 'clouds=broken', 'crossing=off', 'heading=14.323944878'):
         assert f'--set {setting}' in words
+    assert '--controller' not in words
+    assert '--controller mine.py:steer' in again(one, Path('c'), {'controller': 'mine.py:steer'})
