@@ -129,6 +129,8 @@ def make_options(
     chosen = read_specs(specs) or DEFAULT_SPECS
     rule = parse_stop_on(stop_on)
     timing = check_timing(latency, free=free, factor=real_time_factor)
+    if timing.free and processes:
+        raise UsageError('--processes: no effect with --free, whose nodes are processes anyway')
     if timing.free and rule is not StopOn.NEVER:
         raise UsageError(f'--stop-on {rule}: not with --free, where nobody waits for the monitor')
     bounds, rates = tuple(bounds), tuple(rates)

@@ -19,6 +19,7 @@ from taxinet_ros.campaign.table import check_tables
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import differences
+from taxinet_ros.core.timing import is_free
 
 FAILED, INCONCLUSIVE = 1, 3
 INCONCLUSIVE_WORDS = {'pass': 0, 'fail': FAILED, 'report': INCONCLUSIVE}
@@ -68,6 +69,9 @@ def _record_notes(content: LedgerContent) -> Iterator[str]:
         yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
     if content.unasked:
         yield f'run {ranges(content.unasked)}: has a result, but nothing says that it was begun'
+    for timing in sorted({row.timing for row in content.rows if row.timing}):
+        again = ', so their verdicts need not come again' if is_free(timing) else ''
+        yield f'timing of the runs: {timing}{again}'
     yield from content.lost
 
 

@@ -209,7 +209,7 @@ def _command(output_closed: bool) -> object:
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
     refuse_strange_files()
-    return app(standalone_mode=False)
+    return app(standalone_mode=False, prog_name='taxinet')
 
 
 def _delivered(code: int) -> int:

@@ -46,10 +46,11 @@ def check_options(given: Iterable[str]) -> None:
     Raises:
         UsageError: one of them makes no sense with ``--from``.
     """
-    names = {'settings': '--set', 'scenario': 'SCENARIO', 'stop_on': '--stop-on'}
+    names = {'settings': '--set', 'scenario': 'SCENARIO', 'free': 'whether --free'}
     for name in given:
         if name not in _TAKEN:
-            raise UsageError(f'--from: the bag already says {names.get(name, f"--{name}")}')
+            option = names.get(name, '--' + name.replace('_', '-'))
+            raise UsageError(f'--from: the bag already says {option}')
 
 
 def run_again(

@@ -36,6 +36,7 @@ MOST_LATENCY_S = 30.0
 LAWS = 'SECONDS, uniform(LOW,HIGH) or normal(MEAN,SD)'
 _FORM = 'NAME=LATENCY, such as perception=0.15 or perception=normal(0.15,0.05)'
 _LAW = re.compile(r'(?P<kind>[a-z]+)\((?P<numbers>[^()]*)\)')
+_PLAIN = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?', re.IGNORECASE)
 _CONSTANT, _UNIFORM, _NORMAL = 'constant', 'uniform', 'normal'
 _NEARLY_1 = math.nextafter(1.0, 0.0)
 _LATENCY, _DRAWS, _FACTOR = 'latency', 'draws', 'real_time_factor'
@@ -81,9 +82,11 @@ class Law:
             return self.first + chance * (self.second - self.first)
         if self.kind == _NORMAL:
             law = NormalDist(self.first, self.second)
-            below_0 = law.cdf(0.0)  # no answer comes before its frame: the law is cut off there
-            share = below_0 + chance * (1.0 - below_0)
-            return max(0.0, law.inv_cdf(min(max(share, 1e-300), _NEARLY_1)))
+            # No answer comes before its frame, and none after a usual run: it is cut off there.
+            below_0 = law.cdf(0.0)
+            share = below_0 + chance * (law.cdf(MOST_LATENCY_S) - below_0)
+            drawn_s = law.inv_cdf(min(max(share, 1e-300), _NEARLY_1))
+            return min(max(0.0, drawn_s), MOST_LATENCY_S)
         return self.first
 
 
@@ -114,6 +117,8 @@ class Timing:
     @property
     def options(self) -> list[str]:
         """What to type after ``taxinet run``."""
+        if self.free:
+            return ['--free', '--real-time-factor', self.words.partition('=')[2]]
         return [text for word in self.latency.split() for text in (f'--{_LATENCY}', word)]
 
     @property
@@ -178,6 +183,8 @@ def parse_latency(words: Iterable[str]) -> Timing:
         (name, laws[name]) for name in LATE_NODES
         if name in laws and (laws[name].drawn or laws[name].first > 0)
     ))
+    if draws is not None and timing.of_run(*draws) is timing:
+        raise UsageError(f'latency {_DRAWS}=…: no effect, for no latency given is drawn')
     return timing if draws is None else timing.of_run(*draws)
 
 
@@ -207,13 +214,13 @@ def free_timing(factor: str) -> Timing:
         UsageError: it is out of range.
     """
     try:
-        value = 0.0 if factor == MAX else float(factor)
+        value = 0.0 if factor == MAX else _number(factor)
     except ValueError:
         value = math.nan
     if not (value == 0 or LEAST_FACTOR <= value <= MOST_FACTOR):
         raise UsageError(
             f'real-time-factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
-            f'{MAX} for as fast as it goes'
+            f'{MAX} (or 0) for as fast as it goes'
         )
     return Timing(free=True, factor=value)
 
@@ -232,7 +239,7 @@ def _law(word: str, text: str) -> Law:
     found = _LAW.fullmatch(text)
     numbers = found['numbers'].split(',') if found else [text]
     try:
-        values = [float(number) for number in numbers]
+        values = [_number(number) for number in numbers]
     except ValueError:
         values = []
     kind = found['kind'] if found else _CONSTANT
@@ -246,6 +253,17 @@ def _law(word: str, text: str) -> Law:
     if kind == _NORMAL and not law.second > 0:
         raise UsageError(f'latency {word}: normal needs SD > 0')
     return law
+
+
+def _number(text: str) -> float:
+    """A number as people write one: Python's 1_0, and digits of other scripts, are none.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not _PLAIN.fullmatch(text.strip()):
+        raise ValueError(text)
+    return float(text)
 
 
 def _number_words(value: float) -> str:
