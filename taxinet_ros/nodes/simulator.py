@@ -146,6 +146,9 @@ class Simulator(Node):
             *self._listeners,
             *(Speakers(self, topic) for topic in interface.TOPICS if topic.name not in heard),
         ]
+        self._told_by: list[Speakers] = [
+            one for one in self._listeners if one.topic is interface.NODE_STATUS
+        ]
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
         told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
@@ -446,9 +449,16 @@ class Simulator(Node):
             self._fail(run, INTRUDER, stranger.name, stranger.detail)
 
     def _stranger(self, run: ActiveRun, thorough: bool = True) -> Stranger | None:
-        """Whoever came since the first step, while it matters."""
-        over = run.ending is not None and not Outcome(run.ending.outcome).judged
-        return None if over or not run.started else first_stranger(self._topics, thorough)
+        """Whoever came since the first step, while it matters.
+
+        After the verdict the recorder looks after the rest, to the closing of its bag; but that it
+        is closed may be somebody else's word.
+        """
+        if run.ending is None:
+            topics = self._topics
+        else:
+            topics = self._told_by if Outcome(run.ending.outcome).judged else []
+        return first_stranger(topics, thorough) if run.started else None
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
         # Nobody is blamed for what may be somebody else's.
@@ -462,8 +472,9 @@ class Simulator(Node):
         if run.ending is None or (judged and (kind == INTRUDER or who == interface.SIMULATOR)):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
-            # The bag could not be finished, so the evidence is not whole: no verdict stands.
-            run.ending = status
+            # The bag could not be finished, so the evidence is not whole: no verdict stands. Where
+            # somebody else spoke, that is why: it may have been closed with the verdict before.
+            run.ending = run.ending if run.ending.kind == INTRUDER else status
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:

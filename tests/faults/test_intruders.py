@@ -31,6 +31,7 @@ from taxinet_ros.nodes.graph import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import MTL_MONITOR, PERCEPTION, RECORDER, Topic
 from taxinet_ros.nodes.notices import obituary
 from taxinet_ros.nodes.participant import Participant
+from taxinet_ros.nodes.recorder import Recorder
 
 pytestmark = pytest.mark.ros
 
@@ -277,6 +278,33 @@ def test_f4_given_a_bag_that_is_not_what_the_run_was_then_the_run_has_no_verdict
         (result,) = run(graph, request(duration=1.0))
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
     assert result.detail == words
+
+
+@pytest.mark.parametrize(('topic', 'result_is'), [
+    (interface.TIMING, (Outcome.PASS, '', '')),
+    (interface.NODE_STATUS, (Outcome.INFRA_ERROR, 'intruder', PEER)),
+], ids=['where nothing counts any more', 'where the word on the bag is said'])
+def test_f4_given_a_peer_that_comes_when_the_bag_is_closed_then_he_alone_is_named(
+    topic, result_is, tmp_path, monkeypatch
+):
+    """The recorder has said its last word by then: nobody waits for another one, or charges it."""
+    finish = Recorder._done
+    with contextlib.ExitStack() as stack:
+        def come_and_finish(self: Any) -> None:
+            simulator_node = node_of(graph, interface.SIMULATOR)
+            before = simulator_node.count_publishers(topic.name)
+            node = stack.enter_context(peer(graph))
+            stack.callback(node.destroy_publisher, node.create_publisher(
+                topic.type, topic.name, topic.qos))
+            wait_for(lambda: simulator_node.count_publishers(topic.name) > before)
+            finish(self)
+
+        monkeypatch.setattr(Recorder, '_done', come_and_finish)
+        options = GraphOptions(
+            perception='truth', out=tmp_path, images='none', timeouts={'answer_timeout': 1.0})
+        graph = stack.enter_context(composed_graph(options))
+        (result,) = run(graph, request(duration=1.0, specs=('phi=always(abs(cte) <= 100)',)))
+    assert (result.outcome, result.kind, result.who) == result_is, result
 
 
 def test_f4_given_a_second_server_of_the_action_then_its_answers_are_no_results(tmp_path):
