@@ -150,7 +150,10 @@ class Participant(Node):
         if not too_long(time.monotonic() - self._taken_s):
             return Health(message=f'run {self.run_id}: gets ready', values=values)
         values['waits for'] = ', '.join(sorted(self.waits_for()))
-        line = f'run {self.run_id}: not all ends are found on {", ".join(self._unsettled())}'
+        unsettled = ', '.join(self._unsettled())
+        if not unsettled:  # any more, and its READY comes with the next look
+            return Health(message=f'run {self.run_id}: gets ready', values=values)
+        line = f'run {self.run_id}: not all ends are found on {unsettled}'
         return Health(level=DiagnosticStatus.WARN, message=line, values=values)
 
     def may_leave(self) -> bool:
@@ -159,13 +162,15 @@ class Participant(Node):
         So it is without a run or a simulator, and where for a second nothing was said or heard.
         """
         self.silent_looks += 1
-        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        if not self.run_id or not heard.subscription.get_publisher_count():
-            return True
-        return self.silent_looks > _SILENT_LOOKS and all(
+        return self.without_simulator() or (self.silent_looks > _SILENT_LOOKS and all(
             # What DDS has lost on its way it sends once more, as long as this node is there.
             publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
-        )
+        ))
+
+    def without_simulator(self) -> bool:
+        """Whether there is no run, or no simulator any more that could end it."""
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        return not self.run_id or not heard.subscription.get_publisher_count()
 
     def waits_for(self) -> set[str]:
         """Names of those of the run that are not found yet: see :mod:`.waiting`."""

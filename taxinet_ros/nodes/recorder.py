@@ -63,6 +63,9 @@ DDS sends what was lost on its way once more after 3 s at most.
 _DRAINED_LOOKS = 4
 """After so many looks without a message all is taken that came before the simulator left."""
 
+_DEAF_LOOKS = 80
+"""After so many without one, some 4 s, a simulator that is still there says nothing any more."""
+
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
 
@@ -228,9 +231,14 @@ class Recorder(Participant):
         return shutil.disk_usage(there).free
 
     def may_leave(self) -> bool:
-        """Whether the bag is closed, or nothing more is heard of its run."""
-        left = super().may_leave() and self.silent_looks > _DRAINED_LOOKS
-        return left or (self._writer is None and not self._late_frames.under_way)
+        """Whether the bag is closed, or nothing more is heard of its run.
+
+        As long as the simulator is there, it may yet say how the run ends, if the machine is busy.
+        """
+        self.silent_looks += 1
+        closed = self._writer is None and not self._late_frames.under_way
+        enough = _DRAINED_LOOKS if self.without_simulator() else _DEAF_LOOKS
+        return closed or self.silent_looks > enough
 
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""

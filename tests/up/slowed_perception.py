@@ -30,5 +30,9 @@ class _Slowed(Perception):
         return self._perception.estimate(image, truth)
 
 
-if __name__ == '__main__':
+def main() -> None:
     run_node(SlowedPerception, usage=USAGE)
+
+
+if __name__ == '__main__':
+    main()
