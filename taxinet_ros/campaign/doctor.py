@@ -19,7 +19,7 @@ from __future__ import annotations
 import fcntl
 import io
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -201,7 +201,7 @@ def _check_campaign(
     for row in content.rows:
         if row.bag:
             on_bag(folder / row.bag)
-            _check_bag(folder / row.bag, row, found)
+            _check_bag(folder / row.bag, row, content.campaign, found)
     _check_runs(folder, content, found)
 
 
@@ -273,7 +273,9 @@ def _same_parquet(path: Path, expected: Any) -> bool:
         return False
 
 
-def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
+def _check_bag(
+    bag: Path, row: RunRow, facts: Mapping[str, Any], found: Examination
+) -> None:
     """Whether a bag is sound, and that of its row."""
     found.saw('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
@@ -284,7 +286,7 @@ def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
         if row.outcome.judged and (wrong := check_bag(bag).findings):
             more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
             found.wrong(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)
-        for what in bag_differences(row, bag):
+        for what in bag_differences(row, facts, bag):
             found.wrong(bag, what)
     except (BagError, UsageError) as error:
         if row.outcome.judged:  # of a run that broke nobody expects more
