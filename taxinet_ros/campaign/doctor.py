@@ -386,7 +386,8 @@ def _check_experiment(place: Path, found: Examination) -> None:
         found.wrong(place / name, f'is not there, an arm of the experiment of {there[-1]}')
     counts = {len(content.rows) for content in arms.values() if content is not None}
     if left or gone or (not missing and len(counts) == 1):
-        why = f'{left[0]} is there' if left else f'{", ".join(there)} have had their runs'
+        why = f'{", ".join(there)} have had their runs' if not gone else 'an arm is gone'
+        why = f'{left[0]} is there' if left else why
         found.wrong(index, f'does not vouch for the experiment, and {why}', _RESUME)
     else:
         found.notes.append(f'{place}: an experiment that is not finished; --resume goes on')

@@ -82,6 +82,8 @@ def exchange(experiment: Path) -> None:
      'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
     (all_but_the_arms,
      'experiment.json: does not vouch for the experiment, and near, far have had their runs'),
+    (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
+     'near: is not there, an arm of the experiment of far'),
     (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track is 0.0, the row has 4.0'),
     (hide_the_arm, 'far/runs.csv: '),
 ])
