@@ -99,6 +99,7 @@ class JudgedBag:
             ``usable`` allows, else 0; and ``frames`` of how many.
         trouble: one line on what of the bag is damaged or missing, or ''.
         note: one line on what else the recording tells of, or ''.
+        timing: when answers took effect, likewise in words; '' where each did at once.
         foreign: it is no bag, or no run of this package.
     """
 
@@ -112,6 +113,7 @@ class JudgedBag:
     frames: int = 0
     trouble: str = ''
     note: str = ''
+    timing: str = ''
     foreign: bool = False
 
     @property
@@ -167,7 +169,7 @@ def _judged(
         blind=unusable if unusable > MOST_UNUSABLE_SHARE * len(samples.stamps_ns) else 0,
         frames=len(samples.stamps_ns),
         trouble=samples.trouble or flaws,
-        note=samples.note,
+        note=samples.note, timing=samples.timing,
     )
 
 

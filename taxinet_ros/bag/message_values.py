@@ -12,7 +12,6 @@ from typing import Any
 from taxinet_ros.core.loop import ROLLING_ON, signals
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 
 SCENARIO_FIELDS = {
@@ -108,11 +107,6 @@ class HeldCommand:
             return command
         self._held = command or self._held or ROLLING_ON
         return self._held
-
-
-def says_free(status: Any) -> bool:
-    """Whether a node's report is that of a simulator that lets a run go free."""
-    return str(status.node) == 'simulator' and is_free(str(status.implementation))
 
 
 def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:

@@ -16,7 +16,6 @@ from taxinet_ros.bag.message_values import (
     HeldCommand,
     assumptions_of,
     sample_of,
-    says_free,
     stamp_of,
 )
 from taxinet_ros.bag.reader import StoredMessage, unchecked_files
@@ -37,6 +36,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Spec, parse_spec, signal_names
 from taxinet_ros.core.run_statistics import EstimateWatch
+from taxinet_ros.core.timing import is_free, parse_timing
 from taxinet_ros.core.types import NS_PER_S
 
 _SOURCES = {
@@ -72,6 +72,8 @@ class RunSamples:
         trouble: one line on what of the bag is damaged or missing, or ''.
         note: one line on what else the recording tells of, or ''.
         there: for each stamp, the topics that are there.
+        timing: when answers took effect, in the words of :mod:`taxinet_ros.core.timing`; '' where
+            each did at once.
         flaws: one line on what is wrong with a topic, by topic; those that read it get no verdict.
     """
 
@@ -87,6 +89,7 @@ class RunSamples:
     trouble: str
     there: tuple[frozenset[str], ...]
     note: str = ''
+    timing: str = ''
     flaws: Mapping[str, str] = field(default_factory=dict)
 
     def seen_by(self, spec: Spec) -> RunSamples:
@@ -219,6 +222,13 @@ def _finished(path: Path) -> bool:
     return path.is_file() or (path / METADATA_FILE).is_file()
 
 
+def _timing(words: str) -> str:
+    try:
+        return parse_timing(words).words
+    except UsageError:
+        return 'unknown timing'
+
+
 @dataclass
 class _Reader:
     """What the messages have told so far."""
@@ -231,7 +241,12 @@ class _Reader:
     verdict: Any = None
     last: list[StoredMessage] = field(default_factory=list)
     flaws: dict[str, str] = field(default_factory=dict)
-    free: bool = False
+    timing: str = ''
+
+    @property
+    def free(self) -> bool:
+        """Whether its simulator lets runs go free."""
+        return is_free(self.timing)
 
     def __post_init__(self) -> None:
         self._relative: dict[str, str] = {}
@@ -255,7 +270,8 @@ class _Reader:
             return
         message = decode(stored.topic, stored.cdr)
         if relative == NODE_STATUS:
-            self.free |= says_free(message)
+            if str(message.node) == 'simulator':
+                self.timing = self.timing or _timing(str(message.implementation))
             return
         if self.plain:
             self._check_plain(relative, stored, message)
@@ -319,7 +335,7 @@ class _Reader:
             recorded=self._recorded(),
             stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
             unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
-            trouble=trouble, there=there,
+            trouble=trouble, there=there, timing=self.timing,
             flaws=self._partial() | self.flaws | ({ODOMETRY: unclear} if unclear else {}),
         )
 

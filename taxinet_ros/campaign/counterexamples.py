@@ -87,11 +87,18 @@ def spread(rows: Sequence[RunRow], most: int | None) -> tuple[RunRow, ...]:
     return tuple(rows[(2 * k + 1) * len(rows) // (2 * most)] for k in range(most))
 
 
-def scenario_of_row(row: RunRow, folder: Path) -> tuple[Scenario, bool]:
+def scenario_of_row(
+    row: RunRow, folder: Path, facts: Mapping[str, Any]
+) -> tuple[Scenario, bool]:
     """The scenario of a run, and whether it is known to the last bit.
 
     The bag has all its bits; the ledger has nine decimals in the units people read. That is not
     enough to repeat a run: a picture differs by a code here and there, and the loop carries it on.
+
+    Args:
+        row: of the run.
+        folder: of its campaign.
+        facts: of its campaign.
 
     Raises:
         UsageError: the ledger has no scene of it, or the bag is of another run.
@@ -99,7 +106,7 @@ def scenario_of_row(row: RunRow, folder: Path) -> tuple[Scenario, bool]:
     bag = folder / row.run_id
     if any(bag.glob('*.mcap')):
         try:
-            check_same_run(row, bag)
+            check_same_run(row, facts, bag)
             return read_run(bag).request.scenario, True
         except BagError:
             pass  # a damaged bag says less than the ledger does

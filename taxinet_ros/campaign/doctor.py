@@ -19,7 +19,7 @@ from __future__ import annotations
 import fcntl
 import io
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +30,8 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.facts import read_facts as read_run
 from taxinet_ros.bag.findings import Finding, ranges
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID, write_bytes_atomically
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
+from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
+from taxinet_ros.campaign.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.journal import (
     JournalContent,
     JournalEnd,
@@ -122,6 +123,7 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
         _check_sealed(place, found)
         if place / LEDGER_NAME in journals:
             _check_campaign(place, found, on_bag)
+        _check_experiment(place, found)
         _check_pictures(place, found)
         _check_drafts(place, found)
     if not found.looked_at:
@@ -159,8 +161,16 @@ def _places(folder: Path) -> Iterator[Path]:
         raise UsageError(f'{folder}: no such folder; name that of a campaign, experiment or study')
     yield folder
     for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.is_symlink() and not any(path.glob(f'*.{STORAGE_ID}')):
+        if path.is_dir() and not path.is_symlink() and not _is_bag(path):
             yield from _places(path)
+
+
+def _is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag's: one stray file does not make one of what holds records."""
+    if not any(folder.glob(f'*.{STORAGE_ID}')):
+        return False
+    kinds = ('.jsonl', '.json', '.parquet')
+    return not any(path.is_dir() or path.suffix in kinds for path in folder.iterdir())
 
 
 def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
@@ -201,7 +211,7 @@ def _check_campaign(
     for row in content.rows:
         if row.bag:
             on_bag(folder / row.bag)
-            _check_bag(folder / row.bag, row, found)
+            _check_bag(folder / row.bag, row, content.campaign, found)
     _check_runs(folder, content, found)
 
 
@@ -273,7 +283,9 @@ def _same_parquet(path: Path, expected: Any) -> bool:
         return False
 
 
-def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
+def _check_bag(
+    bag: Path, row: RunRow, facts: Mapping[str, Any], found: Examination
+) -> None:
     """Whether a bag is sound, and that of its row."""
     found.saw('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
@@ -284,7 +296,7 @@ def _check_bag(bag: Path, row: RunRow, found: Examination) -> None:
         if row.outcome.judged and (wrong := check_bag(bag).findings):
             more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
             found.wrong(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)
-        for what in bag_differences(row, bag):
+        for what in bag_differences(row, facts, bag):
             found.wrong(bag, what)
     except (BagError, UsageError) as error:
         if row.outcome.judged:  # of a run that broke nobody expects more
@@ -354,6 +366,53 @@ def _check_sealed(place: Path, found: Examination) -> None:
             data = journal.read_bytes() if journal.is_file() else b''
             if why := lost_end(parse_journal(data), ended):
                 found.wrong(journal, why, MEND if data else '')
+
+
+def _check_experiment(place: Path, found: Examination) -> None:
+    """Whether what vouches for an experiment is there, by what its arms and files tell."""
+    index = place / JSON_NAME
+    if index in found.checked:
+        return
+    left = [name for name in (PAIRS_NAME, PAGE_NAME) if (place / name).is_file()]
+    arms = _arms(place)
+    if not (left or arms):
+        return
+    found.saw('experiments without an index')
+    there = [name for name, content in arms.items() if content is not None]
+    missing = [name for name in arms if name not in there]
+    # An arm is begun when the one before has had all its runs.
+    gone = [name for name in missing if any(name in _before(arms, later) for later in there)]
+    for name in gone:
+        found.wrong(place / name, f'is not there, an arm of the experiment of {there[-1]}')
+    counts = {len(content.rows) for content in arms.values() if content is not None}
+    if left or gone or (not missing and len(counts) == 1):
+        why = f'{", ".join(there)} have had their runs' if not gone else 'an arm is gone'
+        why = f'{left[0]} is there' if left else why
+        found.wrong(index, f'does not vouch for the experiment, and {why}', _RESUME)
+    else:
+        found.notes.append(f'{place}: an experiment that is not finished; --resume goes on')
+
+
+def _arms(place: Path) -> dict[str, LedgerContent | None]:
+    """The arms of the experiment in a folder, in order, as one of them tells; None: not there."""
+    for path in sorted(place.glob(f'*/{LEDGER_NAME}')):
+        names = _arm_content(path).campaign.get(ARMS, [])
+        if isinstance(names, list) and path.parent.name in names:
+            ledgers = {str(name): place / str(name) / LEDGER_NAME for name in names}
+            return {
+                name: _arm_content(ledger) if ledger.is_file() else None
+                for name, ledger in ledgers.items()
+            }
+    return {}
+
+
+def _arm_content(path: Path) -> LedgerContent:
+    """What the sound lines of a ledger come to; what is wrong with it is told elsewhere."""
+    return _content(path.parent, parse_journal(path.read_bytes()), Examination())
+
+
+def _before(arms: Mapping[str, object], name: str) -> list[str]:
+    return list(arms)[:list(arms).index(name)]
 
 
 def _check_pictures(place: Path, found: Examination) -> None:

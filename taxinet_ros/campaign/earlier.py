@@ -8,7 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, STACKS, other_stack, stacks_in
+from taxinet_ros.campaign.facts import (
+    ARMS,
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    other_stack,
+    stacks_in,
+)
 from taxinet_ros.campaign.graph_perception import KEYS as PERCEPTION_KEYS
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.row import RunRow
@@ -21,7 +28,9 @@ from taxinet_ros.core.stop_on import StopOn
 UNTOLD = 'untold'
 """The fact that names the runs of :attr:`Earlier.untold`."""
 
-_FREE = frozenset({'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNTOLD})
+_FREE = frozenset(
+    {'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNTOLD, ARMS}
+)
 """Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
 may warn of more than another, and another machine or version is warned of."""
 
@@ -45,8 +54,8 @@ class Earlier:
             is never told of them.
         begun: number of runs that were begun or done, counted from run 0.
         attempts: how often each run was begun, by index.
-        facts: those that stay: how many runs were planned at first, and on the perception, where
-            the graph decided it.
+        facts: those that stay: how many runs were planned at first, the arms of its experiment,
+            and on the perception, where the graph decided it.
         stacks: records of the machines and versions of earlier sittings, by name.
         warning: one line where one of them is another than this, or ''.
     """
@@ -124,7 +133,7 @@ def _not_done(rows: Sequence[RunRow], untold: frozenset[int]) -> list[RunRow]:
 
 
 def _staying(before: Mapping[str, Any], of_graph: Sequence[str]) -> dict[str, Any]:
-    kept = {key: before[key] for key in of_graph if key in before}
+    kept = {key: before[key] for key in (*of_graph, ARMS) if key in before}
     # A search from before that was written down has its last plan on record only.
     planned = before.get('first_runs', before.get('runs'))
     return kept if planned is None else {**kept, 'first_runs': planned}

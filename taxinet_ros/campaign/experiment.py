@@ -17,6 +17,9 @@ from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
 
+PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
+"""What lies beside the arms once all have had their runs; the second vouches for the rest."""
+
 
 def of_network(experiment: Experiment, perception: str) -> Experiment:
     """The experiment with another network in all its arms.
@@ -116,4 +119,5 @@ def _campaign(experiment: Experiment, arm: Arm, out: Path) -> CampaignOptions:
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
         specs=experiment.specs, images='none',
+        arms=tuple(one.name for one in experiment.arms),
     )

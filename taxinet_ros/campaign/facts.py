@@ -23,6 +23,9 @@ from taxinet_ros.core.provenance import differences, known, provenance, stack_id
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
 
+ARMS = 'experiment_arms'
+"""The fact that names the folders of all arms of an experiment, of which the campaign is one."""
+
 STACKS = 'stacks'
 """The fact that names every machine, with its libraries and code, on which runs were made."""
 
@@ -56,6 +59,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,
+        **({ARMS: list(options.arms)} if options.arms else {}),
     }
 
 

@@ -6,26 +6,29 @@ the scenario to the last bit; else the campaign's ledger, so a bag that was dele
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.decode import decoded_messages
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.facts import read_facts
+from taxinet_ros.bag.facts import RunFacts, read_facts
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.recorded_run import read_run
+from taxinet_ros.bag.recorded_run import gains_of_words, is_steering_law, read_run
 from taxinet_ros.bag.runs import read_recording
 from taxinet_ros.campaign.facts import LEDGER_NAME
-from taxinet_ros.campaign.ledger import read_ledger
+from taxinet_ros.campaign.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.row import RunRow
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.node_words import is_node_elsewhere
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.timing import Timing, parse_timing
 
 _VERDICT = '/monitor/verdict'
@@ -83,7 +86,7 @@ def find_run(path: Path) -> JudgedRun:
         try:
             for row in content.rows if content else ():
                 if row.bag == whole.name:
-                    check_same_run(row, whole)
+                    check_same_run(row, facts, whole)
             return _of_bag(path, facts)
         except BagError as error:
             raise UsageError(str(error)) from error
@@ -157,11 +160,16 @@ def _example(campaign: Path) -> str:
     return f'; name one of its {len(failed)} failed runs, as in {campaign / worst.run_id}'
 
 
-def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
-    """In what a bag tells of another run than its row does.
+def bag_differences(
+    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+) -> list[str]:
+    """In what a bag tells of another run than its row and campaign do.
+
+    What one of them does not tell, as in those of earlier versions, is not compared.
 
     Args:
         row: of the run.
+        facts: of its campaign.
         bag: its bag.
         whole: the bag is, so what came of the run counts too.
 
@@ -173,7 +181,7 @@ def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
         return ['is of no run of ours']
     pairs: dict[str, tuple[Any, Any]] = {
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
-        'seed': (told.seed, row.seed),
+        'seed': (told.seed, row.seed), **_of_scene(told, row), **_of_formulas(told, facts),
     }
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
@@ -181,14 +189,76 @@ def bag_differences(row: RunRow, bag: Path, *, whole: bool = True) -> list[str]:
             f'rho of {name}': ((one.lower, one.upper), row.interval(name))
             for name, one in told.judged.items()
         }
-        eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
-        pairs['timing'] = (world.implementation if world else '', row.timing)
-        prints = {eyes.fingerprint if eyes else ''} - {''}
-        pairs['network'] = (prints, {row.perception_fingerprint} - {''})
+        pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}
     return [
         f'its {name} is {_short(here)}, the row has {_short(there)}'
         for name, (here, there) in pairs.items() if here != there
     ]
+
+
+def _of_scene(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
+    """What was asked for, in the units people read; a row without a scene has nothing to say."""
+    pairs = {key: (told.scene[key], getattr(row, key)) for key in HUMAN_KEYS}
+    return {
+        key: (here, there) for key, (here, there) in pairs.items()
+        if there not in (None, '') and not _near(here, there)
+    }
+
+
+def _near(one: Any, other: Any) -> bool:
+    """Whether two are equal, but for the ninth decimal, to which people's units are rounded."""
+    if isinstance(one, float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=1e-9, abs_tol=2e-9)
+    return bool(one == other)
+
+
+def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Formulas by name: those that the monitor put to the run, or was to put."""
+    own = facts.get('specs')
+    if not own:
+        return {}
+    here = {spec.name: spec.text for spec in map(parse_spec, told.specs)}
+    # A name may have stood for another formula in another version; what was judged is spelled out.
+    here |= {name: told.judged[name].formula for name in here if name in told.judged}
+    names = dict.fromkeys([*own, *here])
+    nothing = 'not there'
+    return {
+        f'formula {name}': (here.get(name, nothing), own.get(name, nothing)) for name in names
+    }
+
+
+def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
+    """What the simulator and the perception said of themselves."""
+    eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
+    prints = {eyes.fingerprint if eyes else ''} - {''}, {row.perception_fingerprint} - {''}
+    pairs: dict[str, tuple[Any, Any]] = {
+        'timing': (world.implementation if world else '', row.timing), 'network': prints,
+    }
+    # Words of networks are names of weights; without any, the word is all that there is.
+    if eyes and eyes.implementation and not any(prints) and not is_node_elsewhere(row.perception):
+        pairs['perception'] = (eyes.implementation, row.perception)
+    return pairs
+
+
+def _of_controller(
+    told: RunFacts, row: RunRow, facts: Mapping[str, Any]
+) -> dict[str, tuple[Any, Any]]:
+    """What steered. A graph that was there before its campaign has a controller of its own."""
+    law, word = told.nodes.get('steering_controller'), facts.get('controller')
+    if law is None or word is None or f'-s{row.seed}-' not in row.run_id:
+        return {}
+    if word != STEERING:
+        known = law.fingerprint, str(facts.get('controller_sha256', ''))
+        return {'controller': ({known[0]}, {known[1]})} if known[1] else {}
+    usual = asdict(SteeringGains())
+    gains = {name: x for name, x in facts.get('gains', {}).items() if x != usual.get(name)}
+    if not is_steering_law(law.implementation) or law.fingerprint:
+        return {'controller': (law.implementation, STEERING)}
+    here = gains_of_words(law.implementation)
+    return {
+        f'steering.{name}': (here.get(name, usual.get(name)), gains.get(name, usual.get(name)))
+        for name in dict.fromkeys([*here, *gains])
+    }
 
 
 def _short(value: Any) -> str:
@@ -197,11 +267,14 @@ def _short(value: Any) -> str:
     return f'{value}'
 
 
-def check_same_run(row: RunRow, bag: Path, *, whole: bool = True) -> None:
+def check_same_run(
+    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+) -> None:
     """See that a bag is that of a row, before what it holds is taken for the row's run.
 
     Args:
         row: of the run.
+        facts: of its campaign.
         bag: its bag.
         whole: as of :func:`bag_differences`.
 
@@ -209,7 +282,7 @@ def check_same_run(row: RunRow, bag: Path, *, whole: bool = True) -> None:
         UsageError: it is of another run.
         BagError: it cannot be read.
     """
-    for what in bag_differences(row, bag, whole=whole):
+    for what in bag_differences(row, facts, bag, whole=whole):
         raise UsageError(
             f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
             f'campaign? taxinet doctor {bag.parent} checks all of them'
@@ -221,7 +294,7 @@ class BagPlaces:
 
     def __init__(self) -> None:
         """No record is read yet."""
-        self._rows: dict[Path, dict[str, RunRow]] = {}
+        self._records: dict[Path, LedgerContent] = {}
 
     def check(self, bag: Path, *, whole: bool = True) -> None:
         """See that a bag is that of the run whose place it has.
@@ -238,12 +311,13 @@ class BagPlaces:
         ledger = folder.parent / LEDGER_NAME
         if not ledger.is_file():
             return
-        if ledger not in self._rows:
-            self._rows[ledger] = _rows_by_bag(ledger)
-        row = self._rows[ledger].get(folder.name)
-        if row is not None:
-            check_same_run(row, bag, whole=whole)
-            return
+        if ledger not in self._records:
+            self._records[ledger] = _record(ledger)
+        record = self._records[ledger]
+        for row in record.rows:
+            if row.bag == folder.name:
+                check_same_run(row, record.campaign, bag, whole=whole)
+                return
         told = read_facts(bag)
         if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
             raise UsageError(
@@ -252,9 +326,9 @@ class BagPlaces:
             )
 
 
-def _rows_by_bag(ledger: Path) -> dict[str, RunRow]:
-    """None where the record is damaged: a bag can be read without it."""
+def _record(ledger: Path) -> LedgerContent:
+    """Empty where the record is damaged: a bag can be read without it."""
     try:
-        return {row.bag: row for row in read_ledger(ledger).rows if row.bag}
+        return read_ledger(ledger)
     except UsageError:
-        return {}
+        return ledger_content(ledger, ())

@@ -160,7 +160,7 @@ def _tasks(
         missing = [word for word in options.words if (row.run_id, word) not in done]
         if not missing:
             continue
-        scenario, exact = scenario_of_row(row, options.failed.folder)
+        scenario, exact = scenario_of_row(row, options.failed.folder, options.failed.facts)
         for word in missing:
             if interrupted():
                 return

@@ -52,6 +52,7 @@ class CampaignOptions:
             They leave the choice alone, where ``overrides`` take what they fix out of the search;
             so campaigns that differ in them only have otherwise equal scenes.
         timing: when answers take effect.
+        arms: of an arm of an experiment: the folders of all arms beside each other, in order.
     """
 
     program: str
@@ -70,6 +71,7 @@ class CampaignOptions:
     laid_over: Mapping[str, str] = field(default_factory=dict)
     controller: str = STEERING
     timing: Timing = AT_ONCE
+    arms: tuple[str, ...] = ()
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.

@@ -75,7 +75,7 @@ def add_requirements(
         content = read_ledger(folder / LEDGER_NAME)
         for row in content.rows:
             if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
-                check_same_run(row, bag.path)
+                check_same_run(row, content.campaign, bag.path)
         counts = {}
         for spec in specs:
             intervals = {

@@ -9,7 +9,14 @@ from rich.console import Console
 
 from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.crew import Crew
-from taxinet_ros.campaign.experiment import arm_rows, arm_searches, check_paired
+from taxinet_ros.campaign.experiment import (
+    JSON_NAME,
+    PAGE_NAME,
+    PAIRS_NAME,
+    arm_rows,
+    arm_searches,
+    check_paired,
+)
 from taxinet_ros.campaign.experiment_file import Experiment
 from taxinet_ros.campaign.facts import LEDGER_NAME
 from taxinet_ros.campaign.interrupts import interrupts
@@ -28,7 +35,6 @@ from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.worker import worker_command
 
 INTERRUPTED, BROKEN = 130, 4
-PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
 
 
 def run_experiment(

@@ -11,6 +11,7 @@ from typing import Any
 from rich.text import Text
 
 from taxinet_ros.bag.judged_bag import BagVerdict, JudgedBag, SpecVerdict
+from taxinet_ros.core.timing import timing_words
 
 _STYLES = {
     BagVerdict.SATISFIED: 'green', BagVerdict.VIOLATED: 'red', BagVerdict.MARGINAL: 'red',
@@ -28,6 +29,7 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
         line.append(f'{one.verdict:<10}', style=_STYLES[one.verdict])
         line.append(f'  {_rho(one)}  {_when(one)}  ')
         line.append(_recorded(one), style='red' if one.same is False else 'dim')
+        line.append(f'  {bag.timing}' if bag.timing else '', style='cyan')
         yield line
         if one.breach_s is not None:
             text = f'a bound or rate broken at {one.breach_s:g} s counts no more'
@@ -46,18 +48,26 @@ def bag_lines(bag: JudgedBag) -> Iterator[Text]:
 
 
 def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
-    """How many bags say what of each requirement, and how many repeat what was recorded."""
+    """How many bags say what of each requirement, and how many repeat what was recorded.
+
+    Runs whose answers took effect at different times are never counted together.
+    """
     lines = []
     unit = 'runs' if any(bag.run for bag in bags) else 'bags'
-    names = dict.fromkeys(one.spec.name for bag in bags for one in bag.verdicts)
-    for name in names:
-        own = [one for bag in bags for one in bag.verdicts if one.spec.name == name]
+    groups = dict.fromkeys((one.spec.name, bag.timing) for bag in bags for one in bag.verdicts)
+    mixed = len({timing for _, timing in groups}) > 1
+    for name, timing in groups:
+        own = [
+            one for bag in bags for one in bag.verdicts
+            if (one.spec.name, bag.timing) == (name, timing)
+        ]
         counts = Counter(one.verdict for one in own)
         words = ', '.join(f'{counts[each]} {each}' for each in BagVerdict if counts[each])
         recorded = [one for one in own if one.same is not None]
         same = sum(bool(one.same) for one in recorded)
         again = f'; {same} of {len(recorded)} as recorded, to the bit' if recorded else ''
-        lines.append(f'{name}: {words} of {len(own)} {unit}{again}')
+        when = f' ({timing_words(timing)})' if mixed or timing else ''
+        lines.append(f'{name}{when}: {words} of {len(own)} {unit}{again}')
     unread = sum(not bag.verdicts for bag in bags)
     return lines + ([f'{unread} bags tell of no run'] if unread else [])
 
@@ -91,7 +101,8 @@ def _recorded(one: SpecVerdict) -> str:
 def _bag(bag: JudgedBag) -> dict[str, Any]:
     return {
         'bag': str(bag.path), 'run': bag.run or None, 'end_s': bag.end_s,
-        'duration_s': _known(bag.duration_s), 'stopped_early': bag.stopped_early,
+        'duration_s': _known(bag.duration_s), 'timing': bag.timing,
+        'stopped_early': bag.stopped_early,
         'trouble': bag.trouble, 'note': bag.note, 'unusable_estimates': bag.blind or None,
         'verdicts': [
             {

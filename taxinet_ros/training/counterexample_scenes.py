@@ -78,7 +78,7 @@ def _paths(failed: FailedRuns, progress: Progress) -> list[_Path]:
             trace = read_trace(failed.folder / row.run_id)
         except (BagError, UsageError):
             continue  # a bag that was deleted or damaged leaves the others
-        scene, _ = scenario_of_row(row, failed.folder)
+        scene, _ = scenario_of_row(row, failed.folder, failed.facts)
         columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
         way = columns.astype(np.float64)[_on_the_way(columns)]
         if len(way):

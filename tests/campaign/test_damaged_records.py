@@ -24,7 +24,7 @@ from taxinet_ros.campaign.doctor import examine, mend
 from taxinet_ros.campaign.earlier import read_earlier
 from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.journal import parse_journal, read_journal
-from taxinet_ros.campaign.judged_run import find_run
+from taxinet_ros.campaign.judged_run import bag_differences, find_run
 from taxinet_ros.campaign.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.sealed_json import read_sealed, write_sealed
 from taxinet_ros.campaign.table import (
@@ -365,10 +365,10 @@ def test_f2_given_the_bag_of_another_run_then_it_is_noticed_wherever_row_and_bag
 ):
     failed = failed_runs(campaign).rows[0]
     other = next(row for row in read_ledger(campaign / LEDGER_NAME).rows if row.outcome == 'PASS')
-    assert scenario_of_row(failed, campaign)[1]
+    assert scenario_of_row(failed, campaign, {})[1]
     swap_bags(campaign, failed.run_id, other.run_id)
     said = f'{campaign / failed.run_id}: is not the bag of its run: its run_id is {other.run_id}'
-    for use in (lambda: scenario_of_row(failed, campaign),
+    for use in (lambda: scenario_of_row(failed, campaign, {}),
                 lambda: find_run(campaign / failed.run_id)):
         with pytest.raises(UsageError) as caught:
             use()
@@ -704,6 +704,36 @@ def test_f2_given_the_bag_of_the_same_run_of_another_campaign_then_monitor_refus
     for place in (campaign, campaign / row.run_id):
         code, _, err = taxinet('monitor', place)
         assert (code, 'is not the bag of its run: its rho of tight is' in err) == (2, True), err
+
+
+@pytest.mark.parametrize(('words', 'said'), [
+    (['--set', 'clouds=overcast', '--set', 'rain=90', '--spec', 'tight=always(abs(cte) <= 0.401)'],
+     ['its rain is 90.0, the row has 0.0', 'its formula tight is always(abs(cte) <= 0.401), the ']),
+    (['--set', 'steering.heading_gain=0.4', '--spec', 'tight=always(abs(cte) <= 0.4)'],
+     ['its steering.heading_gain is 0.4, the row has ']),
+])
+def test_f2_given_the_bags_of_a_campaign_with_other_scenes_gains_or_formulas_then_they_are_named(
+    campaign, taxinet, tmp_path, words, said
+):
+    """Under the same names, with the same seeds, however alike it all went."""
+    other = tmp_path / 'other'
+    code, _, err = taxinet(
+        'falsify', 'nominal', '--runs', '2', '--workers', '1', '--sampler', 'random', '--seed', '3',
+        '--images', 'none', '--perception', 'truth', '--set', 'duration=1', *words, '--out', other,
+    )
+    assert code in (0, 1), err
+    rows = {row.index: row for row in read_ledger(campaign / LEDGER_NAME).rows}
+    assert bag_differences(rows[0], read_facts(campaign).values, campaign / rows[0].bag) == []
+    for index in (0, 1):
+        shutil.rmtree(campaign / rows[index].bag)
+        shutil.copytree(other / rows[index].bag, campaign / rows[index].bag)
+    found = [one.what for one in examine(campaign).findings if rows[0].run_id in one.where]
+    for text in said:
+        assert any(text in what for what in found), found
+    code, _, err = taxinet('monitor', campaign)
+    assert (code, 'is not the bag of its run: its ' in err, len(err.splitlines())) == (2, True, 1)
+    code, out, _ = taxinet('doctor', other)
+    assert code == 0, out
 
 
 @pytest.mark.parametrize('share', [0.5, 0.98])

@@ -130,7 +130,7 @@ def test_given_bad_input_then_one_line_says_what_is_wrong(tmp_path):
     failed_campaign(tmp_path / 'good', OFF[:1], gains={})
     with pytest.raises(UsageError, match='none of its 1 judged runs failed'):
         options(tmp_path / 'good', tmp_path / 'out')
-    assert scenario_of_row(rows[0], tmp_path / 'c') == (OFF[0], False)
+    assert scenario_of_row(rows[0], tmp_path / 'c', {}) == (OFF[0], False)
 
 
 def test_given_a_number_of_runs_then_they_are_spread_over_all(tmp_path):

@@ -49,6 +49,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def all_but_the_arms(experiment: Path) -> None:
+    for path in experiment.iterdir():
+        if path.is_file():
+            path.unlink()
+
+
+def exchange_bags(experiment: Path) -> None:
+    for bag in (experiment / 'far').glob('*-0*'):
+        shutil.rmtree(bag)
+        shutil.copytree(experiment / 'near' / bag.name, bag)
+
+
+def hide_the_arm(experiment: Path) -> None:
+    (experiment / 'far' / 'x.mcap').touch()
+    (experiment / 'far' / 'runs.csv').write_text('')
+
+
 def exchange(experiment: Path) -> None:
     (experiment / 'near').rename(experiment / 'other')
     (experiment / 'far').rename(experiment / 'near')
@@ -59,6 +76,16 @@ def exchange(experiment: Path) -> None:
     (exchange, 'near/ledger.jsonl: its first '),
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
+    (lambda experiment: (experiment / 'experiment.json').unlink(),
+     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+    (lambda experiment: (experiment / 'experiment.json').write_text('{}'),
+     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+    (all_but_the_arms,
+     'experiment.json: does not vouch for the experiment, and near, far have had their runs'),
+    (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
+     'near: is not there, an arm of the experiment of far'),
+    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track is 0.0, the row has 4.0'),
+    (hide_the_arm, 'far/runs.csv: '),
 ])
 def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(
     folder, tmp_path, change, says

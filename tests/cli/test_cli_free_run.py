@@ -61,6 +61,22 @@ def test_r5_given_runs_of_both_kinds_in_one_table_then_no_rate_is_made_of_them(f
         runs_of(table, folder)
 
 
+def test_r5_given_bags_of_free_and_other_runs_then_monitor_marks_them_and_counts_them_apart(folder):
+    golden = Path(__file__).parents[2] / 'bags' / 'golden' / 'truth-nominal'
+    bags = (*(f'{folder}/nominal-s0-0000{index}' for index in (0, 1)), golden)
+    words = ('monitor', *bags, '--spec', 'near=always(abs(cte) <= 1.5)')
+    done = taxinet(*words, cwd=folder)
+    assert (done.returncode, done.stderr) == (1, '')
+    lines = done.stdout.splitlines()
+    assert [line.endswith(f'  {WORDS}') for line in lines if '  near  ' in line] == [
+        True, True, False]
+    assert f'near ({WORDS}): 2 VIOLATED of 2 bags' in done.stdout
+    (other,) = [line for line in lines if line.startswith('near (answers that take effect at once')]
+    assert ' of 1 bags' in other
+    told = json.loads(taxinet(*words, '--json', cwd=folder).stdout)
+    assert [bag['timing'] for bag in told['bags']] == [WORDS, WORDS, '']
+
+
 def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(folder, tmp_path):
     with pytest.raises(UsageError, match=r'^--free: not in a search, which goes by verdicts that'):
         falsify(None, 'nominal', free=True)
