@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
+from taxinet_ros.core.process_end import STOPS_HEARD, leave
+
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
 
@@ -20,8 +22,6 @@ INTERRUPTED = 128 + signal.SIGINT
 _AGAIN_S = 0.01
 _STUCK_S = 5.0
 """How long whoever was told to give up may take."""
-
-_newest: int = signal.SIGINT
 
 
 @contextlib.contextmanager
@@ -50,7 +50,7 @@ def interrupts(
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal asked
         asked += 1
-        _note(number)
+        STOPS_HEARD.append(number)
         if asked == 1:
             first()
             return
@@ -103,7 +103,7 @@ def heard_again() -> Iterator[None]:
             return
         # At once, it would be raised right here.
         who = threading.main_thread().ident
-        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, _newest))
+        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, _newest()))
         again.daemon = True
         again.start()
 
@@ -114,33 +114,23 @@ def heard_again() -> Iterator[None]:
         sys.unraisablehook = before
 
 
-def end_now(number: int, frame: FrameType | None) -> None:
-    """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
-
-    Raises:
-        KeyboardInterrupt: always.
-    """
-    _note(number)
-    raise KeyboardInterrupt
-
-
 def leave_with(code: int) -> Callable[[int, FrameType | None], NoReturn]:
     """What handles a signal by ending the process where it stands, whatever its threads are at.
 
     For where nothing is begun, or all is done: :data:`INTERRUPTED` is told apart.
     """
-    def leave(number: int, frame: FrameType | None) -> NoReturn:
-        _note(number)
-        os._exit(told_apart(code))
+    def handle(number: int, frame: FrameType | None) -> NoReturn:
+        STOPS_HEARD.append(number)
+        leave(told_apart(code))
 
-    return leave
+    return handle
 
 
 def _leave_stuck() -> None:
     line = b'taxinet: error: what is at hand does not come back; it is left where it stands\n'
     with contextlib.suppress(OSError):
         os.write(2, line)  # not print: its lock may be held by what does not come back
-    os._exit(told_apart(INTERRUPTED))
+    leave(told_apart(INTERRUPTED))
 
 
 def told_apart(code: int) -> int:
@@ -148,9 +138,8 @@ def told_apart(code: int) -> int:
 
     So do shells, with 128 and the signal's number (POSIX.1-2024, XCU section 2.8.2).
     """
-    return 128 + _newest if code == INTERRUPTED else code
+    return 128 + _newest() if code == INTERRUPTED else code
 
 
-def _note(number: int) -> None:
-    global _newest
-    _newest = number
+def _newest() -> int:
+    return STOPS_HEARD[-1] if STOPS_HEARD else signal.SIGINT

@@ -26,7 +26,6 @@ from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import disk_words
 from taxinet_ros.campaign.interrupts import (
     INTERRUPTED,
-    end_now,
     handled,
     heard_again,
     told_apart,
@@ -50,6 +49,7 @@ from taxinet_ros.cli.study_commands import case_study, improve
 from taxinet_ros.cli.terminal import OutputUnreadError, flush_output, standard_streams
 from taxinet_ros.cli.training_commands import dataset, evaluate, train
 from taxinet_ros.core.errors import InfraError, RecordError, UsageError, plain_line
+from taxinet_ros.core.process_end import end_now
 
 USAGE, INFRA = 2, 4
 UNREAD = 128 + signal.SIGPIPE
@@ -170,7 +170,10 @@ def node(
     """
     from taxinet_ros.cli.node import start_node
 
-    start_node(name, context.args)
+    try:
+        start_node(name, context.args)
+    except SystemExit as end:  # as every node ends
+        raise typer.Exit(end.code if isinstance(end.code, int) else INFRA) from None
 
 
 @app.callback(invoke_without_command=True)
@@ -188,7 +191,7 @@ def _main(
 def main() -> None:
     """Entry point of ``taxinet``."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, end_now)
     code = INTERRUPTED
     with (
         contextlib.suppress(KeyboardInterrupt),
@@ -262,19 +265,21 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
     except MemoryError:
         return _complain('out of memory', INFRA)
-    except Exception as error:
+    except BaseException as error:  # to be at its end without a result is nobody's success
         return _complain(_unforeseen(error), INFRA)
     return code if isinstance(code, int) else 0
 
 
-def _unforeseen(error: Exception) -> str:
+def _unforeseen(error: BaseException) -> str:
     """One line on a mistake of ours; all of it where somebody asks for it."""
     if os.environ.get('TAXINET_TRACEBACK'):
         traceback.print_exception(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
+    ours = isinstance(error, Exception)  # else it is SystemExit, as out of somebody's handler
+    what = 'this is a defect of taxinet' if ours else 'it ended what was at hand'
     return (
-        f'{type(error).__name__} in {place}: {plain_line(str(error))}; this is a defect of taxinet '
+        f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(TAXINET_TRACEBACK=1 shows where it comes from)'
     )
 

@@ -16,6 +16,8 @@ from types import FrameType
 from typing import NoReturn
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_END = os._exit  # as it is before somebody's code is loaded: see core.process_end
+_BROKEN = 4
 
 
 def main() -> NoReturn:
@@ -26,7 +28,8 @@ def main() -> NoReturn:
         try:
             main()
         finally:
-            atexit._run_exitfuncs()
+            with contextlib.redirect_stdout(sys.stderr):  # somebody's may print; results are out
+                atexit._run_exitfuncs()
 
     _run(command)
 
@@ -53,7 +56,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
     after Ctrl-C, of which ``ros2 launch`` gives 5 s; and a thread that somebody's function has
     started, and forgotten, would be waited for without end.
     """
-    code: object = 0
+    code: object = None
     with _heard():
         try:
             work()
@@ -62,7 +65,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    os._exit(code if isinstance(code, int) else 0)
+    _END(code if isinstance(code, int) else 0 if code is None else _BROKEN)
 
 
 @contextlib.contextmanager
@@ -83,7 +86,7 @@ def _heard() -> Iterator[None]:
 def _leave(number: int, frame: FrameType | None) -> NoReturn:
     """End at once: nothing has been begun that would have to be cleared away."""
     os.write(2, b'taxinet: interrupted\n')
-    os._exit(128 + number)
+    _END(128 + number)
 
 
 if __name__ == '__main__':

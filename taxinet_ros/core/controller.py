@@ -7,7 +7,7 @@ One word chooses: ``steering``, the handwritten law with its gains, or a functio
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.node_words import NO_NODE_HERE, command_of, is_node_elsewhere
@@ -83,13 +83,14 @@ class UserController(Controller):
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """What it answers; the simulator refuses numbers that are not finite."""
-        answer = self._run.answer(estimate)
-        if isinstance(answer, TaxiCommand):
-            return answer
-        pair = pair_of_numbers(answer)
-        if pair is None:
-            raise self._run.misfit(answer, 'a pair (steering_rad, speed_mps)')
-        return TaxiCommand(steering_rad=pair[0], speed_mps=pair[1])
+        return self._run.answer(estimate, _read_command, 'a pair (steering_rad, speed_mps)')
+
+
+def _read_command(answer: Any) -> TaxiCommand | None:
+    if isinstance(answer, TaxiCommand):
+        return answer
+    pair = pair_of_numbers(answer)
+    return TaxiCommand(steering_rad=pair[0], speed_mps=pair[1]) if pair is not None else None
 
 
 def make_controller(word: str, gains: SteeringGains) -> Controller:

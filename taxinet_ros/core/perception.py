@@ -9,7 +9,7 @@ silently ran on the truth would prove nothing.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +132,8 @@ class UserPerception(Perception):
         """
         self.fingerprint = code.sha256
         self._run = RunCode(code)
-        self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
+        with code.running(UsageError):
+            self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
 
     def begin(self) -> None:
         """Have it as it is when made."""
@@ -145,19 +146,23 @@ class UserPerception(Perception):
         if self.needs_image:
             if image is None or not is_frame(image):
                 return NO_ESTIMATE
-            answer = self._run.answer(image.copy())  # it may write on what is its own
+            argument: object = image.copy()  # it may write on what is its own
         elif truth is None:
             return NO_ESTIMATE
         else:
-            answer = self._run.answer(truth)
-        if answer is None:
-            return NO_ESTIMATE
-        if not isinstance(answer, TrackingError):
-            pair = pair_of_numbers(answer)
-            if pair is None:
-                raise self._run.misfit(answer, 'a pair (cte_m, he_rad), or None')
-            answer = TrackingError(cte_m=pair[0], he_rad=pair[1])
-        return answer if answer.usable else NO_ESTIMATE
+            argument = truth
+        return self._run.answer(argument, _read_estimate, 'a pair (cte_m, he_rad), or None')
+
+
+def _read_estimate(answer: Any) -> TrackingError | None:
+    if answer is None:
+        return NO_ESTIMATE
+    if not isinstance(answer, TrackingError):
+        pair = pair_of_numbers(answer)
+        if pair is None:
+            return None
+        answer = TrackingError(cte_m=pair[0], he_rad=pair[1])
+    return answer if answer.usable else NO_ESTIMATE
 
 
 def _taxinet(word: str, model: Model) -> Perception:

@@ -17,16 +17,16 @@ import inspect
 import os
 import re
 import sys
-import threading
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn, TypeGuard
+from typing import Any, TypeGuard, TypeVar
 
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.errors import UsageError, plain_line
 from taxinet_ros.core.node_words import is_node_elsewhere
+from taxinet_ros.core.process_end import STOPS_HEARD, keep_end
 
 IMPLEMENTATION = 'python'
 """What a node says of itself that runs such code; the hash beside it says which."""
@@ -34,6 +34,9 @@ IMPLEMENTATION = 'python'
 _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
+_SAID_CHARACTERS = 300
+
+_Answer = TypeVar('_Answer')
 
 
 class UserCodeError(RuntimeError):
@@ -62,19 +65,30 @@ class UserCode:
             UsageError: the file's code fails, or it makes nothing that can be called.
         """
         found = self._found
-        try:
-            with _same_place(), _held():
-                made = found() if _is_maker(found) else found
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise UsageError(self.failure(error)) from error
+        with _same_place(), self.running(UsageError):
+            made = found() if _is_maker(found) else found
         if not callable(made):
             raise UsageError(
                 f'{self.path}: {self.name}() gave {type(made).__name__}, which cannot be called; '
                 'expected a function of one argument'
             )
         return made
+
+    @contextlib.contextmanager
+    def running(self, failed: type[UsageError | UserCodeError]) -> Iterator[None]:
+        """Within the ``with``, the file's code runs, and may print.
+
+        Raises:
+            failed: it raises whatever, a ``SystemExit`` too: that is to end a run, not the bench.
+            KeyboardInterrupt: a signal came that asks this process to end.
+        """
+        with _held():
+            heard = len(STOPS_HEARD)
+            try:
+                yield
+            except BaseException as error:
+                _let_pass(error, heard)
+                raise failed(self.failure(error)) from error
 
     def failure(self, error: BaseException) -> str:
         """What to say of an exception of the file's: the line in it, if it was there."""
@@ -85,7 +99,9 @@ class UserCode:
             trace = trace.tb_next
         place = f'{self.path}:{line}' if line else f'{self.path}: {self.name}'
         text = _text(error, str).partition('\n')[0]
-        return f'{place}: {type(error).__name__}' + (f': {text}' if text else '')
+        said = type(error).__name__ + (f': {text}' if text else '')
+        cut = f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
+        return plain_line(f'{place}: {cut}')
 
     @cached_property
     def _found(self) -> Callable[..., Any]:
@@ -95,14 +111,9 @@ class UserCode:
         folder = str(self.path.resolve().parent)
         if folder not in sys.path:
             sys.path.append(folder)  # last, so that nothing in it stands in for one of ours
-        try:
-            with _same_place(), _held():
-                exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
+        with _same_place(), self.running(UsageError):
+            exec(compile(_source(self.path), str(self.path), 'exec'), module.__dict__)
             found: Any = getattr(module, self.name)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise UsageError(self.failure(error)) from error
         if not callable(found):
             raise UsageError(
                 f'{self.path}: {self.name} is {type(found).__name__}; expected a function or class'
@@ -132,51 +143,49 @@ class RunCode:
         """
         if self._fresh:
             return
+        with self.code.running(UserCodeError):
+            reset = getattr(self.function, 'reset', None)
+            if reset is not None:
+                reset()
+                return
         try:
-            with _held():
-                reset = getattr(self.function, 'reset', None)
-                if reset is None:
-                    self.function = self.code.make()
-                else:
-                    reset()
+            self.function = self.code.make()
         except UsageError as error:
             raise UserCodeError(str(error)) from error
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # a sys.exit() too is to end a run, not the bench
-            raise UserCodeError(self.code.failure(error)) from error
 
-    def answer(self, argument: Any) -> Any:
+    def answer(
+        self, argument: Any, read: Callable[[Any], _Answer | None], expected: str
+    ) -> _Answer:
         """Call it.
 
+        Args:
+            argument: what it is given.
+            read: makes of what it answers what we want, or None; that too may run its code.
+            expected: what we want, in words.
+
         Raises:
-            UserCodeError: it fails.
+            UserCodeError: it fails, or what it answers is not expected.
         """
         self._fresh = False
-        try:
-            with _held():
-                return self.function(argument)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # a sys.exit() too is to end a run, not the bench
-            raise UserCodeError(self.code.failure(error)) from error
-
-    def misfit(self, answer: object, expected: str) -> UserCodeError:
-        """What to raise where an answer is none."""
-        shown = _text(answer, repr)[:60]
-        return UserCodeError(
-            f'{self.code.path}: {self.code.name} answered {shown}; expected {expected}'
-        )
+        with self.code.running(UserCodeError):
+            answer = self.function(argument)
+            found = read(answer)
+            shown = _text(answer, repr)[:60] if found is None else ''
+        if found is None:
+            raise UserCodeError(plain_line(
+                f'{self.code.path}: {self.code.name} answered {shown}; expected {expected}'
+            ))
+        return found
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
     """Two numbers out of a tuple, a list or an array; None where it is none."""
+    heard = len(STOPS_HEARD)
     try:
         first, second = answer
         return float(first), float(second)
-    except KeyboardInterrupt:
-        raise
-    except BaseException:  # an answer of somebody's may have an __iter__ or __float__ of his
+    except BaseException as error:  # somebody's answer may have an __iter__ or __float__ of his
+        _let_pass(error, heard)
         return None
 
 
@@ -248,32 +257,34 @@ def _held() -> Iterator[None]:
 
     What it prints goes to stderr, but on a terminal, where nobody takes stdout for a result.
     """
-    streams, leave = (sys.stdout, sys.stderr), os._exit
-    here = os.getpid(), threading.get_ident()
-
-    def refuse(status: int) -> NoReturn:
-        ours = str(sys._getframe(1).f_globals.get('__name__')).startswith('taxinet_ros.')
-        if ours or here != (os.getpid(), threading.get_ident()):  # as a process that was forked
-            leave(status)
-        raise SystemExit(f'os._exit({status})')
-
+    keep_end()
+    streams = sys.stdout, sys.stderr
     with contextlib.suppress(AttributeError, ValueError):  # it is not there, or closed
         sys.stdout = sys.stdout if sys.stdout.isatty() else sys.stderr
-    os._exit = refuse
     try:
         yield
     finally:
-        os._exit = leave
         sys.stdout, sys.stderr = streams
+
+
+def _let_pass(error: BaseException, heard: int) -> None:
+    """Raise a Ctrl-C again; not one that somebody's code made up, for no more signals were heard.
+
+    Args:
+        error: what somebody's code has raised.
+        heard: how many signals there were before it ran.
+    """
+    if isinstance(error, KeyboardInterrupt) and len(STOPS_HEARD) > heard:
+        raise error
 
 
 def _text(value: object, how: Callable[[object], str]) -> str:
     """Something of somebody's in words, also where that fails."""
+    heard = len(STOPS_HEARD)
     try:
         return how(value)
-    except KeyboardInterrupt:
-        raise
     except BaseException as error:
+        _let_pass(error, heard)
         return f'<{type(value).__name__} whose {how.__name__}() fails: {type(error).__name__}>'
 
 

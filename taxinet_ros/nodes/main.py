@@ -6,7 +6,6 @@ before any of them could say or hear how the run at hand ends.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -22,13 +21,13 @@ from rclpy.task import Future
 
 from taxinet_ros.campaign.interrupts import (
     INTERRUPTED,
-    end_now,
     handle_from_now_on,
     interrupts,
     leave_with,
     told_apart,
 )
 from taxinet_ros.core.errors import InfraError, RecordError, UsageError
+from taxinet_ros.core.process_end import end_now, leave
 from taxinet_ros.nodes.spinning import spin_for
 from taxinet_ros.nodes.usage import Usage, read_arguments
 from taxinet_ros.nodes.waiting import Waiting
@@ -111,7 +110,7 @@ def _serve(node: Any, executor: Any) -> int:
 
     def at_once() -> bool:
         asked_again.set()
-        hung = Timer(AT_ONCE_S, lambda: os._exit(told_apart(INTERRUPTED)))
+        hung = Timer(AT_ONCE_S, lambda: leave(told_apart(INTERRUPTED)))
         hung.daemon = True
         hung.start()
         return True

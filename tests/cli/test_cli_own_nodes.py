@@ -66,6 +66,42 @@ def leaves(estimate):
     os._exit(1)
 
 
+class Odd:
+    def __float__(self):
+        leaves(self)
+
+
+def odd(estimate):
+    return Odd(), 1.0
+
+
+def late(estimate):
+    import atexit
+    import os
+    atexit.register(print, 'bye')
+    atexit.register(os._exit, 0)
+    return 1.0, 4.0
+
+
+def handles(estimate):
+    import signal
+
+    def ends(number, frame):
+        raise SystemExit(0)
+
+    signal.signal(signal.SIGALRM, ends)
+    signal.setitimer(signal.ITIMER_REAL, 0.001)
+    return steer(estimate)
+
+
+def stops(estimate):
+    raise KeyboardInterrupt
+
+
+def long(estimate):
+    raise ValueError('y' * 10**7)
+
+
 def loud(image):
     print('asked')
     return 0.0, 0.0
@@ -223,6 +259,40 @@ def test_given_a_function_that_would_end_the_process_then_it_is_named_and_the_be
     done = taxinet_apart('run', *words, '--out', 'le', cwd=folder)
     assert done.returncode == 4
     assert 'mine.py:34: SystemExit: os._exit(1)' in done.stdout
+
+
+@pytest.mark.parametrize(('function', 'says'), [
+    ('odd', 'UserCodeError: mine.py: odd answered '),
+    ('stops', 'UserCodeError: mine.py:66: KeyboardInterrupt'),
+    ('long', 'UserCodeError: mine.py:70: ValueError: yyy'),
+])
+@pytest.mark.parametrize('layout', [(), ('--processes',)])
+def test_given_a_function_that_would_end_or_flood_the_command_then_its_run_has_a_row(
+    tmp_path, function, says, layout
+):
+    (tmp_path / 'mine.py').write_text(MINE)
+    words = ('nominal', '--perception', 'truth', '--controller', f'mine.py:{function}', *SHORT)
+    done = taxinet_apart('run', *words, *layout, '--out', 'c', cwd=tmp_path)
+    assert (done.returncode, len(done.stdout + done.stderr) < 5000) == (4, True)
+    assert f'INFRA_ERROR node_error steering_controller: {says}' in done.stdout
+    assert list(read_table(tmp_path / 'c')['outcome']) == ['INFRA_ERROR']
+
+
+def test_given_a_function_that_would_decide_the_exit_code_at_the_end_then_it_does_not(folder):
+    executable = str(Path(sys.executable).with_name('taxinet'))
+    spec = 'never=always(cte < -100)'
+    words = ('run', 'nominal', '--perception', 'truth', '--controller', 'mine.py:late', *SHORT)
+    done = subprocess.run(
+        [executable, *words, '--spec', spec, '--out', 'ex'], cwd=folder, capture_output=True,
+        text=True, check=False,
+    )
+    assert (done.returncode, 'bye' in done.stdout) == (1, False), done.stderr
+
+
+def test_given_a_handler_that_exits_amid_a_run_then_the_exit_code_is_no_verdict(folder):
+    words = ('nominal', '--perception', 'truth', '--controller', 'mine.py:handles')
+    done = taxinet_apart('run', *words, '--images', 'none', '--out', 'ha', cwd=folder)
+    assert done.returncode == 4, done.stdout + done.stderr
 
 
 def test_given_a_function_that_prints_then_json_stays_json(folder):

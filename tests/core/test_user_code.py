@@ -155,14 +155,68 @@ def test_given_a_file_that_prints_then_what_we_print_stays_alone(file, capfd):
     ('import os\ndef make(seen):\n    os._exit(1)', 'mine.py:3: SystemExit: os._exit(1)'),
     ('def make(seen):\n    from os import _exit\n    _exit(0)',
      'mine.py:3: SystemExit: os._exit(0)'),
+    ('import posix\ndef make(seen):\n    posix._exit(0)', 'mine.py:3: SystemExit: os._exit(0)'),
+    ("import os\ndef make(seen):\n    os.execl('/bin/true', 'true')",
+     "mine.py:3: SystemExit: os.execv('/bin/true', ('true',))"),
+    ('import os\nclass Odd(Exception):\n    def __str__(self): os._exit(0)\n'
+     'def make(seen):\n    raise Odd', 'mine.py:5: Odd: <Odd whose str() fails: SystemExit>'),
+    ('import os\nclass Odd:\n    def __float__(self): os._exit(0)\n'
+     'def make(seen): return Odd(), 1.0', 'expected a pair'),
+    ('import os\nclass Odd:\n    __class__ = property(lambda self: os._exit(0))\n'
+     'def make(seen): return Odd()', 'mine.py:3: SystemExit: os._exit(0)'),
 ])
 def test_given_a_function_that_would_end_the_process_then_it_is_named_and_nothing_ends(
     file, text, says
 ):
-    controller, leave = steering(file(text)), os._exit
+    controller = steering(file(text))
     with pytest.raises(UserCodeError, match=re.escape(says)):
         controller.command(SEEN)
-    assert os._exit is leave
+
+
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_given_a_file_that_was_loaded_then_nothing_of_it_ends_the_process_later(file, capfd):
+    text = (
+        'import os, threading\n'
+        'def make(seen):\n'
+        '    one = threading.Thread(target=os._exit, args=(77,))\n'
+        '    one.start()\n'
+        '    one.join()\n'
+        '    return 0.0, 1.0\n'
+    )
+    assert steering(file(text)).command(SEEN).speed_mps == 1.0
+    with pytest.raises(SystemExit, match=re.escape('os._exit(0)')):
+        os._exit(0)
+    assert "os._exit(77): refused, in a thread of somebody's code" in capfd.readouterr().err
+
+
+def test_given_a_file_that_makes_up_a_ctrl_c_then_it_fails(file):
+    controller = steering(file('def make(seen):\n    raise KeyboardInterrupt'))
+    with pytest.raises(UserCodeError, match=r'mine\.py:2: KeyboardInterrupt$'):
+        controller.command(SEEN)
+    with pytest.raises(UsageError, match=r'mine\.py:1: KeyboardInterrupt$'):
+        steering(file('raise KeyboardInterrupt\ndef make(seen): pass'))
+
+
+def test_given_a_ctrl_c_amid_a_function_then_it_is_one(file):
+    text = 'import os\ndef make(seen):\n    os.kill(os.getpid(), 2)\n    while True: pass'
+    with pytest.raises(KeyboardInterrupt):
+        steering(file(text)).command(SEEN)
+
+
+@pytest.mark.parametrize('text', [
+    "def make(seen):\n    raise ValueError('y' * 10**7)",
+    "make = lambda seen: type('y' * 10**7, (Exception,), {})() / 0",
+])
+def test_given_a_failure_of_many_words_then_it_is_cut(file, tmp_path, text):
+    with pytest.raises(UserCodeError) as failed:
+        steering(file(text)).command(SEEN)
+    assert len(str(failed.value)) < 400 + len(str(tmp_path))
+
+
+def test_given_a_failure_with_signs_that_a_terminal_obeys_then_they_are_spelled_out(file):
+    text = "def make(seen):\n    raise ValueError('a\\x1b[2Jb\\ud800c\\0')"
+    with pytest.raises(UserCodeError, match=re.escape(r'ValueError: a\x1b[2Jb\ud800c\x00')):
+        steering(file(text)).command(SEEN)
 
 
 def test_given_a_function_that_forks_then_its_child_may_end(file):

@@ -17,7 +17,6 @@ from waiting import wait_for
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.interrupts import (
     INTERRUPTED,
-    end_now,
     handled,
     heard_again,
     interrupts,
@@ -25,6 +24,7 @@ from taxinet_ros.campaign.interrupts import (
 )
 from taxinet_ros.campaign.ledger import read_ledger
 from taxinet_ros.campaign.table import read_table
+from taxinet_ros.core.process_end import end_now
 
 pytestmark = pytest.mark.ros
 
