@@ -71,6 +71,9 @@ _LOOK_S = 0.01
 _MOMENT_S = 0.3
 """How long it is watched whether something comes that should not [s]."""
 
+_SLOWER = 2.0
+"""How much longer than the slowest answer one may take that need not come."""
+
 _ENDING_S: Final = 5.0
 """How long a node may take to end [s]."""
 
@@ -188,7 +191,6 @@ class Stage:
         )
         self._change = Future()
         self._run: Run | None = None
-        self._asked_s = 0.0
         self._publishers: dict[str, Publisher] = {}
         self._nodes = {
             name: Node(
@@ -254,22 +256,30 @@ class Stage:
         run = self._run
         if run is None:
             return
-        answer = Answer(
-            seq=said.seq, stamp_ns=said.stamp_ns, run_id=said.run_id, value=said.value,
-            after_s=time.monotonic() - self._asked_s,
-        )
-        if not run.questions:
+        asked = self._asked_by(run, said)
+        if asked is None:
             run.unasked += 1
             return
-        asked = run.questions[-1]
-        if (said.seq, said.stamp_ns) != (asked.seq, asked.stamp_ns):
-            # A second answer to an earlier message may come when the next one is out.
-            asked = next((
-                one for one in run.questions[:-1]
-                if one.answers and (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
-            ), asked)
-        asked.answers.append(answer)
+        asked.answers.append(Answer(
+            seq=said.seq, stamp_ns=said.stamp_ns, run_id=said.run_id, value=said.value,
+            after_s=time.monotonic() - asked.asked_s,
+        ))
         self._changed()
+
+    def _asked_by(self, run: Run, said: Said) -> Question | None:
+        """Which message it answers: a slow node's may come when later ones are out."""
+        def meant(one: Question) -> bool:
+            return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
+
+        earlier = [
+            one for past in self._record.runs if past is not run and past.run_id == said.run_id
+            for one in past.questions if meant(one) and not one.answers
+        ]
+        now = [one for one in run.questions if meant(one)]
+        waiting = [one for one in now if not one.answers]
+        # What says of itself nothing that fits can only be an answer to the newest one.
+        found = earlier[:1] or waiting[:1] or now[-1:] or run.questions[-1:]
+        return found[0] if found else None
 
     def _changed(self) -> None:
         if not self._change.done():
@@ -514,13 +524,21 @@ class Stage:
             lambda: question.answers or run.errors or self._dead(), self._options.patience_s
         )
         if not question.answers:
+            question.missed = True
             self._give_up(run)
 
     def _tease(
         self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
     ) -> None:
-        """Send a message that need not be answered, and see."""
+        """Send a message that need not be answered, and see, as long as an answer may take."""
         self._put(run, question, image=image, run_id=run_id)
+        slowest_s = max(
+            (said.after_s for _, one in self._record.asked() for said in one.answers), default=0.0
+        )
+        self._until(
+            lambda: question.answers or run.errors or self._dead(),
+            max(_MOMENT_S, _SLOWER * slowest_s),
+        )
         self._until(lambda: run.errors or self._dead(), _MOMENT_S)
         if self._dead():
             self._give_up(run)
@@ -549,7 +567,7 @@ class Stage:
         picture = None if image is not None or self._camera is None else self._picture(seq)
         state = self._states[seq % len(self._states)]
         now = Observation(seq=seq, stamp_ns=stamp_ns, state=state, image=picture)
-        self._asked_s = time.monotonic()
+        question.asked_s = time.monotonic()
         for topic, message in observation_messages(now, run_id or run.run_id):
             self._say(topic, message)
         if image is not None:

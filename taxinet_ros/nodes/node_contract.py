@@ -190,11 +190,22 @@ class Answer:
 
 @dataclass(kw_only=True)
 class Question:
-    """A message that the node is to answer: control step, truth, and what it is beside ordinary."""
+    """A message that the node is to answer.
+
+    Attributes:
+        seq: control step.
+        truth: what the tracking error is.
+        kind: what it is beside ordinary, or ''.
+        asked_s: when it was sent, by the monotonic clock [s].
+        missed: whether no answer came within the patience.
+        answers: in order of arrival.
+    """
 
     seq: int
     truth: TrackingError
     kind: str = ''
+    asked_s: float = 0.0
+    missed: bool = False
     answers: list[Answer] = field(default_factory=list)
 
     @property
@@ -449,7 +460,7 @@ def _uninvited(record: Record) -> Judged:
 
 
 def _ready_again(record: Record) -> Judged:
-    runs = [run for run in record.runs if run.kind in ('second', 'third', 'after')]
+    runs = [run for run in record.runs if run.kind not in ('first', 'uninvited')]
     late = [run for run in runs if not run.ready]
     if not runs or (late and record.died):
         return None
@@ -462,7 +473,7 @@ def _ready_again(record: Record) -> Judged:
 
 def _answers(record: Record) -> Judged:
     for run, one in record.asked():
-        if one.answers:
+        if one.answers and not one.missed:
             continue
         if run.errors:
             return Status.FAIL, f'frame {one.seq}: ERROR: {run.errors[0]}'
@@ -567,8 +578,8 @@ def _strange_image(record: Record) -> Judged:
     if interface.IMAGE.name not in heard:
         return (Status.NOT_TRIED, 'hears no pictures') if heard else None
     runs = [run for run in record.runs if run.kind == 'strange']
-    if _died_of_strange(record):
-        return Status.FAIL, f'{runs[-1].questions[-1].kind}: {record.died}'
+    if (deadly := _deadly(record)) is not None:
+        return Status.FAIL, f'{deadly.kind}: {record.died}'
     after = record.run('after')
     if not runs or after is None or record.died:
         return None
@@ -577,16 +588,27 @@ def _strange_image(record: Record) -> Judged:
     return Status.PASS, '; '.join(_of_strange(run) for run in runs)
 
 
-def _died_of_strange(record: Record) -> bool:
-    """Whether a strange message ended the node: its process takes a while, maybe to the run after.
+def _deadly(record: Record) -> Question | None:
+    """The strange message that ended the node: its process takes a while, maybe to the run after.
 
-    A controller answers each of them before that run.
+    One that it has answered did not, where it lived on to the run after.
     """
-    after = record.role.word == 'perception' and record.run('strange') is not None
-    return record.died_in == 'strange' or (after and record.died_in == 'after')
+    if not record.died or not record.runs or record.died_in not in ('strange', 'after'):
+        return None
+    last = record.runs[-1]
+    if last.kind == 'strange' and last.questions:
+        return last.questions[-1]
+    before = record.runs[-2] if len(record.runs) > 1 else last
+    if record.role.word == 'controller' or before.kind != 'strange' or not before.questions:
+        return None
+    asked = before.questions[-1]
+    lived = asked.answers or before.errors or any(one.answers for one in last.questions)
+    return None if lived else asked
 
 
 def _of_strange(run: Run) -> str:
+    if not run.questions:
+        return 'not asked'
     one = run.questions[-1]
     if run.errors:
         return f'{one.kind}: ERROR: {run.errors[0]}'
@@ -628,7 +650,7 @@ def _other_run(record: Record) -> Judged:
 def _lives(record: Record) -> Judged:
     if not record.runs:
         return None
-    if record.died and not _died_of_strange(record):
+    if record.died and _deadly(record) is None:
         return Status.FAIL, f'run {record.died_in}: {record.died}'
     return Status.PASS, f'{len(record.runs)} runs'
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import math
 import multiprocessing
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
+from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -48,6 +50,8 @@ KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
 ODD = 'slow,random,away'
 FAULTS = {
     'starts': ('controller', {'starts'}, PATIENT_S),
+    'half_a_second': ('controller', set(), PATIENT_S),
+    'dies_at_4': ('perception', {'lives'}, PATIENT_S),
     'name': ('controller', {'name'}, 1.0),
     'topics,types,qos': ('controller', {'topics', 'types', 'qos'}, PATIENT_S),
     'ready': ('controller', {'ready'}, 1.0),
@@ -189,6 +193,64 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
         (Status.FAIL, says) if says
         else (Status.PASS, 'hears perception/tracking_error, scenario')
     )
+
+
+def whole_record(role: str) -> Record:
+    """Of a node that has kept everything, as far as runs tell."""
+    runs = []
+    strange = 3 if role == 'perception' else 1
+    for kind in ('first', 'second', 'uninvited', 'third', 'fresh', *['strange'] * strange, 'after'):
+        run = judged(role, lambda truth: truth if role == 'perception' else TaxiCommand(
+            steering_rad=0.0, speed_mps=1.0
+        )).runs[0]
+        ready = [NodeStatus(node=ROLES[role].node, implementation='x', state=NodeStatus.READY)]
+        runs.append(dataclasses.replace(
+            run, kind=kind, ready=[] if kind == 'uninvited' else ready, questions=[
+                dataclasses.replace(one, kind='empty' if kind == 'strange' else '')
+                for one in run.questions if kind != 'uninvited'
+            ],
+        ))
+    name = ROLES[role].node
+    ends = [
+        End(
+            node=name, topic=topic, publishes=False, type_name=topic.type_name, qos=topic.qos
+        ) for topic in ROLES[role].hears[:1]
+    ]
+    return Record(role=ROLES[role], nodes=[f'/{name}'], runs=runs, ends=ends)
+
+
+@pytest.mark.parametrize('role', ROLES)
+@pytest.mark.parametrize('asked', [0, 1, 2])
+@pytest.mark.parametrize('count', range(10))
+def test_given_a_node_that_dies_at_any_place_then_it_is_judged_and_told(role, asked, count):
+    record = whole_record(role)
+    runs = record.runs[:count]
+    if runs:
+        runs[-1].ready, runs[-1].questions = [], runs[-1].questions[:asked]
+    kind = runs[-1].kind if runs else ''
+    dead = dataclasses.replace(record, runs=runs, died='exit code 7', died_in=kind)
+    fails = broken(by_clause(judge(dead)))
+    told = 'starts' if not runs else 'lives'
+    if kind == 'strange' and asked:
+        told = {'perception': 'strange_image', 'controller': 'unusable'}[role]
+    if told != 'unusable':
+        assert told in fails
+    judge(dataclasses.replace(dead, died='', died_in=''))
+
+
+def test_given_a_node_that_dies_unheard_after_a_strange_image_then_the_image_is_told():
+    record = whole_record('perception')
+    for one in record.runs[-2].questions:
+        one.answers.clear()
+    record.runs[-1].questions, record.died, record.died_in = [], 'exit code 7', 'after'
+    assert 'strange_image' in broken(by_clause(judge(record)))
+
+
+def test_given_a_node_without_ready_after_a_strange_image_then_it_fails():
+    record = whole_record('perception')
+    del record.runs[-2:]
+    record.runs[-1].ready, record.runs[-1].given_up = [], True
+    assert 'ready_again' in broken(by_clause(judge(record)))
 
 
 def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import signal
 import subprocess
@@ -48,6 +49,8 @@ class Answers:
             return
         if 'slow' in FAULTS:
             time.sleep(0.11)
+        if 'half_a_second' in FAULTS:
+            time.sleep(0.5)
         if ROLE == 'controller':
             self.spoil_command(answer)
         elif 'nan' in FAULTS:
@@ -100,6 +103,8 @@ class Wrong(EXAMPLE[ROLE]):
 
     def begin(self, scenario):
         self.begun += 1
+        if 'dies_at_4' in FAULTS and self.begun == 4:
+            os._exit(7)
         self.answers.run_id = scenario.run_id
         if 'remembers' not in FAULTS:
             self.answers.count = 0
