@@ -12,6 +12,8 @@ import dataclasses
 import math
 import signal
 import time
+import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -80,6 +82,7 @@ _ENDING_S: Final = 5.0
 _KEPT_S: Final = 60.0, 4.5
 """How long its keeper leaves it to itself after SIGINT, and after SIGTERM [s]."""
 
+_TAIL_BYTES = 1 << 20
 _TRACEBACK = 'Traceback (most recent call last)'
 _SCENE = Scenario(distance_m=1000.0, time_of_day_s=10 * 3600.0, duration_s=60.0)
 
@@ -199,6 +202,7 @@ class Stage:
         }
         for node in self._nodes.values():
             executor.add_node(node)
+        self._ours = self._own_participant()
         self._late_ear = (interface.MTL_MONITOR, role.answers)
         for topic in interface.TOPICS:
             for name, node in self._nodes.items():
@@ -219,6 +223,15 @@ class Stage:
         for node in self._nodes.values():
             self._executor.remove_node(node)
             node.destroy_node()
+
+    def _own_participant(self) -> tuple[int, ...]:
+        """The kit's participant of DDS, which all its ends have in common."""
+        name = f'taxinet_check_{uuid.uuid4().hex}'
+        watcher = self._nodes[interface.SIMULATOR]
+        probe = watcher.create_publisher(RunStatus, name, 1)
+        ends = watcher.get_publishers_info_by_topic(name)
+        watcher.destroy_publisher(probe)
+        return _participant(ends[0])
 
     # The rest of the graph ---------------------------------------------------------------------
 
@@ -330,17 +343,20 @@ class Stage:
     def _theirs(self) -> list[tuple[str, str]]:
         """Names and namespaces of nodes that are not the kit's."""
         watcher = self._nodes[interface.SIMULATOR]
-        return [
+        found = Counter(
             (name, space) for name, space in watcher.get_node_names_and_namespaces()
-            if not name.startswith('_') and (name not in self._nodes or space != '/')
-        ]
+            if not name.startswith('_')
+        )
+        # Not by name alone: a node of theirs may be called as one of ours.
+        return list((found - Counter((name, '/') for name in self._nodes)).elements())
 
     def _whole(self) -> bool:
         """Whether the node has all ends that some part asks for, whatever it is called."""
         self._survey()
         ends = {(end.topic.name, end.publishes) for end in self._record.ends}
         needed = {(interface.NODE_STATUS.name, True), (interface.SCENARIO.name, False)}
-        named = any(name == self._role.node for name, _ in self._theirs())
+        # Once: what is left of a process that was killed is forgotten by and by.
+        named = [name for name, _ in self._theirs()].count(self._role.node) == 1
         return named and needed <= ends and any(
             (role.answers.name, True) in ends
             and any((topic.name, False) in ends for topic in role.hears)
@@ -360,7 +376,7 @@ class Stage:
                         node=one.node_name, topic=topic, publishes=publishes,
                         type_name=one.topic_type, qos=one.qos_profile,
                     ) for one in found
-                    if one.node_name not in (*self._nodes, NAMELESS)
+                    if one.node_name != NAMELESS and _participant(one) != self._ours
                 ]
         self._record.ends = ends
         theirs = self._theirs()
@@ -437,12 +453,16 @@ class Stage:
 
     def _matched(self) -> bool:
         """Whether what is sent to the node now reaches it."""
+        return not self._unmatched()
+
+    def _unmatched(self) -> list[str]:
+        """Topics on which what is sent now would pass the node by."""
         heard = {end.topic.name for end in self._record.ends if not end.publishes}
-        return all(
-            heard_by(
+        return [
+            topic.name for topic in self._role.hears if topic.name in heard and not heard_by(
                 self._nodes[topic.publishers[0]], self._publishers[topic.name], [self._role.node]
-            ) for topic in self._role.hears if topic.name in heard
-        )
+            )
+        ]
 
     def _uninvited(self) -> None:
         others = tuple(name for name in self._nodes if name != interface.SIMULATOR)
@@ -509,7 +529,10 @@ class Stage:
         run.ready_s = time.monotonic() - begun_s
         if not run.ready:
             self._give_up(run)
-        self._until(lambda: self._matched() or self._dead(), within_s)  # as the simulator does
+        # As the simulator does.
+        if not self._until(lambda: self._matched() or self._dead(), within_s):
+            run.unmatched = tuple(self._unmatched())
+            self._give_up(run)
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.RUNNING))
 
     def _ask_all(self, run: Run) -> None:
@@ -612,12 +635,19 @@ class Stage:
         if not process.dead or process.process.returncode == -signal.SIGKILL:
             after_s = None
         end_all([process])
-        said = self._options.log.read_bytes()[printed:].decode(errors='replace')
+        with self._options.log.open('rb') as log:
+            log.seek(max(printed, self._options.log.stat().st_size - _TAIL_BYTES))
+            said = log.read(_TAIL_BYTES).decode(errors='replace')
         left = [line for line in said.splitlines() if line.startswith(CHILDREN_LEFT)]
         self._record.endings[name] = Ending(
             after_s=after_s, traceback=_TRACEBACK in said,
             left=left[-1].removeprefix(CHILDREN_LEFT) if left and after_s is not None else '',
         )
+
+
+def _participant(end: Any) -> tuple[int, ...]:
+    """The participant that an end belongs to: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
+    return tuple(end.endpoint_gid[:12])
 
 
 def _run_status(run: Run, state: int) -> RunStatus:

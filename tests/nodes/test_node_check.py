@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import math
 import multiprocessing
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -14,10 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
+from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from taxinet_msgs.msg import NodeStatus
 
+from taxinet_ros.cli.check_node import run_check
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation
@@ -50,7 +55,7 @@ KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
 ODD = 'slow,random,away'
 FAULTS = {
     'starts': ('controller', {'starts'}, PATIENT_S),
-    'half_a_second': ('controller', set(), PATIENT_S),
+    'very_slow': ('controller', set(), PATIENT_S),
     'dies_at_4': ('perception', {'lives'}, PATIENT_S),
     'name': ('controller', {'name'}, 1.0),
     'topics,types,qos': ('controller', {'topics', 'types', 'qos'}, PATIENT_S),
@@ -68,7 +73,10 @@ FAULTS = {
     ),
     'nan,deaf': ('controller', {'finite', 'unusable', 'sigint', 'sigterm'}, PATIENT_S),
     'nan,strange_image': ('perception', {'finite', 'strange_image'}, PATIENT_S),
-    ODD: ('controller', set(), PATIENT_S),
+    ODD: ('controller', {'forgets'}, PATIENT_S),
+    'two': ('controller', {'name'}, 1.0),
+    'namesake': ('controller', {'name', 'topics'}, 1.0),
+    'deadline': ('controller', {'qos'}, 1.0),
 }
 
 
@@ -124,7 +132,7 @@ def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
 def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
     found = by_clause(checks[ODD].result()[0])
     assert 'not reproducible' in found['reproducible'].came
-    assert 'not reproducible' in found['forgets'].came
+    assert 'without a seed' in found['forgets'].came
     assert 'runs take longer' in found['time'].came
     assert 'AWAY' in found['sign'].came
     assert 'radians?' in found['limits'].came
@@ -193,6 +201,52 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
         (Status.FAIL, says) if says
         else (Status.PASS, 'hears perception/tracking_error, scenario')
     )
+
+
+@pytest.mark.parametrize(('publishes', 'more', 'says'), [
+    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s asked for'),
+    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic asked for'),
+    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s asked for'),
+    (True, {'lifespan': Duration(nanoseconds=1)}, 'lifespan 1e-09 s offered'),
+    (True, {'deadline': Duration(seconds=1)}, ''),
+    (True, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, ''),
+    (False, {'lifespan': Duration(nanoseconds=1)}, ''),
+    (False, {'deadline': Duration(nanoseconds=2**63 - 1)}, ''),
+])
+def test_given_quality_of_service_in_time_then_what_cannot_match_is_named(publishes, more, says):
+    misfit = End(
+        node='x', topic=interface.COMMAND, publishes=publishes, type_name='',
+        qos=QoSProfile(depth=16, **more),
+    ).misfit()
+    assert (says in misfit) if says else misfit == ''
+
+
+@pytest.mark.parametrize(('more', 'says'), [
+    ({'log': Path('no_such_folder/x.log')}, 'there is no folder no_such_folder'),
+    ({'log': Path('/')}, 'is a folder'),
+    ({'patience_s': math.nan}, '--patience nan: not a number'),
+    ({'command': str(HERE / 'wrong_node.py')}, "for a node say 'python3 "),
+])
+def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(more, says):
+    words = {
+        'command': 'true', 'role': None, 'external': False, 'domain': None, 'frames': 8,
+        'patience_s': 1.0, 'log': None, 'as_json': False, **more,
+    }
+    with pytest.raises(UsageError, match=re.escape(says)):
+        run_check(**words)
+
+
+def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, capfd):
+    program = tmp_path / 'mine.py'
+    program.write_text('#!/bin/sh\necho out of paint\nexit 3\n')
+    program.chmod(0o755)
+    with pytest.raises(UsageError, match='breaks: starts'):
+        run_check(
+            str(program), role='controller', external=False, domain=None, frames=8,
+            patience_s=1.0, log=tmp_path / 'node.log', as_json=False,
+        )
+    assert 'exit code 3: out of paint' in capfd.readouterr().out
+    assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
 
 
 def whole_record(role: str) -> Record:
