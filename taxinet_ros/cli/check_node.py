@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import json
+import math
+import os
 import shutil
 import sys
 import tempfile
@@ -54,6 +56,10 @@ def run_check(
         raise UsageError(
             'check-node: name a COMMAND, or say --external of a node that you start'
         )
+    if not math.isfinite(patience_s):
+        raise UsageError(f'--patience {patience_s:g}: not a number of seconds')
+    if log is not None:
+        _check_log(log)
     with tempfile.TemporaryDirectory(prefix='taxinet-') as scratch:
         printed = Path(scratch) / 'node.log'
         printed.touch()
@@ -62,14 +68,24 @@ def run_check(
             role=role, domain=domain, frames=frames, patience_s=patience_s, log=printed,
         )
         record = check_node(options, _say)
+        findings = judge(record)
+        print(_json(record, findings) if as_json else _words(record, findings), flush=True)
         if log is not None:
             shutil.copyfile(printed, log)
-    findings = judge(record)
-    print(_json(record, findings) if as_json else _words(record, findings))
     broken = [one.clause.name for one in findings if one.status is Status.FAIL]
     if broken:
         raise UsageError(f'check-node: the {record.role.word} breaks: {", ".join(broken)}')
     return 0
+
+
+def _check_log(log: Path) -> None:
+    """Whether what the node prints can be put there, before a minute is spent on it."""
+    if log.is_dir():
+        raise UsageError(f'--log {log}: is a folder; name a file')
+    if not log.parent.is_dir():
+        raise UsageError(f'--log {log}: there is no folder {log.parent}')
+    if not os.access(log if log.exists() else log.parent, os.W_OK):
+        raise UsageError(f'--log {log}: cannot be written')
 
 
 def _say(line: str) -> None:
@@ -78,10 +94,16 @@ def _say(line: str) -> None:
 
 def _starter(command: str, role: str | None, scratch: Path) -> Starter:
     words = command_of(COMMAND + command) or []
-    if len(words) > 1 or not names_user_code(command):
+    program = len(words) == 1 and os.access(words[0], os.X_OK) and Path(words[0]).is_file()
+    if len(words) > 1 or program or not names_user_code(command):
         if shutil.which(words[0]) is None:
             raise UsageError(f'check-node: {words[0]}: no such program')
         return command_starter(words)
+    if command.endswith('.py'):
+        raise UsageError(
+            f"check-node: {command}: for a node say 'python3 {command}', for a function "
+            f'{command}:NAME'
+        )
     if role is None:
         raise UsageError(f'--role: {command} is a function; say perception or controller')
     if role == 'perception':

@@ -12,6 +12,8 @@ import dataclasses
 import math
 import signal
 import time
+import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -71,12 +73,16 @@ _LOOK_S = 0.01
 _MOMENT_S = 0.3
 """How long it is watched whether something comes that should not [s]."""
 
+_SLOWER = 2.0
+"""How much longer than the slowest answer one may take that need not come."""
+
 _ENDING_S: Final = 5.0
 """How long a node may take to end [s]."""
 
 _KEPT_S: Final = 60.0, 4.5
 """How long its keeper leaves it to itself after SIGINT, and after SIGTERM [s]."""
 
+_TAIL_BYTES = 1 << 20
 _TRACEBACK = 'Traceback (most recent call last)'
 _SCENE = Scenario(distance_m=1000.0, time_of_day_s=10 * 3600.0, duration_s=60.0)
 
@@ -188,7 +194,6 @@ class Stage:
         )
         self._change = Future()
         self._run: Run | None = None
-        self._asked_s = 0.0
         self._publishers: dict[str, Publisher] = {}
         self._nodes = {
             name: Node(
@@ -197,6 +202,7 @@ class Stage:
         }
         for node in self._nodes.values():
             executor.add_node(node)
+        self._ours = self._own_participant()
         self._late_ear = (interface.MTL_MONITOR, role.answers)
         for topic in interface.TOPICS:
             for name, node in self._nodes.items():
@@ -217,6 +223,15 @@ class Stage:
         for node in self._nodes.values():
             self._executor.remove_node(node)
             node.destroy_node()
+
+    def _own_participant(self) -> tuple[int, ...]:
+        """The kit's participant of DDS, which all its ends have in common."""
+        name = f'taxinet_check_{uuid.uuid4().hex}'
+        watcher = self._nodes[interface.SIMULATOR]
+        probe = watcher.create_publisher(RunStatus, name, 1)
+        ends = watcher.get_publishers_info_by_topic(name)
+        watcher.destroy_publisher(probe)
+        return _participant(ends[0])
 
     # The rest of the graph ---------------------------------------------------------------------
 
@@ -254,22 +269,30 @@ class Stage:
         run = self._run
         if run is None:
             return
-        answer = Answer(
-            seq=said.seq, stamp_ns=said.stamp_ns, run_id=said.run_id, value=said.value,
-            after_s=time.monotonic() - self._asked_s,
-        )
-        if not run.questions:
+        asked = self._asked_by(run, said)
+        if asked is None:
             run.unasked += 1
             return
-        asked = run.questions[-1]
-        if (said.seq, said.stamp_ns) != (asked.seq, asked.stamp_ns):
-            # A second answer to an earlier message may come when the next one is out.
-            asked = next((
-                one for one in run.questions[:-1]
-                if one.answers and (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
-            ), asked)
-        asked.answers.append(answer)
+        asked.answers.append(Answer(
+            seq=said.seq, stamp_ns=said.stamp_ns, run_id=said.run_id, value=said.value,
+            after_s=time.monotonic() - asked.asked_s,
+        ))
         self._changed()
+
+    def _asked_by(self, run: Run, said: Said) -> Question | None:
+        """Which message it answers: a slow node's may come when later ones are out."""
+        def meant(one: Question) -> bool:
+            return (one.seq, one.stamp_ns) == (said.seq, said.stamp_ns)
+
+        earlier = [
+            one for past in self._record.runs if past is not run and past.run_id == said.run_id
+            for one in past.questions if meant(one) and not one.answers
+        ]
+        now = [one for one in run.questions if meant(one)]
+        waiting = [one for one in now if not one.answers]
+        # What says of itself nothing that fits can only be an answer to the newest one.
+        found = earlier[:1] or waiting[:1] or now[-1:] or run.questions[-1:]
+        return found[0] if found else None
 
     def _changed(self) -> None:
         if not self._change.done():
@@ -320,17 +343,20 @@ class Stage:
     def _theirs(self) -> list[tuple[str, str]]:
         """Names and namespaces of nodes that are not the kit's."""
         watcher = self._nodes[interface.SIMULATOR]
-        return [
+        found = Counter(
             (name, space) for name, space in watcher.get_node_names_and_namespaces()
-            if not name.startswith('_') and (name not in self._nodes or space != '/')
-        ]
+            if not name.startswith('_')
+        )
+        # Not by name alone: a node of theirs may be called as one of ours.
+        return list((found - Counter((name, '/') for name in self._nodes)).elements())
 
     def _whole(self) -> bool:
         """Whether the node has all ends that some part asks for, whatever it is called."""
         self._survey()
         ends = {(end.topic.name, end.publishes) for end in self._record.ends}
         needed = {(interface.NODE_STATUS.name, True), (interface.SCENARIO.name, False)}
-        named = any(name == self._role.node for name, _ in self._theirs())
+        # Once: what is left of a process that was killed is forgotten by and by.
+        named = [name for name, _ in self._theirs()].count(self._role.node) == 1
         return named and needed <= ends and any(
             (role.answers.name, True) in ends
             and any((topic.name, False) in ends for topic in role.hears)
@@ -350,7 +376,7 @@ class Stage:
                         node=one.node_name, topic=topic, publishes=publishes,
                         type_name=one.topic_type, qos=one.qos_profile,
                     ) for one in found
-                    if one.node_name not in (*self._nodes, NAMELESS)
+                    if one.node_name != NAMELESS and _participant(one) != self._ours
                 ]
         self._record.ends = ends
         theirs = self._theirs()
@@ -427,12 +453,16 @@ class Stage:
 
     def _matched(self) -> bool:
         """Whether what is sent to the node now reaches it."""
+        return not self._unmatched()
+
+    def _unmatched(self) -> list[str]:
+        """Topics on which what is sent now would pass the node by."""
         heard = {end.topic.name for end in self._record.ends if not end.publishes}
-        return all(
-            heard_by(
+        return [
+            topic.name for topic in self._role.hears if topic.name in heard and not heard_by(
                 self._nodes[topic.publishers[0]], self._publishers[topic.name], [self._role.node]
-            ) for topic in self._role.hears if topic.name in heard
-        )
+            )
+        ]
 
     def _uninvited(self) -> None:
         others = tuple(name for name in self._nodes if name != interface.SIMULATOR)
@@ -499,7 +529,10 @@ class Stage:
         run.ready_s = time.monotonic() - begun_s
         if not run.ready:
             self._give_up(run)
-        self._until(lambda: self._matched() or self._dead(), within_s)  # as the simulator does
+        # As the simulator does.
+        if not self._until(lambda: self._matched() or self._dead(), within_s):
+            run.unmatched = tuple(self._unmatched())
+            self._give_up(run)
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.RUNNING))
 
     def _ask_all(self, run: Run) -> None:
@@ -514,13 +547,21 @@ class Stage:
             lambda: question.answers or run.errors or self._dead(), self._options.patience_s
         )
         if not question.answers:
+            question.missed = True
             self._give_up(run)
 
     def _tease(
         self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
     ) -> None:
-        """Send a message that need not be answered, and see."""
+        """Send a message that need not be answered, and see, as long as an answer may take."""
         self._put(run, question, image=image, run_id=run_id)
+        slowest_s = max(
+            (said.after_s for _, one in self._record.asked() for said in one.answers), default=0.0
+        )
+        self._until(
+            lambda: question.answers or run.errors or self._dead(),
+            max(_MOMENT_S, _SLOWER * slowest_s),
+        )
         self._until(lambda: run.errors or self._dead(), _MOMENT_S)
         if self._dead():
             self._give_up(run)
@@ -549,7 +590,7 @@ class Stage:
         picture = None if image is not None or self._camera is None else self._picture(seq)
         state = self._states[seq % len(self._states)]
         now = Observation(seq=seq, stamp_ns=stamp_ns, state=state, image=picture)
-        self._asked_s = time.monotonic()
+        question.asked_s = time.monotonic()
         for topic, message in observation_messages(now, run_id or run.run_id):
             self._say(topic, message)
         if image is not None:
@@ -594,12 +635,19 @@ class Stage:
         if not process.dead or process.process.returncode == -signal.SIGKILL:
             after_s = None
         end_all([process])
-        said = self._options.log.read_bytes()[printed:].decode(errors='replace')
+        with self._options.log.open('rb') as log:
+            log.seek(max(printed, self._options.log.stat().st_size - _TAIL_BYTES))
+            said = log.read(_TAIL_BYTES).decode(errors='replace')
         left = [line for line in said.splitlines() if line.startswith(CHILDREN_LEFT)]
         self._record.endings[name] = Ending(
             after_s=after_s, traceback=_TRACEBACK in said,
             left=left[-1].removeprefix(CHILDREN_LEFT) if left and after_s is not None else '',
         )
+
+
+def _participant(end: Any) -> tuple[int, ...]:
+    """The participant that an end belongs to: the first 12 bytes of its GUID (RTPS 2.5, 9.3.1)."""
+    return tuple(end.endpoint_gid[:12])
 
 
 def _run_status(run: Run, state: int) -> RunStatus:

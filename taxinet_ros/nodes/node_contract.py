@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
 from taxinet_msgs.msg import NodeStatus
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -31,6 +31,7 @@ BOTH: Final = ('perception', 'controller')
 SIDES: Final = ((3.0, 0.0), (-3.0, 0.0), (0.0, 0.2), (0.0, -0.2))
 """The first places in which a node is asked: cross-track error [m] and heading error [rad]."""
 
+_FOREVER_NS = 2**63 - 1
 _DEGREES = 180.0 / math.pi
 _GRACES_S: Final = {'SIGINT': ASKED_S + TOLD_S, 'SIGTERM': TOLD_S}
 _STEERING_LIMIT_RAD, _SPEED_LIMIT_MPS = math.pi / 3, 10.0
@@ -96,11 +97,17 @@ class Clause:
     informative: bool = False
 
 
+_END_MEND = (
+    'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin; end the processes '
+    'that it started, and wait for them'
+)
+
 CLAUSES: Final = (
     Clause('starts', 'the command starts, and a node of it joins the graph within 30 s',
            'run it by hand: its own output says why'),
     Clause('name', 'its node is called {node}, in no namespace',
-           'hand the command line on: rclpy.init(), or rclcpp::init(argc, argv)'),
+           'hand the command line on: rclpy.init(), or rclcpp::init(argc, argv); '
+           'a second node of yours with use_global_arguments=False'),
     Clause('topics', 'publishes {answers} and node_status, hears scenario and {hears}; publishes '
            'nothing else of the graph', 'relative names, as in the table of the docs'),
     Clause('types', 'each topic has the type of the table', 'use the message of the table'),
@@ -126,7 +133,8 @@ CLAUSES: Final = (
     Clause('finite', 'finite numbers, a speed not below 0; or valid=false',
            'say valid=false where you cannot tell; a controller brakes'),
     Clause('forgets', 'the same messages in a second run have the same answers',
-           'begin each run as the first: reset filters, counters, random numbers'),
+           'begin each run as the first: reset filters and counters, seed random numbers, have a '
+           'GPU compute in a fixed order'),
     Clause('strange_image', 'an image that is empty, cut off or of another encoding does not end '
            'the node: valid=false, no answer, or ERROR with a detail',
            'look at encoding, size and len(data) before you reshape', ('perception',)),
@@ -136,9 +144,9 @@ CLAUSES: Final = (
            "leave it alone, or answer with the estimate's own run_id", ('controller',)),
     Clause('lives', 'the node lives on from run to run', 'see its output'),
     Clause('sigint', 'ends within 5 s of SIGINT, without a traceback, and leaves no process',
-           'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
+           _END_MEND),
     Clause('sigterm', 'ends within 5 s of SIGTERM, without a traceback, and leaves no process',
-           'except (KeyboardInterrupt, ExternalShutdownException): pass, around spin'),
+           _END_MEND),
     Clause('reproducible', 'a fresh process gives the same answers', informative=True),
     Clause('time', 'how long an answer takes', informative=True),
     Clause('memory', 'memory and what it grew by', informative=True),
@@ -171,6 +179,20 @@ class End:
         if self.qos.durability != needed and (latched or not self.publishes):
             return f'{self}: durability {_word(self.qos.durability)} {offers}, {_word(needed)} ' \
                 'needed'
+        return self._untimely()
+
+    def _untimely(self) -> str:
+        """What it asks for, or lets go, in time, beyond the table, which says nothing of time."""
+        if self.publishes:
+            lifespan_s = _seconds(self.qos.lifespan)
+            lost = f'{self}: lifespan {lifespan_s:g} s offered: older messages are lost'
+            return lost if lifespan_s < math.inf else ''
+        if (deadline_s := _seconds(self.qos.deadline)) < math.inf:
+            return f'{self}: deadline {deadline_s:g} s asked for, none offered'
+        if self.qos.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC:
+            return f'{self}: liveliness {_word(self.qos.liveliness)} asked for, automatic offered'
+        if (lease_s := _seconds(self.qos.liveliness_lease_duration)) < math.inf:
+            return f'{self}: liveliness lease {lease_s:g} s asked for, none offered'
         return ''
 
     def __str__(self) -> str:
@@ -190,11 +212,22 @@ class Answer:
 
 @dataclass(kw_only=True)
 class Question:
-    """A message that the node is to answer: control step, truth, and what it is beside ordinary."""
+    """A message that the node is to answer.
+
+    Attributes:
+        seq: control step.
+        truth: what the tracking error is.
+        kind: what it is beside ordinary, or ''.
+        asked_s: when it was sent, by the monotonic clock [s].
+        missed: whether no answer came within the patience.
+        answers: in order of arrival.
+    """
 
     seq: int
     truth: TrackingError
     kind: str = ''
+    asked_s: float = 0.0
+    missed: bool = False
     answers: list[Answer] = field(default_factory=list)
 
     @property
@@ -218,6 +251,7 @@ class Run:
         errors: details of its ERRORs.
         others: run_ids of READYs for no run.
         given_up: whether something was waited for in vain.
+        unmatched: topics that the node hears, whose publisher never found it.
     """
 
     run_id: str
@@ -230,6 +264,7 @@ class Run:
     errors: list[str] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     given_up: bool = False
+    unmatched: tuple[str, ...] = ()
 
     @property
     def ordinary(self) -> list[Question]:
@@ -348,8 +383,14 @@ def _starts(record: Record) -> Judged:
 def _name(record: Record) -> Judged:
     if not record.nodes:
         return None
-    shown = ', '.join(record.nodes)
-    return _kept('' if f'/{record.role.node}' in record.nodes else f'found {shown}', shown)
+    shown, name = ', '.join(record.nodes), f'/{record.role.node}'
+    others = {f'/{one}' for one in (interface.SIMULATOR, *interface.PARTICIPANTS)} - {name}
+    taken = sorted(others & set(record.nodes))
+    wrong = [] if name in record.nodes else [f'found {shown}']
+    if (count := record.nodes.count(name)) > 1:
+        wrong.append(f'{count} nodes are called {name}')
+    wrong += [f'{one} is the name of another node of the graph' for one in taken]
+    return _kept('; '.join(wrong), shown)
 
 
 def _of_node(record: Record) -> list[End]:
@@ -393,6 +434,10 @@ def _types(record: Record) -> Judged:
 def _qos(record: Record) -> Judged:
     ends = _of_node(record)
     misfits = [misfit for end in ends if (misfit := end.misfit())]
+    misfits += [
+        f'subscription of {name} was never matched' for run in record.runs[-1:]
+        for name in run.unmatched
+    ]
     return _kept('; '.join(misfits), f'{len(ends)} ends') if ends else None
 
 
@@ -449,7 +494,7 @@ def _uninvited(record: Record) -> Judged:
 
 
 def _ready_again(record: Record) -> Judged:
-    runs = [run for run in record.runs if run.kind in ('second', 'third', 'after')]
+    runs = [run for run in record.runs if run.kind not in ('first', 'uninvited')]
     late = [run for run in runs if not run.ready]
     if not runs or (late and record.died):
         return None
@@ -462,7 +507,7 @@ def _ready_again(record: Record) -> Judged:
 
 def _answers(record: Record) -> Judged:
     for run, one in record.asked():
-        if one.answers:
+        if one.answers and not one.missed:
             continue
         if run.errors:
             return Status.FAIL, f'frame {one.seq}: ERROR: {run.errors[0]}'
@@ -548,8 +593,10 @@ def _forgets(record: Record) -> Judged:
     if not different:
         return Status.PASS, f'{len(second)} the same to the bit'
     if fresh is None or _difference(first, fresh):
-        return Status.NOTE, f'{different}: not reproducible, or it remembers the run before'
-    return Status.FAIL, different
+        again = 'a fresh process differs again: it draws numbers without a seed, or its '
+        again += 'arithmetic has no fixed order'
+        return Status.FAIL, f'{different}; {again}' if fresh is not None else different
+    return Status.FAIL, f'{different}; a fresh process does as the first run: it remembers'
 
 
 def _reproducible(record: Record) -> Judged:
@@ -567,8 +614,8 @@ def _strange_image(record: Record) -> Judged:
     if interface.IMAGE.name not in heard:
         return (Status.NOT_TRIED, 'hears no pictures') if heard else None
     runs = [run for run in record.runs if run.kind == 'strange']
-    if _died_of_strange(record):
-        return Status.FAIL, f'{runs[-1].questions[-1].kind}: {record.died}'
+    if (deadly := _deadly(record)) is not None:
+        return Status.FAIL, f'{deadly.kind}: {record.died}'
     after = record.run('after')
     if not runs or after is None or record.died:
         return None
@@ -577,16 +624,27 @@ def _strange_image(record: Record) -> Judged:
     return Status.PASS, '; '.join(_of_strange(run) for run in runs)
 
 
-def _died_of_strange(record: Record) -> bool:
-    """Whether a strange message ended the node: its process takes a while, maybe to the run after.
+def _deadly(record: Record) -> Question | None:
+    """The strange message that ended the node: its process takes a while, maybe to the run after.
 
-    A controller answers each of them before that run.
+    One that it has answered did not, where it lived on to the run after.
     """
-    after = record.role.word == 'perception' and record.run('strange') is not None
-    return record.died_in == 'strange' or (after and record.died_in == 'after')
+    if not record.died or not record.runs or record.died_in not in ('strange', 'after'):
+        return None
+    last = record.runs[-1]
+    if last.kind == 'strange' and last.questions:
+        return last.questions[-1]
+    before = record.runs[-2] if len(record.runs) > 1 else last
+    if record.role.word == 'controller' or before.kind != 'strange' or not before.questions:
+        return None
+    asked = before.questions[-1]
+    lived = asked.answers or before.errors or any(one.answers for one in last.questions)
+    return None if lived else asked
 
 
 def _of_strange(run: Run) -> str:
+    if not run.questions:
+        return 'not asked'
     one = run.questions[-1]
     if run.errors:
         return f'{one.kind}: ERROR: {run.errors[0]}'
@@ -628,7 +686,7 @@ def _other_run(record: Record) -> Judged:
 def _lives(record: Record) -> Judged:
     if not record.runs:
         return None
-    if record.died and not _died_of_strange(record):
+    if record.died and _deadly(record) is None:
         return Status.FAIL, f'run {record.died_in}: {record.died}'
     return Status.PASS, f'{len(record.runs)} runs'
 
@@ -771,6 +829,11 @@ def _comparable(value: TrackingError | TaxiCommand) -> tuple[Any, ...]:
 def _shown(values: tuple[Any, ...]) -> str:
     numbers = [f'{float(one):.6g}' if isinstance(one, str) else f'valid={one}' for one in values]
     return f'({", ".join(numbers)})'
+
+
+def _seconds(duration: Any) -> float:
+    """Of a duration of a quality of service; what is not given, or the longest, is infinite."""
+    return duration.nanoseconds / NS_PER_S if 0 < duration.nanoseconds < _FOREVER_NS else math.inf
 
 
 def _word(policy: Any) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import math
 import multiprocessing
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -13,9 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.duration import Duration
+from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from taxinet_msgs.msg import NodeStatus
 
+from taxinet_ros.cli.check_node import run_check
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation
@@ -48,6 +55,8 @@ KEPT = {role: [str(EXAMPLES / f'own_{role}.py')] for role in ROLES}
 ODD = 'slow,random,away'
 FAULTS = {
     'starts': ('controller', {'starts'}, PATIENT_S),
+    'very_slow': ('controller', set(), PATIENT_S),
+    'dies_at_4': ('perception', {'lives'}, PATIENT_S),
     'name': ('controller', {'name'}, 1.0),
     'topics,types,qos': ('controller', {'topics', 'types', 'qos'}, PATIENT_S),
     'ready': ('controller', {'ready'}, 1.0),
@@ -64,7 +73,10 @@ FAULTS = {
     ),
     'nan,deaf': ('controller', {'finite', 'unusable', 'sigint', 'sigterm'}, PATIENT_S),
     'nan,strange_image': ('perception', {'finite', 'strange_image'}, PATIENT_S),
-    ODD: ('controller', set(), PATIENT_S),
+    ODD: ('controller', {'forgets'}, PATIENT_S),
+    'two': ('controller', {'name'}, 1.0),
+    'namesake': ('controller', {'name', 'topics'}, 1.0),
+    'deadline': ('controller', {'qos'}, 1.0),
 }
 
 
@@ -120,7 +132,7 @@ def test_given_faults_then_their_clauses_fail_and_no_others(faults, checks):
 def test_given_a_slow_random_node_that_steers_away_then_it_is_told(checks):
     found = by_clause(checks[ODD].result()[0])
     assert 'not reproducible' in found['reproducible'].came
-    assert 'not reproducible' in found['forgets'].came
+    assert 'without a seed' in found['forgets'].came
     assert 'runs take longer' in found['time'].came
     assert 'AWAY' in found['sign'].came
     assert 'radians?' in found['limits'].came
@@ -189,6 +201,110 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
         (Status.FAIL, says) if says
         else (Status.PASS, 'hears perception/tracking_error, scenario')
     )
+
+
+@pytest.mark.parametrize(('publishes', 'more', 'says'), [
+    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s asked for'),
+    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic asked for'),
+    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s asked for'),
+    (True, {'lifespan': Duration(nanoseconds=1)}, 'lifespan 1e-09 s offered'),
+    (True, {'deadline': Duration(seconds=1)}, ''),
+    (True, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, ''),
+    (False, {'lifespan': Duration(nanoseconds=1)}, ''),
+    (False, {'deadline': Duration(nanoseconds=2**63 - 1)}, ''),
+])
+def test_given_quality_of_service_in_time_then_what_cannot_match_is_named(publishes, more, says):
+    misfit = End(
+        node='x', topic=interface.COMMAND, publishes=publishes, type_name='',
+        qos=QoSProfile(depth=16, **more),
+    ).misfit()
+    assert (says in misfit) if says else misfit == ''
+
+
+@pytest.mark.parametrize(('more', 'says'), [
+    ({'log': Path('no_such_folder/x.log')}, 'there is no folder no_such_folder'),
+    ({'log': Path('/')}, 'is a folder'),
+    ({'patience_s': math.nan}, '--patience nan: not a number'),
+    ({'command': str(HERE / 'wrong_node.py')}, "for a node say 'python3 "),
+])
+def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(more, says):
+    words = {
+        'command': 'true', 'role': None, 'external': False, 'domain': None, 'frames': 8,
+        'patience_s': 1.0, 'log': None, 'as_json': False, **more,
+    }
+    with pytest.raises(UsageError, match=re.escape(says)):
+        run_check(**words)
+
+
+def test_given_an_executable_python_file_then_it_is_run_as_a_node(tmp_path, capfd):
+    program = tmp_path / 'mine.py'
+    program.write_text('#!/bin/sh\necho out of paint\nexit 3\n')
+    program.chmod(0o755)
+    with pytest.raises(UsageError, match='breaks: starts'):
+        run_check(
+            str(program), role='controller', external=False, domain=None, frames=8,
+            patience_s=1.0, log=tmp_path / 'node.log', as_json=False,
+        )
+    assert 'exit code 3: out of paint' in capfd.readouterr().out
+    assert (tmp_path / 'node.log').read_text() == 'out of paint\n'
+
+
+def whole_record(role: str) -> Record:
+    """Of a node that has kept everything, as far as runs tell."""
+    runs = []
+    strange = 3 if role == 'perception' else 1
+    for kind in ('first', 'second', 'uninvited', 'third', 'fresh', *['strange'] * strange, 'after'):
+        run = judged(role, lambda truth: truth if role == 'perception' else TaxiCommand(
+            steering_rad=0.0, speed_mps=1.0
+        )).runs[0]
+        ready = [NodeStatus(node=ROLES[role].node, implementation='x', state=NodeStatus.READY)]
+        runs.append(dataclasses.replace(
+            run, kind=kind, ready=[] if kind == 'uninvited' else ready, questions=[
+                dataclasses.replace(one, kind='empty' if kind == 'strange' else '')
+                for one in run.questions if kind != 'uninvited'
+            ],
+        ))
+    name = ROLES[role].node
+    ends = [
+        End(
+            node=name, topic=topic, publishes=False, type_name=topic.type_name, qos=topic.qos
+        ) for topic in ROLES[role].hears[:1]
+    ]
+    return Record(role=ROLES[role], nodes=[f'/{name}'], runs=runs, ends=ends)
+
+
+@pytest.mark.parametrize('role', ROLES)
+@pytest.mark.parametrize('asked', [0, 1, 2])
+@pytest.mark.parametrize('count', range(10))
+def test_given_a_node_that_dies_at_any_place_then_it_is_judged_and_told(role, asked, count):
+    record = whole_record(role)
+    runs = record.runs[:count]
+    if runs:
+        runs[-1].ready, runs[-1].questions = [], runs[-1].questions[:asked]
+    kind = runs[-1].kind if runs else ''
+    dead = dataclasses.replace(record, runs=runs, died='exit code 7', died_in=kind)
+    fails = broken(by_clause(judge(dead)))
+    told = 'starts' if not runs else 'lives'
+    if kind == 'strange' and asked:
+        told = {'perception': 'strange_image', 'controller': 'unusable'}[role]
+    if told != 'unusable':
+        assert told in fails
+    judge(dataclasses.replace(dead, died='', died_in=''))
+
+
+def test_given_a_node_that_dies_unheard_after_a_strange_image_then_the_image_is_told():
+    record = whole_record('perception')
+    for one in record.runs[-2].questions:
+        one.answers.clear()
+    record.runs[-1].questions, record.died, record.died_in = [], 'exit code 7', 'after'
+    assert 'strange_image' in broken(by_clause(judge(record)))
+
+
+def test_given_a_node_without_ready_after_a_strange_image_then_it_fails():
+    record = whole_record('perception')
+    del record.runs[-2:]
+    record.runs[-1].ready, record.runs[-1].given_up = [], True
+    assert 'ready_again' in broken(by_clause(judge(record)))
 
 
 def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():

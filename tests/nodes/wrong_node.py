@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import signal
 import subprocess
@@ -46,8 +47,8 @@ class Answers:
             raise SystemExit('lost its mind')
         if 'silent' in FAULTS:
             return
-        if 'slow' in FAULTS:
-            time.sleep(0.11)
+        if {'slow', 'very_slow'} & FAULTS:
+            time.sleep(0.4 if 'very_slow' in FAULTS else 0.11)
         if ROLE == 'controller':
             self.spoil_command(answer)
         elif 'nan' in FAULTS:
@@ -96,10 +97,14 @@ class Wrong(EXAMPLE[ROLE]):
     def create_subscription(self, kind, topic, callback, qos):
         if topic == 'scenario' and 'qos' in FAULTS:
             qos = own_controller.EACH_STEP
+        if topic == LISTENS and 'deadline' in FAULTS:
+            qos = rclpy.qos.QoSProfile(depth=16, deadline=rclpy.duration.Duration(seconds=1))
         return super().create_subscription(kind, topic, callback, qos)
 
     def begin(self, scenario):
         self.begun += 1
+        if 'dies_at_4' in FAULTS and self.begun == 4:
+            os._exit(7)
         self.answers.run_id = scenario.run_id
         if 'remembers' not in FAULTS:
             self.answers.count = 0
@@ -124,6 +129,12 @@ def main():
     if 'leaves' in FAULTS:
         subprocess.Popen(['sleep', '1000'], start_new_session=True)
     node = Wrong()
+    others = []
+    if 'two' in FAULTS:
+        others.append(rclpy.create_node('x'))  # called as the first, by the command line
+    if 'namesake' in FAULTS:
+        others.append(rclpy.create_node('recorder', use_global_arguments=False))
+        others[-1].create_publisher(NodeStatus, 'lockstep/progress', own_controller.EACH_STEP)
     if 'deaf' in FAULTS:
         rclpy.signals.uninstall_signal_handlers()
         signal.signal(signal.SIGINT, signal.SIG_IGN)
