@@ -144,6 +144,9 @@ def main():
     except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         if 'traceback' in FAULTS:
             raise
+    except Exception:
+        if rclpy.ok():  # else it is the end, which comes to rclpy at odd moments
+            raise
 
 
 if __name__ == '__main__':
