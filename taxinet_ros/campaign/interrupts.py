@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
-from taxinet_ros.core.process_end import STOPS_HEARD, leave
+from taxinet_ros.core.process_end import STOPS_HEARD, come_again, leave
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
@@ -19,7 +19,6 @@ _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 128 + signal.SIGINT
 """Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
 
-_AGAIN_S = 0.01
 _STUCK_S = 5.0
 """How long whoever was told to give up may take."""
 
@@ -102,10 +101,7 @@ def heard_again() -> Iterator[None]:
             before(what)
             return
         # At once, it would be raised right here.
-        who = threading.main_thread().ident
-        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, _newest()))
-        again.daemon = True
-        again.start()
+        come_again(_newest())
 
     sys.unraisablehook = hook
     try:

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -27,17 +28,43 @@ _EXITS = ('_exit', 'execv', 'execve')
 _FORKED = ('multiprocessing.popen_fork', 'multiprocessing.forkserver')
 """Who ends, by ``os._exit``, a child in which somebody's code is loaded: it is at its end."""
 
+_AGAIN_S = 0.01
 _kept_by = 0
 
 
 def end_now(number: int, frame: FrameType | None) -> None:
     """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
 
+    While a library in C++ is being loaded the signal is put off: pybind11 lets no exception out of
+    there, and would abort the process for it.
+
     Raises:
-        KeyboardInterrupt: always.
+        KeyboardInterrupt: else.
     """
+    if _is_loading(frame):
+        come_again(number)
+        return
     STOPS_HEARD.append(number)
     raise KeyboardInterrupt
+
+
+def come_again(number: int) -> None:
+    """Have a signal come a moment later; at once it would be where it was."""
+    who = threading.main_thread().ident
+    assert who is not None
+    again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, number))
+    again.daemon = True
+    again.start()
+
+
+def _is_loading(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_name in ('create_module', 'exec_module') and isinstance(
+            frame.f_locals.get('self'), ExtensionFileLoader
+        ):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def keep_end() -> None:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-COMMAND = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
+COMMAND = [sys.executable, '-c', 'from taxinet_ros.cli.start import main; main()']
 
 
 @contextlib.contextmanager

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import threading
+from importlib.machinery import ExtensionFileLoader, ModuleSpec
+from types import ModuleType
 
 import pytest
 from command_process import COMMAND, ended, on_terminal, taxinet
@@ -138,6 +140,27 @@ def test_given_a_signal_in_a_callback_that_may_not_raise_then_it_comes_again(num
         forget()
     assert told_apart(INTERRUPTED) == code
     assert capfd.readouterr().err == ''
+
+
+def test_given_a_signal_while_a_library_is_loaded_then_it_comes_when_that_is_done(monkeypatch):
+    """An exception in there would abort the process: pybind11 lets none out."""
+    seen = []
+
+    def load(spec: ModuleSpec) -> ModuleType:
+        os.kill(os.getpid(), signal.SIGINT)
+        seen.append('on')
+        return ModuleType(spec.name)
+
+    def be_loaded() -> None:
+        loader = ExtensionFileLoader('library', 'library.so')
+        loader.create_module(ModuleSpec('library', loader, origin='library.so'))
+        seen.append('loaded')
+        threading.Event().wait()
+
+    monkeypatch.setattr('_imp.create_dynamic', load)
+    with handled(end_now), pytest.raises(KeyboardInterrupt):
+        be_loaded()
+    assert seen == ['on', 'loaded']
 
 
 def test_given_another_error_in_a_callback_then_it_is_told_as_ever(monkeypatch):
