@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -59,11 +60,11 @@ class Gatherer(Node):
         self.heard += report.status
 
     def told(self, node: str, level: bytes | None = None, words: str = '', key: str = '') -> Any:
-        """The newest that a node has told of itself: at a level, with some words, and a figure."""
+        """The newest that a node has told: at a level, words (a regular expression), a figure."""
         return next((
             status for status in reversed(list(self.heard))
             if status.name == f'{node}: run' and level in (None, status.level)
-            and words in status.message
+            and re.search(words, status.message)
             and (not key or key in {value.key for value in status.values})
         ), None)
 
@@ -147,15 +148,15 @@ def test_ros21_given_a_controller_that_is_silent_then_the_simulator_warns_and_na
     with composed_graph(options) as graph, gathering(graph.domain) as gatherer:
         tamper(graph, interface.COMMAND, lambda step, message: [message] if step < 5 else [])
         dead = obituary('run', STEERING_CONTROLLER, 'nobody knows why')
+        # A busy machine makes others slow for a moment as well: the one who stays silent remains.
         with once(
-            lambda: gatherer.told(SIMULATOR, WARN), lambda: gatherer.obituaries.publish(dead)
+            lambda: gatherer.told(SIMULATOR, WARN, f's for {STEERING_CONTROLLER}$'),
+            lambda: gatherer.obituaries.publish(dead),
         ):
             (result,) = run(graph, request())
-        warned = gatherer.told(SIMULATOR, WARN)
+        warned = gatherer.told(SIMULATOR, WARN, f's for {STEERING_CONTROLLER}$')
         after = simulator_of(graph)._diagnose()
         assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, STEERING_CONTROLLER)
-        assert warned is not None
-        assert warned.message.endswith(f's for {STEERING_CONTROLLER}')
         assert values_of(warned)['waits for'] == STEERING_CONTROLLER
         assert float(values_of(warned)['silent for [s]']) > 0.3
         assert after.level == ERROR
@@ -191,12 +192,11 @@ def test_ros21_given_a_run_that_cannot_begin_then_nodes_warn_of_the_topic_and_th
         wait_for(lambda: second.get_subscription_count() == 4 and all(
             node.count_publishers(topic.name) == 2 for node in graph.nodes))
         with once(
-            lambda: gatherer.told(STEERING_CONTROLLER, WARN) and gatherer.told(SIMULATOR, WARN),
+            lambda: gatherer.told(STEERING_CONTROLLER, WARN, topic.name)
+            and gatherer.told(SIMULATOR, WARN, 'gatherer'),
             lambda: gatherer.destroy_publisher(second),
         ):
             (result,) = run(graph, request(duration=1.0))
-        assert topic.name in gatherer.told(STEERING_CONTROLLER, WARN).message
-        assert 'gatherer' in gatherer.told(SIMULATOR, WARN).message
     assert result.outcome.judged
 
 
