@@ -13,6 +13,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.notices import lost_run, obituary
 from taxinet_ros.nodes.onlooker import AT_LEISURE
+from taxinet_ros.nodes.presence import End
 
 _CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
 
@@ -34,6 +35,9 @@ class RunWatch:
     def __init__(self, node: Node, say: Callable[[str], None]) -> None:
         """Listen and speak through ``node``; ``say`` takes a line when a run has ended."""
         self._say = say
+        self._node = node
+        self._deaths: dict[str, tuple[str, set[End]]] = {}
+        self._told: set[tuple[str, str]] = set()
         self.run_id = self.last_run = ''
         self.running = self.closed = False
         self.seq = 0
@@ -52,8 +56,17 @@ class RunWatch:
         self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
 
     def mourn(self, name: str, detail: str) -> None:
-        """A node's process is dead: have the run at hand end at once, with the reason."""
+        """A node's process is dead: have the run at hand end at once, with the reason.
+
+        A run is at hand as soon as one is begun, though it may be heard of only after the death.
+        """
+        self._deaths[name] = detail, self._in_graph()
         if self.run_id:
+            self._tell(name, detail)
+
+    def _tell(self, name: str, detail: str) -> None:
+        if (self.run_id, name) not in self._told:
+            self._told.add((self.run_id, name))
             self._obituaries.publish(obituary(self.run_id, name, detail, seq=self.seq))
 
     def interrupt(self) -> bool:
@@ -66,12 +79,34 @@ class RunWatch:
         self._cancel.call_async(_CANCEL.Request())
         return True
 
+    def _follow(self, run_id: str, *, running: bool) -> None:
+        """A run is heard of: it is told of deaths that are none of the past for it.
+
+        Since a death nobody new has come to the graph: then a run of the dead simulator is at hand,
+        or one that had begun with the dead node among those who were ready.
+        """
+        self.run_id = run_id
+        for name, (detail, others) in self._deaths.items():
+            if (running or name == interface.SIMULATOR) and self._in_graph() <= others:
+                self._tell(name, detail)
+
+    def _in_graph(self) -> set[End]:
+        """Ends by which the simulator and the nodes of the lockstep speak of runs."""
+        return {
+            tuple(end.endpoint_gid) for topic in (interface.RUN_STATUS, interface.NODE_STATUS)
+            for end in self._node.get_publishers_info_by_topic(topic.name)
+        }
+
     def _on_run(self, status: RunStatus) -> None:
         if status.state != RunStatus.ENDED:
-            self.run_id = status.run_id
             self.running = status.state == RunStatus.RUNNING
             self.seq, self.closed = status.seq, False
-        elif status.run_id == self.run_id:
+            self._follow(status.run_id, running=self.running)
+        else:
+            self._end(status)
+
+    def _end(self, status: RunStatus) -> None:
+        if status.run_id == self.run_id:
             self.run_id, self.last_run, self.running = '', status.run_id, False
             self.outcomes[str(status.outcome)] += 1
             words = [str(status.outcome), status.kind, status.who, status.detail]
@@ -79,9 +114,12 @@ class RunWatch:
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
-            self._on_run(lost_run(notice))
+            self._end(lost_run(notice))
 
     def _on_status(self, status: NodeStatus) -> None:
+        # What the simulator said of the run may have been lost with it: others are ready for it.
+        if status.state == NodeStatus.READY and not self.run_id and status.run_id != self.last_run:
+            self._follow(status.run_id, running=False)
         if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):
             self.closed = True
 

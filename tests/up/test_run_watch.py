@@ -1,0 +1,105 @@
+"""What a supervisor tells of deaths, in whatever order it hears of runs and deaths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from taxinet_msgs.msg import NodeStatus, RunStatus
+
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.run_watch import RunWatch
+
+
+class Stage:
+    """A watch that hears of runs only when it is told to listen."""
+
+    def __init__(self, context: Context) -> None:
+        self.node, self.others = (Node(name, context=context) for name in ('watch', 'others'))
+        self.lines: list[str] = []
+        self.mourned: list[tuple[str, str, str]] = []
+        self.watch = RunWatch(self.node, self.lines.append)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._publishers: dict[type, Any] = {}
+        for topic in (interface.RUN_STATUS, interface.NODE_STATUS):
+            publisher = self.others.create_publisher(topic.type, topic.name, topic.qos)
+            self._publishers[topic.type] = publisher
+        topic = interface.OBITUARY
+        self.others.create_subscription(topic.type, topic.name, self._on_obituary, topic.qos)
+        for node in (self.node, self.others):
+            self._executor.add_node(node)
+        self.until(lambda: all(p.get_subscription_count() for p in self._publishers.values())
+                   and self.node.count_subscribers(topic.name) == 2)
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        self.mourned.append((notice.run_id, notice.node, notice.detail))
+
+    def say(self, message: Any) -> None:
+        self._publishers[type(message)].publish(message)
+
+    def start_again(self) -> None:
+        """A new end of the simulator joins the graph."""
+        topic = interface.RUN_STATUS
+        self._publishers[RunStatus] = self.others.create_publisher(
+            topic.type, topic.name, topic.qos)
+        self.until(lambda: self.node.count_publishers(topic.name) == 2)
+
+    def until(self, condition: Any) -> None:
+        while not condition():
+            self._executor.spin_once(timeout_sec=0.1)
+
+
+@pytest.fixture
+def stage():
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        yield Stage(context)
+        rclpy.try_shutdown(context=context)
+
+
+RUNNING = RunStatus(run_id='one', state=RunStatus.RUNNING)
+READY = NodeStatus(run_id='one', state=NodeStatus.READY, node=interface.STEERING_CONTROLLER)
+
+
+@pytest.mark.parametrize(('heard_by', 'who'), [
+    (RUNNING, interface.SIMULATOR), (READY, interface.SIMULATOR), (RUNNING, interface.PERCEPTION),
+], ids=['run, simulator', 'one who is ready, simulator', 'run, perception'])
+def test_given_a_death_before_its_run_was_heard_of_then_the_run_is_told_of_it(
+    stage, heard_by, who
+):
+    stage.say(heard_by)
+    stage.watch.mourn(who, 'killed')
+    assert stage.watch.run_id == '', 'nothing was listened to yet'
+    stage.until(lambda: stage.mourned)
+    assert stage.mourned == [('one', who, 'killed')]
+    if who == interface.SIMULATOR:
+        stage.until(lambda: stage.lines)
+        assert stage.lines == ['run one: INFRA_ERROR died simulator killed']
+        assert (stage.watch.run_id, stage.watch.last_run) == ('', 'one')
+
+
+def test_given_a_run_that_gets_ready_after_the_death_of_a_participant_then_it_waits_for_the_next(
+    stage
+):
+    stage.watch.mourn(interface.PERCEPTION, 'killed')
+    stage.say(RunStatus(run_id='two', state=RunStatus.PREPARING))
+    stage.until(lambda: stage.watch.run_id == 'two')
+    stage.watch.mourn(interface.STEERING_CONTROLLER, 'killed as well')
+    stage.until(lambda: stage.mourned)
+    assert stage.mourned == [('two', interface.STEERING_CONTROLLER, 'killed as well')]
+
+
+def test_given_a_run_of_the_simulator_started_again_then_it_is_told_of_no_death(stage):
+    stage.watch.mourn(interface.SIMULATOR, 'killed')
+    stage.start_again()
+    stage.say(RunStatus(run_id='two', state=RunStatus.RUNNING))
+    stage.until(lambda: stage.watch.run_id == 'two')
+    stage.watch.mourn(interface.PERCEPTION, 'killed as well')
+    stage.until(lambda: stage.mourned)
+    assert stage.mourned == [('two', interface.PERCEPTION, 'killed as well')]
