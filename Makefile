@@ -32,7 +32,7 @@ INSTALL := $(PIP) install -q -c constraints.txt
 VERIFIED := $(PIP) install -q --no-deps --require-hashes -r
 CACHES := .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 SHARED := $(wildcard scripts/* launch/* config/* scenarios/* scenarios/*/*) resource/taxinet_ros
-NATIVE := $(wildcard taxinet_ros/core/native/*)
+NATIVE := $(wildcard taxinet_ros/core/camera/native/*)
 INTERFACES := $(wildcard msg_defs/* msg_defs/*/* msg_defs/*/*/*)
 
 # One ROS at a time: what a sourced installation, or another environment's Python, has left in the
@@ -76,7 +76,7 @@ clean:
 	rm -rf build install log taxinet_ros.egg-info $(CACHES)
 
 distclean: clean
-	rm -rf $(VENV) taxinet_ros/core/pixels.*.so
+	rm -rf $(VENV) taxinet_ros/core/camera/pixels.*.so
 
 # An interpreter is fit when it can make an environment and has the headers to compile against.
 FIT := import ensurepip, os, sys, sysconfig, venv; \
@@ -114,7 +114,7 @@ $(DONE)/venv:
 HEADLESS := import cv2, re, sys; \
   sys.exit(not re.search(r"GUI: +NONE", cv2.getBuildInformation()))
 
-# What the sources in taxinet_ros/core/native ask of a compiler.
+# What the sources in taxinet_ros/core/camera/native ask of a compiler.
 MODERN := \#include <bit>\nstatic_assert(std::bit_cast<int>(0.0F) == 0);\n
 
 $(DONE)/packages: $(DONE)/venv setup.py package.xml pyproject.toml constraints.txt hashes.txt \

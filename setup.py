@@ -122,9 +122,9 @@ class WithDataFiles(Distribution):
 
 
 PIXELS = Pybind11Extension(
-    f'{NAME}.core.pixels',
-    sources=[f'{NAME}/core/native/pixels.cpp'],
-    depends=[str(path) for path in files_below(f'{NAME}/core/native')],
+    f'{NAME}.core.camera.pixels',
+    sources=[f'{NAME}/core/camera/native/pixels.cpp'],
+    depends=[str(path) for path in files_below(f'{NAME}/core/camera/native')],
     cxx_std=20,
     # Equal bytes on every processor: no two operations are fused unless the source says so. That
     # nobody asks for errno or traps, nor for whole numbers to wrap round, as Python's own sources

@@ -28,8 +28,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.utilities import prefix_namespace
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.nodes.launch_plan import (
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.launch_plan import (
     ARGUMENTS,
     CLOCK_REMAP,
     Ending,
@@ -47,10 +47,12 @@ PACKAGE = 'taxinet_ros'
 def process(node: NodePlan, params: str, within: str, more: dict[str, str]) -> ExecuteProcess:
     """What starts one node."""
     if node.command:
-        from taxinet_ros.nodes.keeper import keeper_command  # which takes a library more
+        from taxinet_ros.nodes.graph.command_wrapper import (
+            wrapped_command,  # which takes a library more
+        )
 
         # A keeper ends with its command all that this has started; it hears SIGTERM only.
-        words = keeper_command([*node.command], os.getpid())
+        words = wrapped_command([*node.command], os.getpid())
         return ExecuteProcess(
             cmd=words, name=node.name, additional_env=more, output='screen', sigterm_timeout='0.1'
         )

@@ -8,13 +8,12 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from taxinet_ros.bag.decode import decode
+from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.reader import StoredMessage, read_attachment, read_info, stored_messages
-from taxinet_ros.bag.recorded_run import read_run
-from taxinet_ros.bag.trace import read_trace
+from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.trace import read_trace
 from taxinet_ros.bag.writer import RUN_METADATA, BagWriter
-from taxinet_ros.core.attitude import quaternion
-from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.core.types import TaxiCommand, quaternion
 from taxinet_ros.core.world import World
 
 GOLDEN = Path(__file__).parents[1] / 'bags' / 'golden'

@@ -1,26 +1,40 @@
-"""Whose fault failures are, from counterexamples that were run again with the truth in place.
+"""Fault localisation: is the network or the controller to blame for failures?
 
-The paper's fault localisation (section "Error analysis and debugging"), for each counterexample on
-its own and in sum.
+The paper's (section "Error analysis and debugging"): counterexamples are run again with the
+truth in place of the network's estimates. Here are the verdicts, and the report on them:
+sentences, a table of counts, a picture, JSON.
 """
 
 from __future__ import annotations
 
 import enum
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-from taxinet_ros.campaign.localize import Trials
-from taxinet_ros.campaign.rates import Rate, rate
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.trials import Trial
-from taxinet_ros.core.substituted_perception import (
-    AS_RECORDED,
-    TRUTH,
-    TRUTH_CTE,
-    TRUTH_HEADING,
+import pandas as pd
+from matplotlib.figure import Figure
+
+from taxinet_ros.analysis.report.parts import (
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    Theme,
+    style_axes,
 )
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
+from taxinet_ros.campaign.rates import Rate, rate
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
+from taxinet_ros.core.provenance import provenance
 
 
 class Blame(enum.StrEnum):
@@ -193,3 +207,273 @@ def _suffices(heading: bool | None, cte: bool | None) -> Suffices:
         (False, True): Suffices.CTE, (False, False): Suffices.NEITHER,
     }
     return names[heading, cte]
+
+
+CSV_NAME, PARQUET_NAME, JSON_NAME = 'localize.csv', 'localize.parquet', 'localize.json'
+_UNBIASED = ('', 'random', 'halton', 'sobol')
+_MEANINGS = {
+    AS_RECORDED: 'as recorded (control)',
+    TRUTH: 'both estimates perfect',
+    TRUTH_HEADING: 'heading error perfect',
+    TRUTH_CTE: 'cross-track error perfect',
+}
+
+
+def localisation_report(found: Localisation) -> Report:
+    """The whole, as a page of its own would show it."""
+    sentences = tuple(localisation_sentences(found))
+    return Report(
+        title=f'Whose fault: {len(found.cases)} counterexamples of {found.perception}',
+        facts={
+            'perception': found.perception, 'formula': found.spec,
+            'failed runs': f'{found.failed} of {found.runs} judged',
+            'looked into': str(len(found.cases)),
+        },
+        summary=sentences, sections=(localisation_section(found),),
+    )
+
+
+def localisation_section(found: Localisation) -> Section:
+    """The evidence: a picture and a table of how many pass with which substitution."""
+    return Section(
+        name='fault-localisation', heading='Whose fault',
+        sentences=(
+            'Counterexamples were run once more with something else in the place of the '
+            "network's estimate, in the same scenes and from the same starts.",
+        ),
+        pictures=(_picture(found),), tables=(_table(found),),
+    )
+
+
+def localisation_sentences(found: Localisation) -> Iterator[str]:
+    """The findings, the most important first."""
+    yield from _blame_words(found)
+    yield from _alone_words(found)
+    yield from _other_words(found)
+    yield from _reservations(found)
+
+
+def localisation_json(found: Localisation) -> dict[str, Any]:
+    """The findings as plain values, without NaN."""
+    return plain_values({
+        'perception': found.perception, 'spec': found.spec, 'failed': found.failed,
+        'judged': found.runs, 'looked_into': len(found.cases), 'counted': len(found.counted),
+        'scenes_from_ledger': found.rounded, 'made_on': dict(provenance()),
+        'not_reproduced': [case.row.run_id for case in found.not_reproduced],
+        'blame': {blame.value: found.blames.get(blame, 0) for blame in Blame},
+        'suffices': {
+            kind.value or 'unknown': found.sufficing.get(kind, 0) for kind in Suffices
+        },
+        'substitutions': [_share_json(found, word) for word in found.words],
+        'sentences': list(localisation_sentences(found)),
+    })
+
+
+def cases_frame(found: Localisation) -> pd.DataFrame:
+    """One line for each counterexample, by index."""
+    cases = sorted(found.cases, key=lambda case: case.row.index)
+    return pd.DataFrame([_case_values(case, found.words) for case in cases]).convert_dtypes()
+
+
+def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
+    """Write the table of counterexamples as CSV and as Parquet."""
+    frame = cases_frame(found)
+    csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
+    write_whole(csv, lambda draft: frame.to_csv(draft, index=False))
+    write_whole(parquet, lambda draft: frame.to_parquet(draft, index=False))
+    return csv, parquet
+
+# Sentences ---------------------------------------------------------------------------------------
+
+
+def _blame_words(found: Localisation) -> Iterator[str]:
+    if not found.counted:
+        yield 'No counterexample came out as it was recorded, so nothing can be said.'
+        return
+    if TRUTH not in found.words:
+        return
+    passed, judged, share = found.passing(TRUTH)
+    satisfy = _satisfy(found)
+    if not judged:
+        yield 'No run with perfect perception could be judged, so nothing can be said.'
+    elif passed == judged:
+        yield (
+            f'{_all(judged)} {satisfy(judged)} with perfect perception '
+            f'(95 % interval {_range(share)}): the network is to blame, not the steering law.'
+        )
+    elif passed == 0:
+        yield (
+            f'{_none(judged)} {satisfy(1)} with perfect perception (95 % interval '
+            f'{_range(share)}): steering law, dynamics or the formula are to blame, and a better '
+            'network would not help.'
+        )
+    else:
+        yield (
+            f'{passed} of {judged} counterexamples ({_share(share)}) {satisfy(passed)} with '
+            f'perfect perception: there the network is to blame. The other {judged - passed} fail '
+            'with it too: steering law, dynamics or the formula are to blame.'
+        )
+
+
+def _alone_words(found: Localisation) -> Iterator[str]:
+    parts = []
+    for word, name in ((TRUTH_HEADING, 'heading error'), (TRUTH_CTE, 'cross-track error')):
+        if word in found.words and found.passing(word)[1]:
+            parts.append(f'{_share(found.passing(word)[2])} with a perfect {name} alone')
+    if parts:
+        yield f'Of the counterexamples {" and ".join(parts)} pass.'
+    kinds = found.sufficing
+    known = sum(kinds.values()) - kinds.get(Suffices.UNKNOWN, 0)
+    if len(parts) == 2 and known:
+        yield (
+            f"Of {known} that are the network's fault, either alone is enough for "
+            f'{kinds.get(Suffices.EITHER, 0)}, only the heading error for '
+            f'{kinds.get(Suffices.HEADING, 0)}, only the cross-track error for '
+            f'{kinds.get(Suffices.CTE, 0)}, and {kinds.get(Suffices.NEITHER, 0)} need both.'
+        )
+
+
+def _other_words(found: Localisation) -> Iterator[str]:
+    for word in found.words:
+        passed, judged, share = found.passing(word)
+        if word not in _MEANINGS and judged:
+            yield f'With {_meaning(word)} {passed} of {judged} pass: {_share(share)}.'
+
+
+def _reservations(found: Localisation) -> Iterator[str]:
+    count, failed = len(found.cases), found.failed
+    if count < failed:
+        yield f'{count} of the {failed} failed runs were looked into, evenly spread over them.'
+    others = found.not_reproduced
+    if others:
+        names = ', '.join(case.row.run_id for case in others[:3])
+        more = ', …' if len(others) > 3 else ''
+        yield (
+            f'{len(others)} of {count} did not come out as recorded ({names}{more}) and '
+            f'{"is" if len(others) == 1 else "are"} not counted: the world is another one than '
+            'theirs, as of another version or machine.'
+        )
+    if found.rounded:
+        yield (
+            f'Of {found.rounded} there is no bag: the ledger has their scenes to nine decimals, '
+            'not to the last bit, so they were only asked to fail again.'
+        )
+    if found.chosen_by not in _UNBIASED:
+        yield (
+            f'The scenes were chosen by {found.chosen_by}: the shares are of the counterexamples '
+            'that it finds, not of those of the program.'
+        )
+
+
+def _satisfy(found: Localisation) -> Any:
+    what = found.spec if found.specs == 1 else f'all {found.specs} formulas'
+    return lambda number: f'{"satisfies" if number == 1 else "satisfy"} {what}'
+
+
+def _all(judged: int) -> str:
+    return 'The one counterexample' if judged == 1 else f'All {judged:,} counterexamples'
+
+
+def _none(judged: int) -> str:
+    one = 'Not even the one counterexample'
+    return one if judged == 1 else f'None of {judged:,} counterexamples'
+
+
+def _meaning(word: str) -> str:
+    kind, _, amount = word.partition(':')
+    return _MEANINGS.get(word) or {
+        'delayed': f"the network's estimate of {amount} s ago",
+        'truth-delayed': f'the truth of {amount} s ago',
+        'noisy': f'the truth and noise of {amount} m on the cross-track error',
+    }[kind]
+
+
+def _range(share: Rate) -> str:
+    return f'{100 * share.low:.1f}–{100 * share.high:.1f} %'
+
+
+def _share(share: Rate) -> str:
+    return f'{100 * share.rate:.0f} % ({100 * share.low:.0f}–{100 * share.high:.0f} %)'
+
+# Table and picture -------------------------------------------------------------------------------
+
+
+def _table(found: Localisation) -> Table:
+    return Table(
+        name='fault_localisation', title='How many pass with what in place of the estimate',
+        caption='Shares with exact 95 % intervals (Clopper and Pearson); the control has to fail.',
+        columns=(
+            Column(name='substitution', title='substitution'),
+            Column(name='meaning', title='meaning'),
+            Column(name='passed', title='pass'),
+            Column(name='judged', title='of'),
+            Column(name='share_percent', title='share [%]', decimals=1),
+            Column(name='low_percent', title='from [%]', decimals=1),
+            Column(name='high_percent', title='to [%]', decimals=1),
+        ),
+        rows=tuple(
+            (word, _meaning(word), passed, judged, *(100 * value for value in share))
+            for word, (passed, judged, share) in ((w, found.passing(w)) for w in found.words)
+        ),
+    )
+
+
+def _picture(found: Localisation) -> Picture:
+    words = [word for word in found.words if word != AS_RECORDED]
+    return Picture(
+        name='fault_localisation', title='What makes the counterexamples pass',
+        caption=f'Share of {len(found.counted)} counterexamples that pass once the estimate is '
+                'replaced, with 95 % intervals.',
+        draw=partial(_draw, found, words), size_in=(7.0, 0.9 + 0.5 * len(words)),
+    )
+
+
+def _draw(found: Localisation, words: list[str], figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    shares = [found.passing(word)[2] for word in words]
+    rates = [0.0 if math.isnan(share.rate) else 100 * share.rate for share in shares]
+    spans = [
+        [rate - 100 * share.low for rate, share in zip(rates, shares, strict=True)],
+        [100 * share.high - rate for rate, share in zip(rates, shares, strict=True)],
+    ]
+    places = range(len(words))
+    axes.barh(places, rates, height=0.55, color=theme.passed)
+    axes.errorbar(rates, places, xerr=spans, fmt='none', ecolor=theme.ink, capsize=4)
+    for place, percent, above in zip(places, rates, spans[1], strict=True):
+        axes.annotate(
+            f'{percent:.0f} %', (percent + above, place), xytext=(6, 0), textcoords='offset points',
+            va='center', color=theme.ink,
+        )
+    axes.set_yticks(places, [_meaning(word) for word in words])
+    axes.invert_yaxis()
+    axes.set(xlim=(0, 112), xlabel='counterexamples that pass [%]')
+    axes.set_xticks(range(0, 101, 20))
+    style_axes(axes, grid='x')
+
+
+def _share_json(found: Localisation, word: str) -> dict[str, Any]:
+    passed, judged, share = found.passing(word)
+    return {
+        'substitution': word, 'passed': passed, 'judged': judged,
+        'share': share.rate, 'low': share.low, 'high': share.high,
+    }
+
+
+def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
+    row, control = case.row, case.trials.get(AS_RECORDED)
+    values: dict[str, Any] = {
+        'run_id': row.run_id, 'index': row.index, 'cross_track_m': row.cross_track,
+        'distance_m': row.distance, 'heading_deg': row.heading, 'clouds': row.clouds,
+        'rain_percent': row.rain, 'time_of_day_h': row.time_of_day,
+        'rho': row.headline[0] if row.headline else None, 'blame': case.blame.value,
+        'suffices': case.suffices.value, 'counted': case.counted,
+        'scene_exact': None if control is None else control.exact,
+    }
+    for word in words:
+        trial, name = case.trials.get(word), word.replace('-', '_').replace(':', '_')
+        values |= {
+            f'passed_{name}': trial.passed if trial else None,
+            f'rho_{name}': trial.rho_lower if trial else None,
+            f'max_cross_track_m_{name}': trial.max_cross_track_m if trial else None,
+        }
+    return values

@@ -22,7 +22,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.checkup import check_bag
+    from taxinet_ros.bag.check.doctor import check_bag
     from taxinet_ros.bag.errors import (
         BagCorrupt,
         BagEmpty,
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
         BagTruncated,
         BagWriteError,
     )
-    from taxinet_ros.bag.facts import read_facts
     from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
-    from taxinet_ros.bag.tables import read_table, read_tables, read_trace_table
-    from taxinet_ros.bag.trace import read_images, read_trace
+    from taxinet_ros.bag.run.facts import read_facts
+    from taxinet_ros.bag.run.tables import read_table, read_tables, read_trace_table
+    from taxinet_ros.bag.run.trace import read_images, read_trace
 
 __all__ = [
     'BagCorrupt',

@@ -1,15 +1,116 @@
-"""Reading ``metadata.yaml``: what a bag's folder says of the bag, which is not simply believed."""
+"""The description of a bag that rosbag2 keeps beside and within it, version 9 (Jazzy).
+
+Fields and their order are those of rosbag2_storage's ``BagMetadata``; ``ros2 bag info`` needs
+all. When ``metadata.yaml`` is read, nothing in it is taken on trust.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated
-from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.yaml_text import MAX_CHARS, load_yaml
+from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
+from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.core.provenance import known
+from taxinet_ros.files.yaml_text import MAX_CHARS, dump_yaml, load_yaml
+
+VERSION = 9
+ROS_DISTRO = 'jazzy'
+NOT_STARTED_NS = 2**63 - 1
+"""Start that rosbag2 notes in a bag without messages."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagContent:
+    """What was recorded, as far as the description tells.
+
+    Attributes:
+        file: name of the storage file.
+        start_ns: stamp of the first message [ns of simulated time].
+        duration_ns: last stamp minus first stamp [ns].
+        topics: every topic with its number of messages.
+        custom: words of the run: scenario, seed, version and the like.
+    """
+
+    file: str
+    start_ns: int
+    duration_ns: int
+    topics: Sequence[tuple[TopicInfo, int]]
+    custom: Mapping[str, str]
+
+
+def record_text(content: BagContent) -> str:
+    """YAML for the ``serialized_metadata`` record within the storage file."""
+    # Topics are most of it, and the same in every bag of a campaign: dumping takes milliseconds.
+    topics = [f'{_topic_text(topic)}  message_count: {count}\n' for topic, count in content.topics]
+    listed = '\n' + ''.join(topics) if topics else ' []\n'
+    before, after = dump_yaml(_before(content)), dump_yaml(_after(content))
+    return f'{before}topics_with_message_count:{listed}{after}'
+
+
+def file_text(record: str) -> str:
+    """YAML of ``metadata.yaml`` with the same content as the given :func:`record_text`."""
+    return 'rosbag2_bagfile_information:\n' + textwrap.indent(record, '  ')
+
+
+def _before(content: BagContent) -> dict[str, Any]:
+    return {
+        'version': VERSION,
+        'storage_identifier': STORAGE_ID,
+        **_times(content),
+        'message_count': _total(content),
+    }
+
+
+def _after(content: BagContent) -> dict[str, Any]:
+    times = _times(content)
+    return {
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [content.file],
+        'files': [
+            {
+                'path': content.file,
+                'starting_time': times['starting_time'],
+                'duration': times['duration'],
+                'message_count': _total(content),
+            }
+        ],
+        'custom_data': dict(content.custom),
+        'ros_distro': ROS_DISTRO,
+    }
+
+
+def _times(content: BagContent) -> dict[str, Any]:
+    return {
+        'duration': {'nanoseconds': content.duration_ns},
+        'starting_time': {'nanoseconds_since_epoch': content.start_ns},
+    }
+
+
+def _total(content: BagContent) -> int:
+    return sum(count for _, count in content.topics)
+
+
+@lru_cache(maxsize=64)
+def _topic_text(topic: TopicInfo) -> str:
+    """An item of the list of topics, without its last line."""
+    return dump_yaml([{
+        'topic_metadata': {
+            'name': topic.name,
+            'type': topic.type,
+            'serialization_format': 'cdr',
+            # The very text of the channel: readers join the two on equal profiles.
+            'offered_qos_profiles': list(qos_profiles(topic.qos)),
+            'type_description_hash': topic.type_hash,
+        },
+    }])
+
 
 _ROOT = 'rosbag2_bagfile_information'
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taxinet_ros.core.errors import plain_line
+from taxinet_ros.errors import plain_line
 
 
 class BagError(Exception):

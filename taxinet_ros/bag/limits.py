@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from taxinet_ros.bag.errors import BagCorrupt
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 FREE_S = 20.0
 """Processor time for a bag of any size."""

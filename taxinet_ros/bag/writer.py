@@ -14,13 +14,14 @@ from pathlib import Path
 from types import TracebackType
 
 import taxinet_ros
+from taxinet_ros.bag.description import NOT_STARTED_NS, BagContent, file_text, record_text
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagWriteError
-from taxinet_ros.bag.layout import METADATA_FILE, mcap_path, sync_folder, write_atomically
-from taxinet_ros.bag.metadata import NOT_STARTED_NS, BagContent, file_text, record_text
-from taxinet_ros.bag.storage import StorageFile
-from taxinet_ros.bag.summary import read_statistics
+from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
+from taxinet_ros.bag.storage.summary import read_statistics
+from taxinet_ros.bag.storage.writer import StorageFile
 from taxinet_ros.bag.topics import TopicInfo, check_topics
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import sync_folder, write_atomically
 
 LIBRARY = f'taxinet_ros {taxinet_ros.__version__}'
 MANIFEST = 'manifest.json'

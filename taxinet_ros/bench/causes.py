@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.campaign_runs import CampaignRuns, runs_of
-from taxinet_ros.analysis.causes import find_causes
-from taxinet_ros.analysis.group_rates import Floats
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.analysis.causes.causes import find_causes
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
+from taxinet_ros.analysis.runs.features import Floats
+from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.scenario import CLOUDS
 

@@ -25,12 +25,12 @@ from typing import Any
 
 import psutil
 
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.ledger import read_ledger
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.errors import InfraError, UsageError
 
 HANG_S = 900.0
 """A command that takes so long hangs, on however busy a machine: most take some seconds."""

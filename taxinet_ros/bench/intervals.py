@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from taxinet_ros.analysis.gate import bounds
-from taxinet_ros.bench.machine import machine_facts
+from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.samplers.make import SAMPLERS, drawn_share, make_sampler
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension, Point
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 RUNS = (100, 400, 1000)
 RATES = (0.5, 0.1, 0.01, 0.001)

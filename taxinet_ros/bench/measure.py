@@ -2,21 +2,45 @@
 
 A machine's speed drifts with its load and its temperature. So the subjects take turns: whatever
 happens, happens to all of them. Medians and quartiles, for times have long tails; the minimum is
-what the machine can do when nothing disturbs it.
+what the machine can do when nothing disturbs it. With them go the facts of the machine.
 """
 
 from __future__ import annotations
 
+import os
+import platform
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.core.provenance import provenance
+
+LOAD = 'load_average'
+"""The one fact that is never the same twice."""
+
+
+def machine_facts() -> dict[str, Any]:
+    """Facts by name, as they are after the measuring: torch counts threads once it is loaded."""
+    torch = sys.modules.get('torch')
+    return {
+        **provenance(),
+        'cores': os.cpu_count(),
+        'cores_allowed': len(os.sched_getaffinity(0)),
+        'system': f'{platform.system()} {platform.release()}',
+        'opencv_threads': cv2.getNumThreads(),
+        'torch_threads': torch.get_num_threads() if torch else None,
+        LOAD: [round(load, 2) for load in os.getloadavg()],
+    }
+
+
 Clock = Callable[[], int]
 """Nanoseconds since some moment."""
-
 Progress = Callable[[int, int], None]
 """Is told the turns done and their number."""
 

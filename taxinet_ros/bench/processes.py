@@ -1,13 +1,17 @@
-"""What Linux tells of processes: how long they have worked, and how much memory they have had."""
+"""Processes watched from outside: start-up, processor time, memory, and bytes on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import psutil
 
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import InfraError
 
 
 def processor_time_ns(pid: int) -> int:
@@ -32,3 +36,46 @@ def _peak(pid: int) -> int:
     except (FileNotFoundError, ProcessLookupError):
         return 0
     return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith('VmHWM:'))
+
+
+TAXINET = (sys.executable, '-P', '-c', 'from taxinet_ros.cli.main import main; main()')
+"""What starts ``taxinet`` as people's shells do, with this Python."""
+LIMIT_S = 120.0
+"""Longest time to wait for something to be seen [s]."""
+LOOK_S = 0.003
+"""Time between two looks [s]."""
+
+
+def wait_for(process: subprocess.Popen[bytes], there: Callable[[], bool], who: str) -> int:
+    """Look until something is there.
+
+    Returns:
+        When that was, on the clock of :func:`time.perf_counter_ns`.
+
+    Raises:
+        InfraError: the process has ended, or too much time has passed.
+    """
+    deadline = time.monotonic() + LIMIT_S
+    while not there():
+        if process.poll() is not None and not there():
+            raise InfraError('start', who, -1, exit_line(process))
+        if time.monotonic() > deadline:
+            raise InfraError('start', who, -1, f'nothing to be seen after {LIMIT_S:g} s')
+        time.sleep(LOOK_S)
+    return time.perf_counter_ns()
+
+
+def exit_line(process: subprocess.Popen[bytes]) -> str:
+    """How a process that was started with a pipe for its errors has ended, in one line."""
+    said = process.stderr.read().decode(errors='replace').split('\n') if process.stderr else []
+    lines = [line for line in said if line.strip()]
+    return ': '.join([f'exit code {process.returncode}', *lines[-1:]])
+
+
+Amounts = dict[str, Callable[[], float]]
+"""What tells an amount [bytes] once all is measured, by name; NaN where there is none."""
+
+
+def folder_bytes(folder: Path) -> int:
+    """Size of all the files in a folder [bytes]."""
+    return sum(file.stat().st_size for file in folder.rglob('*') if file.is_file())

@@ -10,15 +10,17 @@ from typing import cast
 
 import cv2
 
-from taxinet_ros.bench import camera, inference, loop, monitor, physics, samplers
-from taxinet_ros.bench.amounts import Amounts
-from taxinet_ros.bench.compare import Report, make_report
-from taxinet_ros.bench.machine import machine_facts
-from taxinet_ros.bench.measure import Progress, Subject, measure
-from taxinet_ros.bench.peers import peer_subjects
-from taxinet_ros.bench.ratios import find_ratios
-from taxinet_ros.bench.tick import split
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bench.measure import Progress, Subject, machine_facts, measure
+from taxinet_ros.bench.processes import Amounts
+from taxinet_ros.bench.report import Report, find_ratios, make_report
+from taxinet_ros.bench.subjects import (
+    closed_loop,
+    components,
+    monitor,
+)
+from taxinet_ros.bench.subjects.closed_loop import step_parts
+from taxinet_ros.bench.subjects.monitor import peer_subjects
+from taxinet_ros.errors import UsageError
 
 ALL = 'all'
 
@@ -26,12 +28,12 @@ Standing = Callable[[ExitStack, Amounts], list[Subject]]
 """Makes subjects that need something as long as the stack is not left, and may tell amounts."""
 
 SUBJECTS: dict[str, Callable[[], list[Subject]]] = {
-    'camera': camera.subjects,
-    'inference': inference.subjects,
-    'physics': physics.subjects,
+    'camera': components.camera_subjects,
+    'inference': components.inference_subjects,
+    'physics': components.physics_subjects,
     'monitor': monitor.subjects,
-    'samplers': samplers.subjects,
-    'loop': loop.subjects,
+    'samplers': components.sampler_subjects,
+    'loop': closed_loop.subjects,
 }
 """What can be measured without ROS, by the word that chooses it."""
 
@@ -40,7 +42,7 @@ GRAPH, START_UP, CAMPAIGN = 'graph', 'start-up', 'campaign'
 
 def _standing(module: str) -> Standing:
     """The subjects of a module that needs ROS, which is imported when they are asked for."""
-    name = f'taxinet_ros.bench.{module}'
+    name = f'taxinet_ros.bench.subjects.{module}'
     return lambda stack, amounts: cast(
         'list[Subject]', import_module(name).subjects(stack, amounts)
     )
@@ -84,7 +86,7 @@ def run_subjects(
             subjects += stack.enter_context(peer_subjects(peers))
         figures = measure(subjects, repeats, progress)
         sections = {
-            'tick': split(figures),
+            'tick': step_parts(figures),
             'ratios': find_ratios(figures),
             'amounts': {name: tell() for name, tell in amounts.items()},
             'left_out': left_out,

@@ -1,15 +1,18 @@
 """How well the samplers search: synthetic landscapes whose failure regions are known.
 
-Each repetition is one search with results that come as late as eight workers bring them, so with
-as little known as there ever is.
+In place of a simulator stands a formula for ρ. Lengths are of quantiles, so the volume of a region
+in the unit cube is its probability under the program. Each repetition is one search with results
+that come as late as eight workers bring them, so with as little known as there ever is.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import time
+import zlib
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -18,16 +21,227 @@ from multiprocessing import get_context
 from statistics import fmean
 from typing import Any
 
-from taxinet_ros.bench.landscapes import LANDSCAPES, count_distinct
-from taxinet_ros.bench.machine import machine_facts
-from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bench.measure import machine_facts
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.sampler import LAG
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
+from taxinet_ros.errors import UsageError
+
+APART = 0.15
+"""Two failures are distinct if a coordinate differs by more than this [quantiles]."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Landscape:
+    """Robustness by point.
+
+    Attributes:
+        meaning: what is hard about it, in a line.
+        space: what is searched.
+        parts: of a point, the robustness that each failure region would give it alone.
+        shape: of the least of them, and the point, its robustness; 0 or less, a failure, where that
+            is 0 or less.
+    """
+
+    meaning: str
+    space: Space
+    parts: Callable[[Point], Sequence[float]]
+    shape: Callable[[float, Point], float] = lambda least, point: least
+
+    def rho(self, point: Point) -> float:
+        """Robustness of a point; 0 or less is a failure."""
+        return self.shape(min(self.parts(point)), point)
+
+    def region(self, point: Point) -> int:
+        """Number of the region, from 0, that a failure belongs to."""
+        parts = self.parts(point)
+        return min(range(len(parts)), key=parts.__getitem__)
+
+    @property
+    def regions(self) -> int:
+        """Number of separate failure regions."""
+        return len(self.parts(self.space.point([0.5] * len(self.space))))
+
+
+def count_distinct(space: Space, failures: Sequence[Point]) -> int:
+    """Number of failures that lie apart: a greedy cover, in the order in which they were found.
+
+    One counts where it differs from each that was counted before: in a category, in whether a
+    dimension is idle, or by more than :data:`APART` in some coordinate.
+    """
+    counted: list[Point] = []
+    for point in failures:
+        if not any(_alike(space, point, other) for other in counted):
+            counted.append(point)
+    return len(counted)
+
+
+def _alike(space: Space, one: Point, other: Point) -> bool:
+    for dimension, mine, its in zip(space, one, other, strict=True):
+        if mine is None or its is None:
+            same = mine is its
+        elif dimension.discrete:
+            same = dimension.bin(mine) == dimension.bin(its)
+        else:
+            same = abs(mine - its) <= APART
+        if not same:
+            return False
+    return True
+
+
+def _radius(share: float) -> float:
+    """Of a disc with this share of the unit square."""
+    return math.sqrt(share / math.pi)
+
+
+def _continuous(dimensions: int) -> Space:
+    return Space(Dimension(name=f'x{number}') for number in range(dimensions))
+
+
+def _at(point: Point, first: int) -> tuple[float, float]:
+    """Two neighbouring coordinates of dimensions that are never idle."""
+    return point[first] or 0.0, point[first + 1] or 0.0
+
+_TWO = {(0.21, 0.72): 0.0075, (0.76, 0.27): 0.0075}
+_FOUR = {(0.17, 0.22): 0.005, (0.71, 0.13): 0.006, (0.34, 0.81): 0.008, (0.86, 0.66): 0.01}
+_EIGHT = {
+    (0.5 + 0.38 * math.cos(angle), 0.5 + 0.38 * math.sin(angle)): 0.005
+    for angle in (number * math.pi / 4 for number in range(8))
+}
+
+
+def _discs(
+    meaning: str, dimensions: int, shares: Mapping[tuple[float, float], float],
+    shape: Callable[[float, Point], float] = lambda least, point: least,
+) -> Landscape:
+    """Signed distance to discs in the plane of the first two dimensions; others do not matter.
+
+    Args:
+        meaning: of the landscape.
+        dimensions: of its space, all continuous.
+        shares: by centre of a disc, its share of the square.
+        shape: of the landscape.
+    """
+    def parts(point: Point) -> list[float]:
+        at = _at(point, 0)
+        return [math.dist(at, centre) - _radius(share) for centre, share in shares.items()]
+
+    return Landscape(meaning=meaning, space=_continuous(dimensions), parts=parts, shape=shape)
+
+
+def _corner(dimensions: int) -> Landscape:
+    side = math.sqrt(0.001)
+    return Landscape(
+        meaning=f'a corner of 0.1 %; 2 of {dimensions} dimensions matter',
+        space=_continuous(dimensions), parts=lambda point: [max(_at(point, 0)) - side],
+    )
+
+
+def _noisy(least: float, point: Point) -> float:
+    """With noise that is a function of the point, but no failures elsewhere."""
+    noise = zlib.crc32(repr(point).encode()) / 2**32 - 0.5
+    return least if least <= 0 else max(least + 0.2 * noise, 1e-6)
+
+
+def _decoyed(least: float, point: Point) -> float:
+    """With a wide basin elsewhere, which ends at 0.02."""
+    return min(least, 0.02 + 0.8 * math.dist(_at(point, 0), (0.8, 0.8)))
+
+
+def _balls() -> Landscape:
+    centres = (
+        (0.2, 0.3, 0.7, 0.4), (0.8, 0.7, 0.2, 0.3), (0.3, 0.8, 0.3, 0.8), (0.7, 0.2, 0.8, 0.7),
+    )
+    radius = (0.008 * 2 / math.pi**2) ** 0.25  # of a ball in four dimensions with this volume
+
+    def parts(point: Point) -> list[float]:
+        at = (*_at(point, 0), *_at(point, 2))
+        return [math.dist(at, centre) - radius for centre in centres]
+
+    return Landscape(meaning='four balls of 0.8 %; all 4 matter', space=_continuous(4), parts=parts)
+
+
+def _categories() -> Landscape:
+    space = Space((
+        Dimension(name='clouds', weights=(1,) * 6), *_continuous(3),
+        Dimension(name='rain', weights=(2, 1)),
+    ))
+
+    def parts(point: Point) -> list[float]:
+        clouds, *_, rain = space.bins(point)
+        at = _at(point, 1)
+        return [
+            math.dist(at, (0.3, 0.7)) - _radius(0.04) + (0.0 if clouds == 2 else 0.3),
+            math.dist(at, (0.7, 0.2)) - _radius(0.03) + (0.0 if rain == 1 else 0.3),
+        ]
+
+    return Landscape(
+        meaning='0.7 % under one of six skies, 1 % in rain', space=space, parts=parts,
+    )
+
+
+def _conditional() -> Landscape:
+    dry, wet = Branch('weather', (0,)), Branch('weather', (1,))
+    space = Space((
+        Dimension(name='weather', weights=(2, 1)),
+        Dimension(name='dry sky', weights=(1,) * 6, when=(dry,)),
+        Dimension(name='wet sky', weights=(1,) * 3, when=(wet,)),
+        Dimension(name='rain', when=(wet,)), *_continuous(3),
+    ))
+
+    def parts(point: Point) -> list[float]:
+        sky, rain, at = space.bins(point)[1], point[3], _at(point, 4)
+        return [
+            math.dist(at, (0.65, 0.3)) - _radius(0.06)
+            + (0.3 if rain is None else max(0.0, 0.7 - rain)),
+            math.dist(at, (0.2, 0.8)) - _radius(0.05) + (0.0 if sky == 4 else 0.2),
+        ]
+
+    return Landscape(
+        meaning='0.6 % in heavy rain, 0.6 % under one dry sky; idle branches', space=space,
+        parts=parts,
+    )
+
+LANDSCAPES: Mapping[str, Landscape] = {
+    'corner': _corner(4),
+    'corner-2': _corner(2),
+    'corner-6': _corner(6),
+    'twins': _discs('two discs of 0.75 %; 2 of 4 dimensions matter', 4, _TWO),
+    'twins-2': _discs('the same; both of 2 matter', 2, _TWO),
+    'twins-6': _discs('the same; 2 of 6 matter', 6, _TWO),
+    'four': _discs('four discs of 0.5 to 1 %; 2 of 4 matter', 4, _FOUR),
+    'four-2': _discs('the same; both of 2 matter', 2, _FOUR),
+    'four-6': _discs('the same; 2 of 6 matter', 6, _FOUR),
+    'eight': _discs('eight discs of 0.5 %; 2 of 4 matter', 4, _EIGHT),
+    'balls': _balls(),
+    'categories': _categories(),
+    'conditional': _conditional(),
+    'plateau': _discs(
+        'twins, level farther away than 0.1', 4, _TWO, lambda least, point: min(least, 0.1)
+    ),
+    'steps': _discs(
+        'twins, in steps of 0.1', 4, _TWO, lambda least, point: math.ceil(least / 0.1) * 0.1
+    ),
+    'stopped': _discs(
+        'four, failures all told as 0', 4, _FOUR, lambda least, point: max(least, 0.0)
+    ),
+    'rough': _discs('twins, with noise of 0.2', 4, _TWO, _noisy),
+    'decoy': _discs(
+        'a disc of 0.7 %, and a wide basin without', 4, {(0.12, 0.15): 0.007}, _decoyed
+    ),
+    'blind': _discs(
+        'twins, 1 or -1', 4, _TWO, lambda least, point: 1.0 if least > 0 else -1.0
+    ),
+    'most': Landscape(
+        meaning='all but 4 % fails; 2 of 4 matter', space=_continuous(4),
+        parts=lambda point: [0.1 - max(abs(each - 0.5) for each in _at(point, 0))],
+    ),
+}
+"""Every landscape by its name."""
+
 
 RUNS = 200
 """Of each search."""
-
 _SLOW = ('bo', 'tpe')
 """Samplers that take a second and more for a search; measured only where they are named."""
 
@@ -40,7 +254,7 @@ class Search:
         found: whether it found a failure; the share of the searches that did.
         regions: share of the failure regions that it found.
         failures: runs that failed.
-        distinct: failures that lie apart (:func:`~taxinet_ros.bench.landscapes.count_distinct`).
+        distinct: failures that lie apart (:func:`~taxinet_ros.bench.searches.count_distinct`).
         ask_s: processor time for choosing a run and taking its result in [s].
     """
 

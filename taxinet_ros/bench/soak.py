@@ -1,6 +1,7 @@
-"""A soak: very many runs in one process, or a process that works elsewhere, watched for growth.
+"""Soak test: many runs, or a running process, sampled for what grows.
 
-A leak of a kilobyte a run is nothing to a test and a gigabyte to a campaign of a million runs.
+A sample counts memory, open files, threads and shared memory of a process and its descendants; a
+robust slope through the samples after the warm-up tells whether one of them grows.
 """
 
 from __future__ import annotations
@@ -11,49 +12,177 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import psutil
+from scipy import stats
 
-from taxinet_ros.bench.machine import machine_facts
-from taxinet_ros.bench.soak_sample import Holdings, holdings
-from taxinet_ros.bench.soak_trend import FLAT, GROWS, Series, Trend, trend
-from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.core.errors import InfraError, UsageError
+from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.processes.interrupts import interrupts
+
+_SHARED = '/dev/shm/'
+
+
+class Holdings(NamedTuple):
+    """What one process, or several together, hold.
+
+    Attributes:
+        memory: resident memory [bytes]; what processes share counts in each of them.
+        files: open file descriptors.
+        threads: threads.
+        segments: different files of ``/dev/shm`` mapped into memory; Fast DDS talks through them.
+        processes: how many they are.
+    """
+
+    memory: int
+    files: int
+    threads: int
+    segments: int
+    processes: int
+
+
+def holdings(pid: int) -> Holdings | None:
+    """What a process and all its descendants hold now; None once it is gone.
+
+    Raises:
+        UsageError: it is another user's, so Linux does not tell.
+    """
+    try:
+        process = psutil.Process(pid)
+        if process.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD):
+            return None
+        family = [process, *process.children(recursive=True)]
+    except psutil.NoSuchProcess:
+        return None
+    found = [told for member in family if (told := _process_holdings(member)) is not None]
+    if not found:
+        return None
+    memory, files, threads, names = zip(*found, strict=True)
+    return Holdings(
+        sum(memory), sum(files), sum(threads), len(frozenset[str]().union(*names)), len(found)
+    )
+
+
+def _process_holdings(process: psutil.Process) -> tuple[int, int, int, frozenset[str]] | None:
+    """Memory, files, threads and shared-memory names of one process; None if it ends meanwhile."""
+    try:
+        with process.oneshot():
+            shared = frozenset(
+                part.path for part in process.memory_maps() if part.path.startswith(_SHARED)
+            )
+            return process.memory_info().rss, process.num_fds(), process.num_threads(), shared
+    except psutil.NoSuchProcess:
+        return None
+    except psutil.AccessDenied:
+        raise UsageError(
+            f"--pid {process.pid}: is another user's, so Linux does not tell what it holds"
+        ) from None
+
+
+WARM_UP = 0.2
+"""Share of the runs, or of the time, at the beginning that do not count: caches fill there."""
+LEAST_SAMPLES = 12
+"""Samples after the warm-up without which nothing is concluded."""
+MOST_SAMPLES = 400
+"""Samples that are kept; beyond them every other one goes, so that looking costs nothing more."""
+FLAT, GROWS, UNSETTLED = 'flat', 'grows', 'too short to tell'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trend:
+    """How one quantity went.
+
+    Attributes:
+        first, warm, last, most: at the beginning, after the warm-up, at the end, and at most.
+        slope: after the warm-up, per run or per second.
+        growth: by this slope, from the warm-up to the end.
+        verdict: :data:`FLAT`, :data:`GROWS` or :data:`UNSETTLED`.
+    """
+
+    first: float
+    warm: float
+    last: float
+    most: float
+    slope: float
+    growth: float
+    verdict: str
+
+
+class Series:
+    """Samples along an axis, evenly thinned out so that there are never very many."""
+
+    def __init__(self) -> None:
+        """Begin without samples."""
+        self.at: list[float] = []
+        self.rows: list[tuple[float, ...]] = []
+        self._every = 1
+        self._asked = 0
+
+    def add(self, at: float, row: Sequence[float]) -> None:
+        """Take a sample, unless it would be one of those that are thinned out."""
+        if self._asked % self._every == 0:
+            self.at.append(at)
+            self.rows.append(tuple(row))
+        self._asked += 1
+        if len(self.at) > MOST_SAMPLES:
+            self.at, self.rows = self.at[::2], self.rows[::2]
+            self._every *= 2
+
+
+def trend(at: Sequence[float], values: Sequence[float], *, per_unit: float, once: float) -> Trend:
+    """The trend of one quantity.
+
+    Args:
+        at: runs or seconds, ascending, one or more.
+        values: as many.
+        per_unit: slope that still counts as flat.
+        once: growth that still counts as flat, however steep.
+    """
+    x, y = np.asarray(at, float), np.asarray(values, float)
+    warm = x >= x[0] + WARM_UP * (x[-1] - x[0])
+    x, y = x[warm], y[warm]
+    # Theil's and Sen's: the median slope between pairs of points, which a few outliers do not move.
+    slope = float(stats.theilslopes(y, x).slope) if x[-1] > x[0] else 0.0
+    growth = slope * float(x[-1] - x[0])
+    if len(x) < LEAST_SAMPLES:
+        verdict = UNSETTLED
+    else:
+        verdict = GROWS if slope > per_unit and growth > once else FLAT
+    return Trend(
+        first=float(values[0]), warm=float(y[0]), last=float(y[-1]), most=float(max(values)),
+        slope=slope, growth=growth, verdict=verdict,
+    )
+
 
 RUNS = 1000
 DURATION_S = 3.0
 """Simulated length of a run [s]: short, for what leaks leaks by the run or by the step."""
-
 SEED = 0
 RUNS_PER_SAMPLE = 5
 LEAST_PERIOD_S = 1.0
 SAMPLES_WATCHED = 300
-
 RUN, SECOND = 'run', 's'
 """What samples are counted in: runs of our own, or seconds of somebody else's."""
-
 OBJECTS = 'python objects'
 QUANTITIES = ('memory', 'files', 'threads', 'segments')
-
 _FLAT_SLOPES = {
     RUN: {'memory': 1024.0, OBJECTS: 0.1},
     SECOND: {'memory': 10 * 2**20 / 3600},
 }
 """Slopes that still count as flat; of what is counted by the piece, none does."""
-
 _FLAT_GROWTH = {'memory': 2.0**20, OBJECTS: 500.0}
 """Growth that still counts as flat; of what is counted by the piece, less than half of one."""
-
 Progress = Callable[[int, int], None]
 
 

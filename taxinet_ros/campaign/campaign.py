@@ -12,17 +12,16 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from taxinet_ros.campaign.facts import campaign_facts
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.record import Record
-from taxinet_ros.campaign.requests import finished_row, rejected_row, run_request
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.scene_source import Rejected, SceneSource, first_duration_s
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.record.book import CampaignBook, finished_row, rejected_row, run_request
+from taxinet_ros.campaign.record.facts import campaign_facts
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_duration_s
+from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.spec_check import SpecCheck
-from taxinet_ros.core.timing import timing_words
+from taxinet_ros.core.pacing.timing import timing_words
+from taxinet_ros.errors import UsageError
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -83,7 +82,7 @@ class Campaign:
             facts = campaign_facts(self.options, self._source.program)
             self.controller_sha256 = facts['controller_sha256']
             facts['warnings'] = list(self.check.warnings)
-            self._record = Record(self.options.out, [spec.name for spec in self._specs])
+            self._record = CampaignBook(self.options.out, [spec.name for spec in self._specs])
             try:
                 self._record.facts(facts)
             except BaseException:

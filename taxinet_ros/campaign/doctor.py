@@ -25,31 +25,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.facts import read_facts as read_run
-from taxinet_ros.bag.findings import Finding, ranges
-from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID, write_bytes_atomically
+from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
+from taxinet_ros.bag.run.facts import read_facts as read_run
 from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
-from taxinet_ros.campaign.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
-from taxinet_ros.campaign.journal import (
-    JournalContent,
-    JournalEnd,
-    chained_line,
-    lost_end,
-    parse_journal,
-)
-from taxinet_ros.campaign.judged_run import bag_differences
-from taxinet_ros.campaign.ledger import (
+from taxinet_ros.campaign.past_runs.judged_run import bag_differences
+from taxinet_ros.campaign.record.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
+from taxinet_ros.campaign.record.ledger import (
     LedgerContent,
     ledger_content,
     lost_event,
     possible_events,
     read_ledger,
 )
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.sealed_json import SealedJson, file_sha256, read_sealed
-from taxinet_ros.campaign.table import (
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import (
     CSV_NAME,
     PARQUET_NAME,
     csv_text,
@@ -57,7 +49,16 @@ from taxinet_ros.campaign.table import (
     table,
     write_tables,
 )
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_bytes_atomically
+from taxinet_ros.files.journal import (
+    JournalContent,
+    JournalEnd,
+    chained_line,
+    lost_end,
+    parse_journal,
+)
+from taxinet_ros.files.sealed_json import SealedJson, file_sha256, read_sealed
 
 MEND = 'taxinet doctor --mend {folder}'
 """The command that mends, with the folder's path to be filled in."""
@@ -381,7 +382,7 @@ def _check_experiment(place: Path, found: Examination) -> None:
     there = [name for name, content in arms.items() if content is not None]
     missing = [name for name in arms if name not in there]
     # An arm is begun when the one before has had all its runs.
-    gone = [name for name in missing if any(name in _before(arms, later) for later in there)]
+    gone = [name for name in missing if any(name in _arms_before(arms, later) for later in there)]
     for name in gone:
         found.wrong(place / name, f'is not there, an arm of the experiment of {there[-1]}')
     counts = {len(content.rows) for content in arms.values() if content is not None}
@@ -411,7 +412,7 @@ def _arm_content(path: Path) -> LedgerContent:
     return _content(path.parent, parse_journal(path.read_bytes()), Examination())
 
 
-def _before(arms: Mapping[str, object], name: str) -> list[str]:
+def _arms_before(arms: Mapping[str, object], name: str) -> list[str]:
     return list(arms)[:list(arms).index(name)]
 
 
@@ -554,7 +555,7 @@ def _mend_ledger(path: Path, content: JournalContent, why: list[str]) -> list[st
     why += [end] if end else []
     if not why:
         return []
-    incomplete = bool(missing or foreign or (end and not _told_by_tables(path.parent, events)))
+    incomplete = bool(missing or foreign or (end and not _known_to_tables(path.parent, events)))
     aside = _free_name(path)
     said = f'{"; ".join(why)}; as it was it is kept as {aside.name}'
     events.append(lost_event(said, missing, incomplete=incomplete))
@@ -621,7 +622,7 @@ def _missing_runs(folder: Path, events: list[dict[str, Any]]) -> list[int]:
     })
 
 
-def _told_by_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
+def _known_to_tables(folder: Path, events: list[dict[str, Any]]) -> bool:
     """Whether tables that somebody vouches for have no more than these events."""
     content = ledger_content(folder / LEDGER_NAME, events)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
@@ -642,7 +643,7 @@ def _mend_campaign(folder: Path) -> list[str]:
         return []
     if not (content.campaign or path.is_file()):
         return [f'{folder}: its ledger does not say what the campaign is; no {FACTS_NAME}']
-    done = _put_aside(folder, content, foreign)
+    done = _back_up(folder, content, foreign)
     if foreign:
         path.unlink()
         if not content.campaign:
@@ -662,7 +663,7 @@ def _is_foreign(folder: Path, told: list[dict[str, Any]]) -> bool:
     return bool(facts is not None and facts.sealed and told and facts.values not in told)
 
 
-def _put_aside(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
+def _back_up(folder: Path, content: LedgerContent, foreign: bool) -> list[str]:
     """Keep a copy of what is to be written over and says anything else; lines on what was done."""
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     changed = [folder / FACTS_NAME] if foreign or _other_facts(folder, content) else []

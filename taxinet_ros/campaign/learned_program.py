@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taxinet_ros.campaign.search_space import (
+from taxinet_ros.campaign.scenes.search_space import (
     Choice,
     Law,
     Piece,
@@ -30,7 +30,7 @@ from taxinet_ros.campaign.search_space import (
     SearchSpace,
     standard_values,
 )
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 _WIDTH = 100
 _CALL = re.compile(

@@ -21,9 +21,9 @@ import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.sealed_json import read_sealed, sealed_text
-from taxinet_ros.campaign.search_space import Choice
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.scenes.search_space import Choice
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 
 LEARNED_NAME = 'learned.json'
 

@@ -1,4 +1,17 @@
-"""What a campaign is asked to do, checked before anything starts."""
+"""What a campaign is asked to do, checked before anything starts.
+
+Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file
+has two keys, and either may be left out::
+
+    predicates:
+      on_centreline: abs(cte) <= 1.5
+    specs:
+      reach: 'F[0, 10] G on_centreline'
+      gentle: 'always[10 s:inf](abs(steering) <= 3 deg)'
+
+A predicate may use those above it, in its own file and in files given before. What comes out
+needs no file any more: predicates are written out.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +19,115 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from taxinet_ros.bag.layout import FULL_DISK
-from taxinet_ros.campaign.overrides import check_overrides, doubtful_values
-from taxinet_ros.campaign.spec_files import read_specs
-from taxinet_ros.core.controller import STEERING, check_controller
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.mtl import Assumptions, parse_assumptions, parse_spec
-from taxinet_ros.core.node_words import short_word
-from taxinet_ros.core.perception import check_perception
-from taxinet_ros.core.spec_check import SpecCheck, check_specs
-from taxinet_ros.core.steering import SteeringGains
-from taxinet_ros.core.stop_on import StopOn, parse_stop_on
-from taxinet_ros.core.timing import AT_ONCE, Timing, free_timing, parse_latency
+from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
+from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.judge import SpecCheck, check_specs
+from taxinet_ros.core.mtl import SIGNALS, Assumptions, parse_assumptions, parse_formula, parse_spec
+from taxinet_ros.core.mtl.parser import parse
+from taxinet_ros.core.outcome import StopOn, parse_stop_on
+from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.user_code import short_word
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import FULL_DISK
+from taxinet_ros.files.plain_values import read_yaml
+
+SUFFIXES = ('.yaml', '.yml')
+_KEYS = ('predicates', 'specs')
+_BRACKETS = "; a formula with brackets needs '…' quotes around it"
+
+
+def read_specs(words: Iterable[str]) -> tuple[str, ...]:
+    """The requirements that some words ask for, each as text that :func:`parse_spec` reads.
+
+    Args:
+        words: names of shipped formulas, ``NAME=FORMULA``, formulas, and YAML files of them. The
+            order is kept.
+
+    Raises:
+        UsageError: a word or a file is no such thing, or two formulas have one name.
+    """
+    texts: list[str] = []
+    predicates: dict[str, str] = {}
+    for word in words:
+        if word.strip().endswith(SUFFIXES):
+            texts += _read(Path(word.strip()), predicates)
+        else:
+            spec = parse_spec(word, predicates)
+            texts.append(_written_out('--spec', spec.name, spec.text) if predicates else word)
+    names = [parse_spec(text).name for text in texts]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f'--spec: {name} is given twice; name one of them NAME=FORMULA')
+    if predicates and not texts:
+        raise UsageError('--spec: only predicates are given; add a formula that uses them')
+    return tuple(texts)
+
+
+def _read(path: Path, predicates: dict[str, str]) -> list[str]:
+    """Texts of a file's formulas; its predicates are added to ``predicates``."""
+    content = _mapping(path, '', read_yaml(path, option='--spec', mend=_BRACKETS))
+    for key in content:
+        if key not in _KEYS:
+            raise UsageError(f'{path}: unknown key {key!r}; known: {", ".join(_KEYS)}')
+    for name, text in _mapping(path, 'predicates', content.get('predicates')).items():
+        if name in predicates:
+            raise UsageError(f'{path}: predicates.{name}: there is one by that name already')
+        where = f'{path}: predicates.{name}'
+        formula = parse(_text(where, text), SIGNALS, predicates, where)
+        _check_name(where, name)
+        predicates[name] = str(formula)
+    specs = _mapping(path, 'specs', content.get('specs'))
+    if not specs and not predicates:
+        raise UsageError(f'{path}: holds no formula; write specs: {{NAME: FORMULA}}')
+    return [_spec_text(f'{path}: specs.{name}', name, text, predicates)
+            for name, text in specs.items()]
+
+
+def _spec_text(where: str, name: str, text: object, predicates: Mapping[str, str]) -> str:
+    # Parsed by itself first, for an error message whose column is that in the file's text.
+    return _written_out(where, name, str(parse(_text(where, text), SIGNALS, predicates, where)))
+
+
+def _written_out(where: str, name: str, formula: str) -> str:
+    text = f'{name}={formula}'
+    try:
+        parse_spec(text)  # the name may not be fit, or the formula too long by now
+    except UsageError as error:
+        raise UsageError(f'{where}: {error}') from None
+    return text
+
+
+def _check_name(where: str, name: str) -> None:
+    try:
+        parse_formula(name, {name: 'cte > 0'})
+    except UsageError:
+        raise UsageError(
+            f'{where}: choose another name: letters, digits and _, and no signal or operator'
+        ) from None
+
+
+def _mapping(path: Path, key: str, value: object) -> dict[str, Any]:
+    if value is None and key:
+        return {}
+    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
+        where = f'{path}: {key}' if key else f'{path}'
+        raise UsageError(f'{where}: expected names with a formula each, NAME: FORMULA')
+    return value
+
+
+def _text(where: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise UsageError(f"{where}: expected a formula, got {value!r:.60}; put it in '…' quotes")
+    return value
+
 
 DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
 """Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
-
 _GAIN_PREFIX = 'steering.'
 
 
@@ -37,7 +140,7 @@ class CampaignOptions:
         runs: number of scenes.
         seed: of the scenes.
         perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.node_words`; '' where a graph that runs already decides it.
+            :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
         specs: formulas as text that needs no file; the first is the headline.
@@ -47,7 +150,7 @@ class CampaignOptions:
         processes: every node a process of its own.
         images: whose camera frames go into the bags, of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
-            :mod:`taxinet_ros.core.node_words`.
+            :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
             They leave the choice alone, where ``overrides`` take what they fix out of the search;
             so campaigns that differ in them only have otherwise equal scenes.

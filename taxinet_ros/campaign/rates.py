@@ -17,23 +17,25 @@ sequence*, which holds at all numbers of runs together: what is left are the pro
 which a gambler who bets on each run would not have multiplied the stake by 1/tail (Ville, Étude
 critique de la notion de collectif, 1939; Robbins, Annals of Mathematical Statistics 41, 1970;
 Ramdas et al., Statistical Science 38, 2023). ``taxinet bench intervals`` measures both.
+
+Outcomes counted in words; those of a bench that broke, by how it did.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
-from taxinet_ros.campaign.row import RunRow
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 
 CONFIDENCE = 0.95
 TAIL = (1 - CONFIDENCE) / 2
 """Probability that is left out at each end of an interval."""
-
 NO_RATE = 'no rate from this search'
 
 
@@ -235,3 +237,34 @@ def as_planned(outcomes: Mapping[int, str], planned: int | None) -> bool:
     used = sum(outcome != Outcome.REJECTED for outcome in outcomes.values())
     complete = without_gaps(outcomes) == len(outcomes)
     return complete and (planned is None or used <= planned <= len(outcomes))
+
+
+def count_outcomes(rows: Sequence[RunRow], leaving_out: Iterable[Outcome] = ()) -> str:
+    """How many runs ended how, e.g. ``4 PASS, 3 INFRA_ERROR (2 timeout, 1 died)``."""
+    wanted = [outcome for outcome in Outcome if outcome not in set(leaving_out)]
+    counts = {outcome.value: sum(row.outcome is outcome for row in rows) for outcome in wanted}
+    return count_words(counts, count_kinds(row.kind for row in rows if row.kind))
+
+
+def count_kinds(kinds: Iterable[str]) -> dict[str, int]:
+    """How many runs the bench broke in which way, the most frequent first."""
+    return dict(sorted(Counter(kinds).items(), key=lambda kind: (-kind[1], kind[0])))
+
+
+def count_words(counts: Mapping[str, int], kinds: Mapping[str, int]) -> str:
+    """Counts by outcome in words, those that are none left out.
+
+    Args:
+        counts: by outcome, in the order in which they are named.
+        kinds: how many runs the bench broke in which way.
+    """
+    how = f' ({kind_words(kinds)})' if kinds else ''
+    return ', '.join(
+        f'{number:,} {name}{how if name == Outcome.INFRA_ERROR else ""}'
+        for name, number in counts.items() if number
+    )
+
+
+def kind_words(kinds: Mapping[str, int]) -> str:
+    """How often the bench broke in which way, in words."""
+    return ', '.join(f'{number:,} {kind}' for kind, number in kinds.items())

@@ -1,7 +1,8 @@
-"""A search on disk: a sampler chooses scenes, learns from their results, and may be interrupted.
+"""A search on disk: a sampler chooses scenes, learns from their results, may be interrupted.
 
-A search's folder is a campaign's (:mod:`.campaign`). The runs may be under way at once and end in
-any order; the sequence of scenes depends on neither, nor on how often the search was resumed.
+A search's folder is a campaign's (:mod:`.campaign`). The runs may be under way at once and end
+in any order; the sequence of scenes depends on neither, nor on how often the search was
+resumed. The lines that a search prints stand at the end.
 """
 
 from __future__ import annotations
@@ -9,38 +10,59 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
-from taxinet_ros.campaign.earlier import UNTOLD, Earlier, read_earlier
-from taxinet_ros.campaign.facts import FACTS_NAME, STACKS, campaign_facts
-from taxinet_ros.campaign.graph_perception import met
-from taxinet_ros.campaign.put_aside import put_aside
-from taxinet_ros.campaign.record import Record, check_resumable
-from taxinet_ros.campaign.requests import finished_row, rejected_row, run_name, run_request
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import drawn_share, make_sampler
-from taxinet_ros.campaign.samplers.sampler import Exhausted, Probabilities
-from taxinet_ros.campaign.samplers.space import Point
-from taxinet_ros.campaign.scene_source import (
+from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
+from taxinet_ros.campaign.record.book import (
+    CampaignBook,
+    check_resumable,
+    finished_row,
+    rejected_row,
+    rename_broken,
+    run_name,
+    run_request,
+)
+from taxinet_ros.campaign.record.facts import FACTS_NAME, STACKS, campaign_facts
+from taxinet_ros.campaign.record.resumption import (
+    UNTOLD,
+    EarlierRuns,
+    facts_of_graph,
+    read_earlier_runs,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.samplers.registry import drawn_share, make_sampler
+from taxinet_ros.campaign.samplers.sampler import LAG, Exhausted, Probabilities
+from taxinet_ros.campaign.samplers.space import Branch, Point
+from taxinet_ros.campaign.scenes.search_space import SearchSpace
+from taxinet_ros.campaign.scenes.source import (
     Rejected,
     SceneSource,
     accepted_scene,
     first_duration_s,
 )
-from taxinet_ros.campaign.search_options import SearchOptions, with_sampler
-from taxinet_ros.campaign.search_space import SearchSpace
-from taxinet_ros.campaign.stop_rule import HALF_WIDTH
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.search_options import FAILURES, HALF_WIDTH, SearchOptions, with_sampler
+from taxinet_ros.campaign.summary import (
+    ON_STANDING_GRAPH,
+    blind_words,
+    off_runway_words,
+    participants_words,
+    refused_words,
+    rho_words,
+    scene_words,
+    stopped_words,
+    table_line,
+)
+from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.perception import check_perception
+from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.spec_check import SpecCheck
+from taxinet_ros.errors import UsageError
 
 PATIENCE = 3
 """After so many infrastructure errors in a row of one sitting the bench is broken, not the run."""
@@ -90,7 +112,7 @@ class Search:
         self._refused: dict[int, int] = {}
         self._again: list[RunRequest] = []
         self._retried: set[int] = set()
-        self._earlier = Earlier()
+        self._earlier = EarlierRuns()
         self._attempts: Counter[int] = Counter()
         self._asked = 0
         self._due = False
@@ -110,7 +132,7 @@ class Search:
         try:
             self._prepare()
             names = [spec.name for spec in self._specs]
-            self._record = Record(out, names, resume=self.options.resume)
+            self._record = CampaignBook(out, names, resume=self.options.resume)
             try:
                 self._take_up(self._asked_facts())
             except BaseException:
@@ -171,7 +193,7 @@ class Search:
         Raises:
             UsageError: it comes from another perception than those before; it is not kept.
         """
-        if news := met(self._campaign.out, self._facts, result):
+        if news := facts_of_graph(self._campaign.out, self._facts, result):
             self._put_down({**self._facts, **news})
         if result.outcome is Outcome.INFRA_ERROR and request.index not in self._retried:
             self._retried.add(request.index)
@@ -267,7 +289,7 @@ class Search:
         index = request.index
         self._attempts[index] += 1
         name = run_name(self._campaign, index, self._attempts[index])
-        put_aside(self._campaign.out / name)
+        rename_broken(self._campaign.out / name)
         self._record.intent(index, name, scenario_sha256)
         return dataclasses.replace(request, run_id=name)
 
@@ -333,7 +355,7 @@ class Search:
 
     def _take_up(self, asked: dict[str, Any]) -> None:
         """Go on where an earlier sitting ended, if there was one."""
-        earlier = self._earlier = read_earlier(self._campaign.out, asked)
+        earlier = self._earlier = read_earlier_runs(self._campaign.out, asked)
         self._attempts.update(earlier.attempts)
         self._record.rows.update({**earlier.rows, **earlier.again})
         untold = {UNTOLD: sorted(earlier.untold)} if earlier.untold else {}
@@ -377,3 +399,92 @@ class Search:
 
 def _digest(scenario: Scenario) -> str:
     return hashlib.sha256(json.dumps(scenario.to_human()).encode()).hexdigest()
+
+
+def search_heading(options: SearchOptions) -> str:
+    """What is about to run."""
+    campaign = options.campaign
+    workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    verb = 'resuming' if options.resume else 'searching'
+    graph = f'{participants_words(campaign)}, {workers}'
+    return (
+        f'{verb} {campaign.program} for failures: up to {campaign.runs} runs, sampler '
+        f'{options.sampler}, seed {campaign.seed}, '
+        f'{ON_STANDING_GRAPH if campaign.standing_graph else graph} -> {campaign.out}'
+    )
+
+
+def space_lines(space: SearchSpace) -> list[str]:
+    """Which of a program's choices the sampler makes, and when, and which it leaves to chance."""
+    options = {choice.dimension.name: choice.options for choice in space.searched}
+    groups: dict[str, list[str]] = {}
+    for choice in space.searched:
+        where = ' or '.join(_branch_words(branch, options[branch.parent])
+                            for branch in choice.dimension.when)
+        groups.setdefault(f'where {where}: ' if where else '', []).append(choice.dimension.name)
+    searched = '; '.join(f'{where}{", ".join(names)}' for where, names in groups.items())
+    lines = [f'searched: {searched or "nothing"}']
+    if space.unsearched:
+        lines.append(f'drawn, not searched: {", ".join(space.unsearched)}')
+    return lines
+
+
+def _branch_words(branch: Branch, options: Sequence[object]) -> str:
+    named = [str(options[number]) if options else f'option {number + 1}'
+             for number in branch.categories]
+    return f'{branch.parent} is {" or ".join(named)}'
+
+
+def search_summary(search: Search, resuming: str = '--resume') -> list[str]:
+    """What came of it: counts, rates with their intervals, the worst run, where the table is.
+
+    Args:
+        search: that has ended.
+        resuming: what to add to the command to continue it.
+    """
+    rows, campaign = search.rows, search.options.campaign
+    lines = [count_outcomes(rows) or 'no run ended']
+    lines += [*_rate_lines(search), *stopped_words(rows), *refused_words(rows)]
+    lines += [*blind_words(rows), *_worst_line(rows)]
+    lines.append(table_line(rows, campaign))
+    why = 'interrupted' if search.interrupted else search.stopped
+    if why and len(rows) < campaign.runs:
+        how = '' if search.exhausted else f'; {resuming} continues it'
+        lines.append(f'ended before its {campaign.runs} runs: {why}{how}')
+    elif any(row.outcome is Outcome.INFRA_ERROR for row in rows):
+        lines.append(f'{resuming} tries the runs again that the bench broke')
+    return lines
+
+
+def _rate_lines(search: Search) -> list[str]:
+    rows, planned = search.rows, search.first_planned
+    judged = [row for row in rows if row.outcome.judged]
+    if not judged:
+        return []
+    failed, off = failure_rate(rows, planned), off_runway_rate(rows, planned)
+    speed = statistics.median(row.real_time_factor for row in judged)
+    failures = sum(row.outcome is Outcome.FAIL for row in judged)
+    made = f'{failures} of {len(judged)} judged runs failed'
+    if failed.rate is None:
+        return [
+            failed.why_not, f'{made}, {off_runway_words(judged)}, median {speed:.1f}x real time',
+        ]
+    left = '' if off is None or off.rate is None else f', off the runway {off.rate.words()}'
+    lines = [
+        f'under the program itself: satisfied {failed.rate.other.words()}{left} '
+        f'({failed.rests_on})',
+        f'{made}, median {speed:.1f}x real time',
+    ]
+    stop = search.options.stop
+    if stop is not None and stop.kind == FAILURES and search.stopped == stop.reached:
+        lines.append('it ended with a failure, so the share of failures is too high on average; '
+                     'the interval holds all the same')
+    return lines
+
+
+def _worst_line(rows: Sequence[RunRow]) -> list[str]:
+    judged = [row for row in rows if row.outcome.judged]
+    if not judged:
+        return []
+    worst = min(judged, key=lambda row: row.headline[::-1] if row.headline else ())
+    return [f'worst: run {worst.index}, {rho_words(worst)}: {scene_words(worst)}']

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib
 import os
 import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -23,33 +24,70 @@ from typer.exceptions import TyperException
 
 from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.layout import disk_words
-from taxinet_ros.campaign.interrupts import (
-    INTERRUPTED,
-    handled,
-    heard_again,
-    told_apart,
+from taxinet_ros.cli.analysis.commands import (
+    analyze,
+    doctor,
+    explain,
+    gate,
+    localize,
+    monitor,
+    spec,
 )
-from taxinet_ros.cli.analysis_commands import analyze, doctor, experiment, explain, gate, localize
-from taxinet_ros.cli.bag import bag_app
-from taxinet_ros.cli.camera import camera_app
-from taxinet_ros.cli.given import asks_for, given_options
-from taxinet_ros.cli.monitor_command import monitor, spec
-from taxinet_ros.cli.regular_files import refuse_strange_files
-from taxinet_ros.cli.run_commands import (
+from taxinet_ros.cli.bag.commands import bag_app
+from taxinet_ros.cli.options import asks_for_study, given_options
+from taxinet_ros.cli.run.commands import (
     check_node,
     demo,
+    experiment,
     falsify,
     learned,
     run,
     shrink,
     up,
 )
-from taxinet_ros.cli.study_commands import case_study, improve
-from taxinet_ros.cli.terminal import OutputUnreadError, flush_output, standard_streams
-from taxinet_ros.cli.training_commands import dataset, evaluate, train
-from taxinet_ros.core.errors import InfraError, RecordError, UsageError, plain_line
-from taxinet_ros.core.process_end import end_now
+from taxinet_ros.cli.streams import (
+    OutputUnreadError,
+    flush_output,
+    refuse_special_files,
+    standard_streams,
+)
+from taxinet_ros.cli.study.commands import case_study, improve
+from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
+from taxinet_ros.errors import InfraError, RecordError, UsageError, plain_line
+from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.processes.interrupts import (
+    INTERRUPTED,
+    interrupted_exit_code,
+    lost_interrupts_resent,
+    raise_interrupt,
+    signals_handled,
+)
+
+NODES = (
+    'simulator',
+    'taxinet_perception',
+    'ground_truth_perception',
+    'steering_controller',
+    'mtl_monitor',
+    'scenario_sampler',
+    'recorder',
+    'bag_player',
+    'scene_markers',
+    'foxglove_server',
+)
+
+
+def start_node(name: str, arguments: Sequence[str]) -> None:
+    """Run a node's ``main`` with ``arguments``; comes back by :class:`SystemExit`.
+
+    Raises:
+        UsageError: no such node.
+    """
+    if name not in NODES:
+        raise UsageError(f'unknown node {name!r}; known: {", ".join(NODES)}')
+    sys.argv = [name, *arguments]
+    importlib.import_module(f'taxinet_ros.nodes.{name}').main()
+
 
 USAGE, INFRA = 2, 4
 UNREAD = 128 + signal.SIGPIPE
@@ -59,7 +97,6 @@ _PATH_ERRORS = (
     errno.EPERM,
 )
 """Errors of the operating system that speak of a path that does not do."""
-
 app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
@@ -132,27 +169,27 @@ def bench(
     whether they end as if nobody had disturbed them; exit code 4 if one does not.
     """
     words, given = subjects or [], given_options(context)
-    from taxinet_ros.cli.chaos import asks_for_chaos, run_chaos
+    from taxinet_ros.cli.bench.chaos import asks_for_chaos, run_chaos
 
     if asks_for_chaos(words, given):
         raise typer.Exit(run_chaos(
             seed=seed, minutes=minutes, trials=trials, trial=trial, as_json=as_json,
         ))
-    if asks_for('intervals', words, given):
-        from taxinet_ros.cli.intervals import run_intervals
+    if asks_for_study('intervals', words, given):
+        from taxinet_ros.cli.bench.samplers import run_intervals
 
         raise typer.Exit(run_intervals(words[1:], repeats=repeats, as_json=as_json))
-    if asks_for('searches', words, given):
-        from taxinet_ros.cli.searches import run_searches
+    if asks_for_study('searches', words, given):
+        from taxinet_ros.cli.bench.samplers import run_searches
 
         raise typer.Exit(run_searches(words[1:], repeats=repeats, as_json=as_json))
-    from taxinet_ros.cli.soak import asks_for_soak, run_soak
+    from taxinet_ros.cli.bench.soak import asks_for_soak, run_soak
 
     if asks_for_soak(words, given):
         raise typer.Exit(run_soak(
             runs=runs, duration_s=duration, minutes=minutes, pid=pid, as_json=as_json,
         ))
-    from taxinet_ros.cli.bench import run_bench
+    from taxinet_ros.cli.bench.subjects import run_bench
 
     raise typer.Exit(run_bench(
         words, repeats=repeats, as_json=as_json, old=compare, peers=peers, guard=guard,
@@ -168,8 +205,6 @@ def node(
 
     What follows NAME goes to the node (--ros-args …).
     """
-    from taxinet_ros.cli.node import start_node
-
     try:
         start_node(name, context.args)
     except SystemExit as end:  # as every node ends
@@ -191,16 +226,16 @@ def _main(
 def main() -> None:
     """Entry point of ``taxinet``."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, end_now)
+        signal.signal(signal.SIGINT, raise_interrupt)
     code = INTERRUPTED
     with (
         contextlib.suppress(KeyboardInterrupt),
-        heard_again(),
-        handled(end_now, (signal.SIGTERM, signal.SIGHUP)),
+        lost_interrupts_resent(),
+        signals_handled(raise_interrupt, (signal.SIGTERM, signal.SIGHUP)),
         standard_streams() as closed,
     ):
         code = _delivered(_exit_code(lambda: _command(closed)))
-    sys.exit(told_apart(code))
+    sys.exit(interrupted_exit_code(code))
 
 
 def _command(output_closed: bool) -> object:
@@ -211,7 +246,7 @@ def _command(output_closed: bool) -> object:
     with contextlib.suppress(OSError):  # a folder that is gone matters to few commands
         _check_word(os.getcwd())
     _have_ros_log_somewhere()
-    refuse_strange_files()
+    refuse_special_files()
     return app(standalone_mode=False, prog_name='taxinet')
 
 

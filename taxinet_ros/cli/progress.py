@@ -18,17 +18,17 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from taxinet_ros.bag.layout import disk_words
-from taxinet_ros.campaign.lines import row_line
-from taxinet_ros.campaign.outcome_words import count_outcomes
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.errors import RecordError
+from taxinet_ros.campaign.rates import count_outcomes
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.summary import row_line
+from taxinet_ros.errors import RecordError
+from taxinet_ros.files.atomic import disk_words
 
 _PAGE_WIDTH = 100
 
 
 @contextlib.contextmanager
-def told_if_lost(
+def print_rows_if_lost(
     console: Console, rows: Sequence[RunRow], *, shown: bool
 ) -> Iterator[None]:
     """Within the ``with`` a campaign is recorded; where that fails, print what is known of it.
@@ -53,7 +53,7 @@ def told_if_lost(
         raise RecordError(f'{error.filename or "output"}: {disk_words(error)}') from error
 
 
-def measured(
+def run_with_progress(
     measure: Callable[[Callable[[int, int], None]], dict[str, Any]],
     show: Callable[[dict[str, Any], Console], None], *, as_json: bool,
 ) -> int:

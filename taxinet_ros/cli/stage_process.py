@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 
 from taxinet_ros.cli.main import main
-from taxinet_ros.core.parent_death import die_with_parent
+from taxinet_ros.processes.child import die_with_parent
 
 if __name__ == '__main__':
     # A shell has what it starts in the background ignore Ctrl-C; the study passes its own on.

@@ -57,7 +57,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
     started, and forgotten, would be waited for without end.
     """
     code: object = None
-    with _heard():
+    with _signals_enabled():
         try:
             work()
         except SystemExit as end:
@@ -69,7 +69,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
 
 
 @contextlib.contextmanager
-def _heard() -> Iterator[None]:
+def _signals_enabled() -> Iterator[None]:
     """Within the ``with``, signals are heard, from the first line on."""
     for number in _STOPS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as it is in the background, or nohup

@@ -1,35 +1,113 @@
-"""The aircraft on its wheels: rigid-body dynamics by JSBSim, one control period at a time.
-
-JSBSim (https://jsbsim-team.github.io/jsbsim/) integrates at 120 Hz. A run gets an engine of its
-own, because one that has run before starts the next run with traces of it; a fresh one gives the
-same trajectory to the bit in any process. The ground is flat, at the elevation of ``map``.
-"""
+"""The aircraft on its wheels: JSBSim, one control period at a time, with the pilot's speed hold."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import jsbsim
 
-from taxinet_ros.core.errors import InfraError
-from taxinet_ros.core.frames import GeodeticPose, MapPose, kmwh_04
-from taxinet_ros.core.jsbsim_log import CapturedLog, captured_log
+from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, kmwh_04
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.speed_hold import SpeedGains, SpeedHold
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
+from taxinet_ros.errors import InfraError
+
+
+class CapturedLog(jsbsim.FGLogger):
+    """Collects what JSBSim says.
+
+    Attributes:
+        text: everything so far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text = ''
+
+    def set_level(self, level: jsbsim.LogLevel) -> None:
+        """Ignore the severity of the next record."""
+
+    def file_location(self, filename: str, line: int) -> None:
+        """Ignore where in JSBSim's input the next record comes from."""
+
+    def message(self, message: str) -> None:
+        """Keep a piece of text."""
+        self.text += message
+
+    def format(self, style: jsbsim.LogFormat) -> None:
+        """Ignore colours."""
+
+    def flush(self) -> None:
+        """End a record."""
+        self.text += '\n'
+
+
+@contextmanager
+def captured_log() -> Iterator[CapturedLog]:
+    """Catch what JSBSim logs on this thread while the context lasts."""
+    outer = jsbsim.get_logger()
+    log = CapturedLog()
+    jsbsim.set_logger(log)
+    try:
+        yield log
+    finally:
+        jsbsim.set_logger(outer)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SpeedGains:
+    """Tuning of one aircraft model.
+
+    Attributes:
+        lever_per_mps: power lever, 0..1, per m/s of missing speed.
+        lever_per_m: growth of the lever per second and per m/s of missing speed.
+        brake_per_lever: brake, 0..1, per unit of lever below its stop.
+        rolling_lever: lever that holds the taxi speed straight ahead; where the integral starts.
+    """
+
+    lever_per_mps: float
+    lever_per_m: float
+    brake_per_lever: float
+    rolling_lever: float
+
+
+class SpeedHold:
+    """Holds a ground speed; a wanted speed of 0 closes the lever and stands on the brakes."""
+
+    def __init__(self, gains: SpeedGains) -> None:
+        """Start in balance: the lever holds a steady roll."""
+        self._gains = gains
+        self._integral = gains.rolling_lever
+
+    def update(self, wanted_mps: float, actual_mps: float, dt_s: float) -> tuple[float, float]:
+        """Lever and brake, each 0..1, for the next ``dt_s`` seconds.
+
+        Args:
+            wanted_mps: speed to hold [m/s]; 0 stops the aircraft.
+            actual_mps: ground speed along the body x axis [m/s].
+            dt_s: time until the next update [s].
+        """
+        if wanted_mps == 0:
+            self._integral = self._gains.rolling_lever
+            return 0.0, 1.0
+        missing_mps = wanted_mps - actual_mps
+        # The integral may not wind up past what the lever can give.
+        integral = self._integral + self._gains.lever_per_m * missing_mps * dt_s
+        self._integral = min(max(integral, 0.0), 1.0)
+        lever = self._integral + self._gains.lever_per_mps * missing_mps
+        brake = -lever * self._gains.brake_per_lever
+        return min(max(lever, 0.0), 1.0), min(max(brake, 0.0), 1.0)
+
 
 CONTROL_PERIOD_NS = 100_000_000
 """Time between two control steps [ns]: the paper's 10 Hz."""
-
 PHYSICS_HZ = 120
 TAXI_SPEED_MPS = 5.0
 """Ground speed at the start of a run [m/s]."""
-
 M_PER_FT = 0.3048
-
 _OWN_MODELS = Path(__file__).parent / 'aircraft_models'
 _ALL = -1  # JSBSim's index for every engine
 _OUTPUTS = (
@@ -65,7 +143,6 @@ class AircraftModel:
     settled_pitch_rad: float
     settled_roll_rad: float
     speed_gains: SpeedGains
-
 
 MODELS = {
     'caravan': AircraftModel(

@@ -11,14 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
-from taxinet_ros.core.controller import Controller, SteeringLaw
+from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
-from taxinet_ros.core.perception import Perception
+from taxinet_ros.core.outcome import StopOn
+from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
+from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.steering import SteeringGains
-from taxinet_ros.core.stop_on import StopOn
-from taxinet_ros.core.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation, World
 

@@ -144,7 +144,7 @@ def _in_use() -> dict[str, str]:
     import numpy as np
     import threadpoolctl
 
-    from taxinet_ros.core import pixels
+    from taxinet_ros.core.camera import pixels
 
     simd = np.show_config(mode='dicts')['SIMD Extensions']
     blas = [

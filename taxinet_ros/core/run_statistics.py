@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 
 _SCALE = 2.0**-64

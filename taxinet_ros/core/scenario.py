@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 """The six cloud kinds, from clear sky to dark stratus, in X-Plane 11's order."""

@@ -1,11 +1,13 @@
-"""A perception or a controller out of somebody's Python file: ``FILE.py:NAME``.
+"""Perceptions and controllers of somebody's own: a Python file's function, or a node elsewhere.
 
-``NAME`` is a function that answers (a frame, or an estimate, in; an answer out), or a class or
-function without arguments that makes such a thing. What is made is made anew for every run, unless
-it has a method ``reset()``, which is then called instead: so no run depends on those before it.
+``FILE.py:NAME``: a function that answers (a frame, or an estimate, in; an answer out), or a class
+or function without arguments that makes such a thing. What is made is made anew for every run,
+unless it has a method ``reset()``, which is then called instead: so no run depends on those before
+it. The file is code and runs with the rights of whoever names it, like a Scenic program. Until a
+node needs it, it is only read.
 
-The file is code and runs with the rights of whoever names it, like a Scenic program. Until a node
-needs it, it is only read.
+``external``: a node that is started elsewhere, in whatever language. ``cmd:COMMAND``: one that we
+start, look after and end, as in ``cmd:ros2 run my_pkg my_node``.
 """
 
 from __future__ import annotations
@@ -16,26 +18,79 @@ import hashlib
 import inspect
 import os
 import re
+import shlex
 import sys
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, Final, TypeGuard, TypeVar
 
-from taxinet_ros.core.errors import UsageError, plain_line
-from taxinet_ros.core.node_words import is_node_elsewhere
-from taxinet_ros.core.process_end import STOPS_HEARD, keep_end
+from taxinet_ros.errors import UsageError, plain_line
+from taxinet_ros.processes.interrupts import RECEIVED_STOPS, refuse_exits
+
+EXTERNAL: Final = 'external'
+COMMAND: Final = 'cmd:'
+NO_NODE_HERE: Final = (
+    'is a node in a graph, and this needs none; name something that can be called here: a word, '
+    'a file, or FILE.py:NAME'
+)
+
+
+def is_node_elsewhere(word: str) -> bool:
+    """Whether a word means a node that is not one of ours."""
+    return word == EXTERNAL or word.startswith(COMMAND)
+
+
+def command_of(word: str) -> list[str] | None:
+    """Program and arguments of a ``cmd:`` word, split as a shell does; None for another word.
+
+    Raises:
+        UsageError: there is no program in it, or a quote without its end.
+    """
+    if not word.startswith(COMMAND):
+        return None
+    try:
+        words = shlex.split(word.removeprefix(COMMAND))
+    except ValueError as error:
+        raise UsageError(f'{word}: {error}') from error
+    if not words:
+        raise UsageError(f"{word!r}: names no program, as in {COMMAND}'ros2 run my_pkg my_node'")
+    return words
+
+
+def node_command(word: str, name: str, remaps: Sequence[str] = ()) -> list[str] | None:
+    """The same, with the arguments that give the node the name that a graph knows it by.
+
+    Args:
+        word: as of :func:`command_of`.
+        name: of the node.
+        remaps: further remap rules, ``FROM:=TO``.
+
+    Raises:
+        UsageError: as there.
+    """
+    words = command_of(word)
+    if words is None:
+        return None
+    rules = [part for rule in (f'__node:={name}', *remaps) for part in ('-r', rule)]
+    return [*words, '--ros-args', *rules]
+
+
+def short_word(word: str) -> str:
+    """What names of folders hold of a word: a file's stem, and of a command that it is one."""
+    if word.startswith(COMMAND):
+        return COMMAND.removesuffix(':')
+    return Path(word.partition('.py:')[0]).stem if '.py:' in word else Path(word).stem
+
 
 IMPLEMENTATION = 'python'
 """What a node says of itself that runs such code; the hash beside it says which."""
-
 _WORD = re.compile(r'(?P<file>.+\.py):(?P<name>[^\W\d]\w*)', re.DOTALL)
 _ALONE = re.compile(r'.+\.py:?', re.DOTALL)
 _FILES = 'FILES'
 _SAID_CHARACTERS = 300
-
 _Answer = TypeVar('_Answer')
 
 
@@ -83,7 +138,7 @@ class UserCode:
             KeyboardInterrupt: a signal came that asks this process to end.
         """
         with _held():
-            heard = len(STOPS_HEARD)
+            heard = len(RECEIVED_STOPS)
             try:
                 yield
             except BaseException as error:
@@ -180,7 +235,7 @@ class RunCode:
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
     """Two numbers out of a tuple, a list or an array; None where it is none."""
-    heard = len(STOPS_HEARD)
+    heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
         return float(first), float(second)
@@ -257,7 +312,7 @@ def _held() -> Iterator[None]:
 
     What it prints goes to stderr, but on a terminal, where nobody takes stdout for a result.
     """
-    keep_end()
+    refuse_exits()
     streams = sys.stdout, sys.stderr
     with contextlib.suppress(AttributeError, ValueError):  # it is not there, or closed
         sys.stdout = sys.stdout if sys.stdout.isatty() else sys.stderr
@@ -274,13 +329,13 @@ def _let_pass(error: BaseException, heard: int) -> None:
         error: what somebody's code has raised.
         heard: how many signals there were before it ran.
     """
-    if isinstance(error, KeyboardInterrupt) and len(STOPS_HEARD) > heard:
+    if isinstance(error, KeyboardInterrupt) and len(RECEIVED_STOPS) > heard:
         raise error
 
 
 def _text(value: object, how: Callable[[object], str]) -> str:
     """Something of somebody's in words, also where that fails."""
-    heard = len(STOPS_HEARD)
+    heard = len(RECEIVED_STOPS)
     try:
         return how(value)
     except BaseException as error:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
-from taxinet_ros.core.camera import Camera
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
+from taxinet_ros.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -1,13 +1,19 @@
 """Executable ``bag_player``: a recorded run on its topics again, at any rate, with its clock.
 
-It keeps to the wall clock and asks nobody for answers: nodes run freely beside it. (In lockstep,
-into one node, a run is played by ``taxinet bag replay``.) Messages go out as they were stored.
+It keeps to the wall clock and asks nobody for answers: nodes run freely beside it. (In
+lockstep, into one node, a run is played by ``taxinet bag replay``.) Messages go out as they
+were stored.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib
 import time
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock as RclClock
@@ -15,32 +21,194 @@ from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run_topics import ODOMETRY, TF, is_of_frames, is_topic
-from taxinet_ros.campaign.interrupts import interrupts
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.run.topics import ODOMETRY, TF, is_of_frames, is_topic
+from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import time_of
-from taxinet_ros.nodes.main import complain, run_node
-from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
-from taxinet_ros.nodes.playback import Portion, known_topics, open_bag, portions, window
-from taxinet_ros.nodes.recorded_topics import is_latched, message_class, recorded_qos
-from taxinet_ros.nodes.spinning import spin_until
-from taxinet_ros.nodes.transforms import TransformBroadcaster
-from taxinet_ros.nodes.usage import Usage
+from taxinet_ros.nodes.interface import is_latched
+from taxinet_ros.nodes.messages.convert import time_of
+from taxinet_ros.nodes.messages.step import TransformBroadcaster
+from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
+from taxinet_ros.processes.interrupts import interrupts
+
+_MOST_HELD = 1000
+"""Depth of history that a bag may ask for at most: it is memory of this process."""
+_POLICIES: dict[str, Any] = {
+    'history': HistoryPolicy, 'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy,
+}
+
+
+def message_class(topic: TopicInfo) -> type[Any] | None:
+    """Class of a topic's messages, or None where its package is not installed here.
+
+    Nothing is imported but packages that lay down this message definition.
+
+    Raises:
+        UsageError: the installed message is of another version than the recorded one.
+    """
+    try:
+        installed = type_hash(topic.type)
+    except UsageError:
+        return None
+    if topic.type_hash and topic.type_hash != installed:
+        raise UsageError(
+            f'{topic.name}: {topic.type} is of another version than the installed one; leave it '
+            f'out: exclude:=["{topic.name}"]'
+        )
+    package, _, name = topic.type.split('/')
+    return getattr(importlib.import_module(f'{package}.msg'), name)
+
+
+def recorded_qos(topic: TopicInfo) -> QoSProfile:
+    """What the first recorded publisher offered; what is not told is reliable and volatile."""
+    try:
+        told = next(iter(qos_profiles(topic.qos)), {})
+    except ValueError:
+        told = {}
+    depth = told.get('depth')
+    policies = {name: _policy(kind, told.get(name)) for name, kind in _POLICIES.items()}
+    return QoSProfile(
+        depth=min(max(depth, 1), _MOST_HELD) if isinstance(depth, int) else 10,
+        **{name: policy for name, policy in policies.items() if policy is not None},
+    )
+
+
+def _policy(kind: Any, told: object) -> Any:
+    """A policy by name (rosbag2's metadata from version 9 on) or by number (before)."""
+    for policy in kind:
+        if told in (policy.name.lower(), int(policy)) and policy.name not in (
+            'UNKNOWN', 'SYSTEM_DEFAULT', 'BEST_AVAILABLE',
+        ):
+            return policy
+    return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portion:
+    """Messages that were recorded at one time.
+
+    Attributes:
+        stamp_ns: when [ns], on the bag's clock.
+        messages: in the order of the bag.
+    """
+
+    stamp_ns: int
+    messages: tuple[StoredMessage, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """A part of a recording, both ends included [ns on the bag's clock]."""
+
+    start_ns: int
+    end_ns: int
+
+
+def open_bag(path: str) -> BagInfo:
+    """Table of contents of a bag that can be played.
+
+    Raises:
+        UsageError: there is no such bag, it is damaged, or nothing is in it.
+    """
+    if not path:
+        raise UsageError('bag_player: parameter bag: which one? -p bag:=FOLDER or FILE.mcap')
+    try:
+        info = read_info(Path(path))
+    except BagError as error:
+        raise UsageError(' '.join(str(error).split())) from error
+    if not info.complete:
+        hint = f'save what is sound: taxinet bag recover {path} --out NEW'
+        raise UsageError(f'{info.trouble}; {hint}')
+    if info.back_ns > NS_PER_S:
+        raise UsageError(
+            f'{path}: its time begins anew {info.back_ns / NS_PER_S:g} s earlier, so it holds '
+            f'several runs; a bag of each makes: taxinet bag split {path} --out DIR'
+        )
+    if not any(info.counts.values()):
+        raise UsageError(f'{path}: no messages to play')
+    return info
+
+
+def window(info: BagInfo, start_offset_s: float, duration_s: float) -> Window:
+    """The part that begins ``start_offset_s`` into the recording; 0 s of duration: to its end.
+
+    Raises:
+        UsageError: it begins after the recording's end.
+    """
+    start_ns = info.start_ns + round(start_offset_s * NS_PER_S)
+    if start_ns > info.end_ns:
+        raise UsageError(
+            f'bag_player: start_offset is {start_offset_s:g} s; {info.path} is '
+            f'{info.duration_s:g} s long'
+        )
+    end_ns = start_ns + round(duration_s * NS_PER_S) if duration_s else info.end_ns
+    return Window(start_ns=start_ns, end_ns=end_ns)
+
+
+def known_topics(
+    info: BagInfo, names: Collection[str], parameter: str, made: Collection[str] = ()
+) -> frozenset[str]:
+    """Full names of topics that a parameter names, with or without the leading slash.
+
+    Args:
+        info: of the bag.
+        names: what the parameter says.
+        parameter: its name.
+        made: topics that the player makes of others.
+
+    Raises:
+        UsageError: the bag has no such topic.
+    """
+    recorded = {topic.name for topic in info.topics}
+    wanted = frozenset('/' + name.lstrip('/') for name in names if name)
+    for name in sorted(wanted - recorded - {*made}):
+        frames = name == '/camera/image_raw'
+        known = 'taxinet bag render puts the frames in' if frames else (
+            f'it has {", ".join(sorted(recorded))}'
+        )
+        raise UsageError(f'bag_player: {parameter}: {info.path} has no topic {name}; {known}')
+    return wanted
+
+
+def portions(
+    path: Path, topics: Collection[str], part: Window, latched: Collection[str]
+) -> Iterator[Portion]:
+    """What is to be played, in the order of the bag.
+
+    Args:
+        path: the bag.
+        topics: names of the topics to play.
+        part: when.
+        latched: topics whose messages from before the part belong to it, as its first portion.
+    """
+    messages = stored_messages(path, frozenset(topics).__contains__)
+
+    def moment(message: StoredMessage) -> int:
+        return max(message.stamp_ns, part.start_ns)
+
+    wanted = (
+        message for message in messages
+        if message.stamp_ns <= part.end_ns
+        and (message.stamp_ns >= part.start_ns or message.topic.name in latched)
+    )
+    for stamp_ns, group in groupby(wanted, moment):
+        yield Portion(stamp_ns=stamp_ns, messages=tuple(group))
+
 
 _TICK_S = 0.002
 _DELIVERY_S = 5.0
 _MOST_AT_ONCE = 8
 """Portions in one go for a player that is late: its subscribers hold 16 messages of a topic."""
-
 INFRA, INTERRUPTED = 4, 130
-
 USAGE = Usage(
     executable='bag_player',
     does='Plays a recorded run on its topics again, at any rate, with its clock; nodes run freely '
@@ -323,7 +491,6 @@ def _relative(name: str) -> str:
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros bag_player``."""
     run_node(BagPlayer, BagPlayer.play, usage=USAGE)
-
 
 if __name__ == '__main__':
     main()

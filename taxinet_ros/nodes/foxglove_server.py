@@ -13,17 +13,15 @@ from typing import TYPE_CHECKING, Any
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
-from taxinet_ros.bag.canonical import stamp_of_cdr
-from taxinet_ros.bag.definitions import message_definition
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.topics import message_definition
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.onlooker import Onlooker
-from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
-from taxinet_ros.nodes.recorded_topics import is_latched
-from taxinet_ros.nodes.scene import Aircraft, runway_markers
-from taxinet_ros.nodes.usage import Usage
+from taxinet_ros.nodes.interface import Topic, is_latched
+from taxinet_ros.nodes.lockstep.observer import Observer
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
+from taxinet_ros.nodes.scene_markers import AircraftMarkers, runway_markers
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -53,7 +51,7 @@ USAGE = Usage(
 )
 
 
-class FoxgloveServer(Onlooker):
+class FoxgloveServer(Observer):
     """Passes on every topic of the table to whoever connects.
 
     Attributes:
@@ -71,7 +69,7 @@ class FoxgloveServer(Onlooker):
         refuse_unknown(self)
         self._held: dict[str, deque[tuple[int, bytes]]] = {}
         self._now_ns = 0
-        self._aircraft = Aircraft()
+        self._aircraft = AircraftMarkers()
         self._server = self._open(port)
         self.port = int(self._server.port)
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]

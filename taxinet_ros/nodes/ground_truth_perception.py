@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from taxinet_ros.core.perception import Perception, make_perception
+from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.perception import PerceptionNode
-from taxinet_ros.nodes.usage import Usage, heard, spoken
+from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.lockstep.perception import PerceptionNode
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import Usage, heard, spoken
 
 USAGE = Usage(
     executable='ground_truth_perception',

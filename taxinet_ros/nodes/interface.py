@@ -28,9 +28,9 @@ from taxinet_msgs.msg import (
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from taxinet_ros.bag.run_topics import BASE_FRAME as BASE_FRAME
-from taxinet_ros.bag.run_topics import CAMERA_FRAME as CAMERA_FRAME
-from taxinet_ros.bag.run_topics import MAP_FRAME as MAP_FRAME
+from taxinet_ros.bag.run.topics import BASE_FRAME as BASE_FRAME
+from taxinet_ros.bag.run.topics import CAMERA_FRAME as CAMERA_FRAME
+from taxinet_ros.bag.run.topics import MAP_FRAME as MAP_FRAME
 from taxinet_ros.nodes.names import CHAIN as CHAIN
 from taxinet_ros.nodes.names import FOLLOWERS as FOLLOWERS
 from taxinet_ros.nodes.names import MTL_MONITOR as MTL_MONITOR
@@ -64,7 +64,6 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-
 # As tf2_ros has it.
 _TRANSFORMS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -72,7 +71,6 @@ _TRANSFORMS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-
 PER_STEP = 'per step'
 PER_SPEC = 'per step and formula'
 PER_RUN = 'per run'
@@ -123,7 +121,6 @@ class Topic:
         if self.recorded == PER_NODE:
             return {SIMULATOR, *participants}
         return set(self.publishers) & {SIMULATOR, *participants}
-
 
 SCENARIO = Topic(
     name='scenario', type=Scenario, qos=LATCHED, publishers=(SIMULATOR,),
@@ -196,7 +193,6 @@ TIMING = Topic(
     subscribers=FOLLOWERS, recorded=None,
     carries='of a free run alone: which frames have no answer, and how it went',
 )
-
 OBITUARY = Topic(
     name='obituary', type=NodeStatus, qos=LATCHED, publishers=(SCENARIO_SAMPLER, SUPERVISOR),
     subscribers=(SIMULATOR, RECORDER), recorded=None,
@@ -206,12 +202,10 @@ OBITUARY = Topic(
 
 So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the run may.
 """
-
 TOPICS = (
     SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
     ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
 )
-
 TF_STATIC = Topic(
     name='tf_static', type=TFMessage, qos=LATCHED, publishers=(SIMULATOR,),
     subscribers=(), recorded=PER_RUN,
@@ -228,14 +222,12 @@ TRANSFORMS = (TF_STATIC, TF)
 By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
 the recorder does not listen: what a bag has of them is made of its odometry.
 """
-
 DIAGNOSTICS = Topic(
     # Not relative: robots gather all diagnostics there, and names tell whose they are.
     name='/diagnostics', type=DiagnosticArray, qos=LOCKSTEP, publishers=(SIMULATOR, *PARTICIPANTS),
     subscribers=(), recorded=None,
     carries='how each node is doing, by the wall clock; anybody may speak here',
 )
-
 SCENE_RUNWAY = Topic(
     name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),
     subscribers=(), recorded=None,
@@ -248,6 +240,10 @@ SCENE_AIRCRAFT = Topic(
 )
 SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
 """What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
-
 RUN_SCENARIO = 'run_scenario'
 RUN_SCENARIO_TYPE = RunScenario
+
+
+def is_latched(qos: QoSProfile) -> bool:
+    """Whether those who come late get what was said before."""
+    return bool(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)

@@ -11,30 +11,23 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Timing, Verdict
 
-from taxinet_ros.bag.message_values import assumptions_of, scenario_of
+from taxinet_ros.bag.run.message_values import assumptions_of, scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
-from taxinet_ros.core.lockstep import reports_progress
 from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
 from taxinet_ros.core.mtl import Reading, Spec, parse_spec
-from taxinet_ros.core.perception import NO_ESTIMATE
-from taxinet_ros.core.stop_on import StopOn, parse_stop_on
+from taxinet_ros.core.outcome import StopOn, parse_stop_on
+from taxinet_ros.core.pacing.lockstep import reports_progress
+from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.world import last_step
-from taxinet_ros.nodes import diagnostics, interface
-from taxinet_ros.nodes.convert import (
-    header,
-    robustness_message,
-    statistics_fields,
-)
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.monitor_alone import RESTART, MonitorAlone
-from taxinet_ros.nodes.monitor_options import ALONE
-from taxinet_ros.nodes.parameters import any_given, refuse_unknown
-from taxinet_ros.nodes.participant import Participant
-from taxinet_ros.nodes.reading import Said
-from taxinet_ros.nodes.step_cdr import robustness_cdr
-from taxinet_ros.nodes.steps import StepCollector
-from taxinet_ros.nodes.usage import Usage, heard, spoken
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.live_monitor.node import LIVE_PARAMETERS, RESTART, LiveMonitor
+from taxinet_ros.nodes.lockstep import diagnostics
+from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.messages.convert import header, robustness_message, statistics_fields
+from taxinet_ros.nodes.messages.step import StepCollector, StepMessage, robustness_cdr
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import Usage, any_given, heard, refuse_unknown, spoken
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
 
@@ -44,7 +37,7 @@ USAGE = Usage(
     'judges any numeric fields of any topics instead, on its own, without a simulator.',
     publishes=spoken(interface.MTL_MONITOR), subscribes=heard(interface.MTL_MONITOR),
     other=f'with parameters: hears what signals names, serves {RESTART} (std_srvs/srv/Trigger)',
-    parameters=(diagnostics.PARAMETER, *ALONE),
+    parameters=(diagnostics.PARAMETER, *LIVE_PARAMETERS),
 )
 
 
@@ -93,7 +86,7 @@ class MtlMonitor(Participant):
         if self._scenario is not None:
             self.prepare(self._scenario)
 
-    def _collect(self, topic: str, said: Said) -> None:
+    def _collect(self, topic: str, said: StepMessage) -> None:
         # What is left of a run that was broken off is not of this one; odometry tells no run.
         of_this_run = topic == interface.ODOMETRY.name or said.run_id == self.run_id
         if not (self._specs and of_this_run):
@@ -172,7 +165,7 @@ class MtlMonitor(Participant):
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros mtl_monitor``: with parameters, a monitor alone."""
-    run_node(lambda: (MonitorAlone if stands_alone() else MtlMonitor)(), usage=USAGE)
+    run_node(lambda: (LiveMonitor if stands_alone() else MtlMonitor)(), usage=USAGE)
 
 
 def stands_alone() -> bool:

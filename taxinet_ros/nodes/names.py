@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 SIMULATOR = 'simulator'
 PERCEPTION = 'perception'

@@ -1,8 +1,12 @@
 """The recorder node: every recorded topic of a run into one rosbag2-layout MCAP bag.
 
 Messages arrive in any order; they are written step by step in the order of the topic table, so
-that equal runs give equal bytes. After each whole step the bag is flushed: a crash loses the step
-at hand and no more.
+that equal runs give equal bytes. After each whole step the bag is flushed: a crash loses the
+step at hand and no more.
+
+Camera frames of failed runs can be put in afterwards, when it is known that they failed: they
+are rendered once more from what is recorded. That costs a failed run about as much as recording
+them would have, and all other runs nothing. Until then the bag is complete without them.
 """
 
 from __future__ import annotations
@@ -10,48 +14,151 @@ from __future__ import annotations
 import functools
 import json
 import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
 from taxinet_ros import __version__
-from taxinet_ros.bag.canonical import Canonical, stamp_of_cdr
-from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
-from taxinet_ros.bag.message_values import scenario_of
-from taxinet_ros.bag.topics import TopicInfo, offered_qos
-from taxinet_ros.bag.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.rewrite.frames import restore_in_place
+from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
+from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
+from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
+from taxinet_ros.campaign.record.facts import read_facts
+from taxinet_ros.campaign.scenes.programs import SUFFIX
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.errors import InfraError
-from taxinet_ros.core.free_run import FreeRunAccount
-from taxinet_ros.core.lockstep import reports_progress
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
+from taxinet_ros.core.pacing.free_run import FreeRunAccount
+from taxinet_ros.core.pacing.lockstep import reports_progress
+from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
-from taxinet_ros.core.stop_on import StopOn, parse_stop_on
-from taxinet_ros.core.timing import is_free
 from taxinet_ros.core.world import last_step
+from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import stamp_of
-from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
-from taxinet_ros.nodes.diagnostics import Health
-from taxinet_ros.nodes.free_run import account_of
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.late_frames import LateFrames
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, lost_run, same_ready, two_of_a_name
-from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
-from taxinet_ros.nodes.participant import Participant
-from taxinet_ros.nodes.run_attachments import run_attachments
-from taxinet_ros.nodes.speakers import UNKNOWN
-from taxinet_ros.nodes.steps import Step, StepCollector
-from taxinet_ros.nodes.usage import Usage, heard, spoken
+from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.lockstep.diagnostics import Health
+from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN
+from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.messages.convert import (
+    INTRUDER,
+    PROTOCOL,
+    account_of,
+    duplicate_node_error,
+    lost_run_status,
+    same_ready,
+    stamp_of,
+)
+from taxinet_ros.nodes.messages.step import Step, StepCollector
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import (
+    Parameter,
+    Usage,
+    declare_all,
+    heard,
+    refuse_unknown,
+    spoken,
+)
+
+_PAUSE_S = 0.001
+_FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)
+
+
+class LateFrames:
+    """Renders frame by frame, between a node's messages, so that it still answers."""
+
+    def __init__(
+        self, node: Node, on_frame: Callable[[int], None], on_end: Callable[[str], None]
+    ) -> None:
+        """Nothing happens before :meth:`begin`.
+
+        Args:
+            node: whose executor does the work.
+            on_frame: called with every control step that has its frame.
+            on_end: called at the end, with '' or with the reason why a judged run's frames cannot
+                be had.
+        """
+        self._node = node
+        self._on_frame, self._on_end = on_frame, on_end
+        self._frames: Iterator[int] = iter(())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_PAUSE_S, self._render, clock=steady)
+        self._timer.cancel()
+
+    def begin(self, bag: Path, ended: RunStatus, min_free_bytes: int) -> None:
+        """Put the frames into the bag of a run that has ended so, if it is worth looking at."""
+        if ended.outcome not in _FAILURES:
+            self._on_end('')
+            return
+        self._judged = Outcome(ended.outcome).judged
+        self._frames = restore_in_place(bag, min_free_bytes)
+        self._timer.reset()
+
+    @property
+    def under_way(self) -> bool:
+        """Whether frames are being rendered."""
+        return not self._timer.is_canceled()
+
+    def give_up(self) -> None:
+        """Leave the bag as it was, if one is under way."""
+        self._timer.cancel()
+        close = getattr(self._frames, 'close', None)
+        if close is not None:
+            close()
+
+    def _render(self) -> None:
+        try:
+            self._on_frame(next(self._frames))
+        except StopIteration:
+            self._end('')
+        except Exception as error:
+            self._end(f'frames not kept: {type(error).__name__}: {error}'.splitlines()[0])
+
+    def _end(self, trouble: str) -> None:
+        self._timer.cancel()
+        if trouble:
+            self._node.get_logger().error(trouble)
+        # A run that broke has a reason of its own to tell.
+        self._on_end(trouble if self._judged else '')
+
+
+def run_attachments(scenario: Scenario, out: Path) -> dict[str, bytes]:
+    """Files by name.
+
+    A run of a campaign has the text of the Scenic program that its scene was drawn from, which
+    stands in the campaign's folder; a run that somebody asked for by hand has none.
+
+    Args:
+        scenario: the run's.
+        out: the folder that takes the bags.
+    """
+    files = {'scenario.json': scenario_json(scenario)}
+    text = _program_text(scenario.program, out)
+    if text:
+        files[f'{scenario.program}{SUFFIX}'] = text.encode()
+    return files
+
+
+def _program_text(program: str, out: Path) -> str:
+    """What the campaign's facts hold of a program, or ''; also where they are damaged."""
+    try:
+        facts = read_facts(out)
+        if facts is not None and Path(facts.values['program']).stem == program:
+            return str(facts.values['program_text'])
+    except (UsageError, KeyError, TypeError):
+        pass
+    return ''
+
 
 _REST_LOOK_S = 0.05
 _REST_LOOKS, _BROKEN_LOOKS = 70, 5
@@ -59,20 +166,16 @@ _REST_LOOKS, _BROKEN_LOOKS = 70, 5
 
 DDS sends what was lost on its way once more after 3 s at most.
 """
-
 _DRAINED_LOOKS = 4
 """After so many looks without a message all is taken that came before the simulator left."""
-
 _DEAF_LOOKS = 80
 """After so many without one, some 4 s, a simulator that is still there says nothing any more."""
-
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
 
 def bag_name(topic: Topic) -> str:
     """Name of a topic in a bag: the graph's own, whatever namespace the graph ran in."""
     return '/' + topic.name.lstrip('/')
-
 
 _TOPICS = (*interface.TOPICS, *interface.TRANSFORMS)
 _BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
@@ -100,7 +203,6 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
         if topic.recorded and (images or topic is not interface.IMAGE)
     )
 
-
 _OPTIONS = (
     Parameter(
         name='out', default='bags', takes='a folder',
@@ -124,7 +226,6 @@ _OPTIONS = (
         description='whether to record nothing while there is a second simulator',
     ),
 )
-
 USAGE = Usage(
     executable=interface.RECORDER,
     does='Writes one rosbag2 bag for each run: everything that was said, step by step.',
@@ -333,7 +434,7 @@ class Recorder(Participant):
 
     def _check_contested(self) -> None:
         if self._contested[0] == self.run_id:
-            raise two_of_a_name(self._contested[1])
+            raise duplicate_node_error(self._contested[1])
 
     def _on_verdict(self, cdr: bytes) -> None:
         message = deserialize_message(cdr, interface.VERDICT.type)
@@ -348,7 +449,7 @@ class Recorder(Participant):
 
     def _on_obituary(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
-            status = lost_run(notice)
+            status = lost_run_status(notice)
             self._end(status, serialize_message(status))
 
     def _end(self, status: RunStatus, cdr: bytes) -> None:
@@ -553,7 +654,6 @@ def _commit() -> dict[str, str]:
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros recorder``."""
     run_node(Recorder, usage=USAGE)
-
 
 if __name__ == '__main__':
     main()

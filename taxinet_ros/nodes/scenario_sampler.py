@@ -1,331 +1,362 @@
-"""The scenario sampler node: has the graph run one scene after the other, and takes the answers."""
+"""Executable ``scenario_sampler``: a campaign or a search on a graph that runs already.
+
+Its parameters are the options of ``taxinet run`` and ``taxinet falsify``. It has the graph run
+one scene after the other, and writes the table.
+"""
 
 from __future__ import annotations
 
-import dataclasses
-import time
-from collections.abc import Callable, Iterable
+import contextlib
+import importlib
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
-from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from rclpy.task import Future
-from taxinet_msgs.msg import Verdict
+from taxinet_msgs.msg import NodeStatus
 
-from taxinet_ros.core.errors import plain_line
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.campaign.campaign import Campaign, exit_code
+from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, make_options
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.samplers.registry import SAMPLERS
+from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
+from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
+from taxinet_ros.campaign.summary import (
+    campaign_heading,
+    campaign_summary,
+    requirement_lines,
+    row_line,
+)
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.convert import scenario_message, statistics_of
-from taxinet_ros.nodes.free_run import account_of
-from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, obituary
-from taxinet_ros.nodes.parameters import Parameter, declare_all
-from taxinet_ros.nodes.speakers import Gid
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
+from taxinet_ros.nodes.names import check_participants
+from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
+from taxinet_ros.nodes.running.parameters import (
+    Parameter,
+    Usage,
+    declare_all,
+    refuse_unknown,
+    spoken,
+)
+from taxinet_ros.processes.interrupts import interrupts
 
-_WATCH_PERIOD_S = 0.1
-_SILENT_LOOKS = 20
+_PROGRAMS = 'program'
+"""In place of a sampler's word: the one that the program names, else the default."""
+_RUNS, _RUNS_OF_A_SEARCH = 1, 100
+"""Numbers of runs where none is given: those of ``taxinet run`` and ``taxinet falsify``."""
+_OPTIONS = (
+    Parameter(
+        name='participants', default=list(PARTICIPANTS), takes=', '.join(PARTICIPANTS),
+        description='node names that take part in the lockstep beside the simulator',
+    ),
+    Parameter(
+        name='program', default='s_falsif', takes='a shipped word or a .scenic file',
+        description='Scenic program that the scenes are drawn from',
+    ),
+    Parameter(
+        name='runs', default=0, limits=(0, 1_000_000),
+        description=f'number of scenes; 0: {_RUNS}, or with a sampler {_RUNS_OF_A_SEARCH}',
+    ),
+    Parameter(
+        name='seed', default=0, limits=(0, 2**31 - 1), description='seed of the scenes',
+    ),
+    Parameter(
+        name='set', default=[''], takes='KEY=VALUE each, as --set of taxinet run',
+        description='scenario values that replace what is drawn',
+    ),
+    Parameter(
+        name='specs', default=list(DEFAULT_SPECS),
+        takes='names of shipped formulas, NAME=FORMULA, or YAML files',
+        description='formulas to judge by; the first is the headline',
+    ),
+    Parameter(
+        name='out', default='', takes='a folder, or empty',
+        description='folder of the table; one below bags/ that says so where empty',
+    ),
+    Parameter(
+        name='stop_on', default=str(StopOn.NEVER), words=tuple(map(str, StopOn)),
+        description='when to end a run before its end',
+    ),
+    Parameter(
+        name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each, e.g. cte=-25:25',
+        description='vouched for: bounds of signals',
+    ),
+    Parameter(
+        name='rates', default=[''], takes='SIGNAL=CHANGE per second each, e.g. cte=3',
+        description='vouched for: how fast signals change',
+    ),
+    Parameter(
+        name='sampler', default='', takes=f'{_PROGRAMS}, {", ".join(SAMPLERS)}, or empty',
+        description='how scenes are chosen, as in taxinet falsify; program: as the program says; '
+        'empty: as taxinet run',
+    ),
+    Parameter(
+        name='sampler_options', default=[''], takes='KEY=VALUE each',
+        description='options of the sampler',
+    ),
+    Parameter(
+        name='resume', default=False, description='continue what was interrupted in out',
+    ),
+    Parameter(
+        name='until', default='', takes='failures=K, half-width=W or empty',
+        description='a search stops early',
+    ),
+    Parameter(
+        name='budget', default=0.0, limits=(0.0, 1e6),
+        description='a search begins no run after so long [min]; 0: ever',
+    ),
+)
+_WHAT = ('program', 'runs', 'seed', 'specs', 'stop_on', 'bounds', 'rates')
+_HOW = ('sampler_options', 'resume', 'until', 'budget')
+USAGE = Usage(
+    executable=interface.SCENARIO_SAMPLER,
+    does='Runs a campaign, or a search, on the graph that stands, and writes its table; the '
+    'options are those of taxinet run and taxinet falsify.',
+    publishes=spoken(interface.SCENARIO_SAMPLER),
+    subscribes=(interface.OBITUARY.name,),
+    other=f'asks for the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
+    parameters=(*PATIENCE, *_OPTIONS),
+    ends=('here 0: every run satisfied its formulas; 1: some run violated one',),
+)
+
+
+class StandaloneSampler(ScenarioSampler):
+    """The sampler with the options of ``taxinet run`` and ``taxinet falsify`` as parameters.
+
+    Attributes:
+        participants: nodes that take part in the lockstep beside the simulator.
+        campaign: scenes of which program, judged how, and where to.
+        search: how a sampler chooses them; None where they are those that the program draws.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        """Read the parameters; ``node`` goes to :class:`rclpy.node.Node`.
+
+        Raises:
+            UsageError: one line on the first that is wrong.
+        """
+        super().__init__(**node)
+        topic = interface.OBITUARY
+        self.create_subscription(NodeStatus, topic.name, self._on_obituary, topic.qos)
+        given = declare_all(self, _OPTIONS)
+        self.participants = tuple(given['participants'])
+        check_participants(self.participants)
+        sampler = given['sampler']
+        how = {name: given[name] for name in _HOW}
+        what = {name: given[name] for name in _WHAT}
+        what['settings'] = given['set']
+        what['out'] = Path(given['out']) if given['out'] else None
+        refuse_unknown(self)
+        with parameter_words():
+            if not sampler and any(how.values()):
+                told = ', '.join(name for name, value in how.items() if value)
+                raise UsageError(f'--{told}: for a --sampler only; known: {", ".join(SAMPLERS)}')
+            what['runs'] = what['runs'] or (_RUNS_OF_A_SEARCH if sampler else _RUNS)
+            self.campaign: CampaignOptions = make_options(
+                **what, perception='', processes=True, resume=how['resume']
+            )
+            if self.campaign.gains:
+                raise UsageError(
+                    f'--set steering.{next(iter(self.campaign.gains))}: the controller runs '
+                    'already; gains are parameters of its own'
+                )
+            self.search: SearchOptions | None = make_search_options(
+                self.campaign, sampler=None if sampler == _PROGRAMS else sampler, workers=1,
+                resume=how['resume'],
+                sampler_options=how['sampler_options'], until=how['until'] or None,
+                budget_min=how['budget'] or None,
+            ) if sampler else None
+
+    def waits_for(self) -> list[str]:
+        """The simulator, where it is not found: see :mod:`.waiting`."""
+        asked = self._request is not None and not self._last_heard
+        return [interface.SIMULATOR] if asked else []
+
+    def rivals(self) -> int:
+        """Number of other samplers that have been seen in this graph."""
+        return self._in_graph().count(self.get_name()) - 1
+
+    def absent(self) -> list[str]:
+        """Participants that are not seen in this graph."""
+        seen = self._in_graph()
+        return [name for name in self.participants if name not in seen]
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        """Who looks after the simulator's process knows at once that it is dead."""
+        dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
+        if dead and self._is_at(notice.run_id):
+            self.mourn(notice.node, notice.detail)
+
+    def _is_at(self, run_id: str) -> bool:
+        return self._request is not None and self._request.run_id == run_id
+
+    def _in_graph(self) -> list[str]:
+        nodes = self.get_node_names_and_namespaces()
+        return [name for name, namespace in nodes if namespace == self.get_namespace()]
+
+
+@contextlib.contextmanager
+def parameter_words() -> Iterator[None]:
+    """Within the ``with``, a complaint about an option of ``taxinet`` names the parameter."""
+    try:
+        yield
+    except UsageError as error:
+        text = re.sub(r'(?<!\S)--(spec|bound|rate)(?=\b)', r'--\1s', str(error))
+        raise UsageError(re.sub(r'(?<!\S)--(?=[a-z])', '', text)) from error
+
+
+INFRA, INTERRUPTED = 4, 130
+_RIVAL = (
+    'another sampler drives this graph; end it first (one that was killed is forgotten after some '
+    '20 s), or give each graph its own ROS_DOMAIN_ID'
+)
+
+
+def run_standalone() -> None:
+    """Sample, run and tabulate as the parameters say, then exit."""
+    run_node(StandaloneSampler, _work, usage=USAGE)
+
+
+def _work(node: StandaloneSampler, executor: Any) -> int:
+    # What the table is written with; after Ctrl-C ``ros2 launch`` waits 5 s, and not longer.
+    for name in ('pandas', 'pyarrow.parquet'):
+        importlib.import_module(name)
+    with parameter_words():
+        if node.search is not None:
+            return _search(node, executor, node.search)
+        return _campaign(node, executor)
+
+
+def _campaign(node: StandaloneSampler, executor: Any) -> int:
+    """The scenes that the program draws, as ``taxinet run`` has them."""
+    campaign = Campaign(node.campaign, node.participants, _shown(node))
+    with interrupts(node.interrupt, node.give_up), campaign:
+        checked = [line.plain for line in requirement_lines(campaign.check)]
+        _say(node, [campaign_heading(node.campaign), *campaign.notes, *checked])
+
+        def take(request: RunRequest, result: RunResult) -> bool:
+            campaign.take(request, result)
+            return campaign.unfinished
+
+        answers = _Answers(node, take)
+        _drive(node, executor, campaign.requests(), answers)
+    if campaign.rows:
+        _say(node, campaign_summary(campaign.rows, node.campaign).splitlines())
+    if answers.trouble:
+        return complain(answers.trouble, INFRA)
+    if node.interrupted and len(campaign.rows) < node.campaign.runs:
+        return INTERRUPTED
+    return exit_code(campaign.rows)
+
+
+def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> int:
+    """The scenes that a sampler chooses from what it is told, as ``taxinet falsify`` has them."""
+    search = Search(options, node.participants, _shown(node))
+
+    def interrupt() -> None:
+        search.interrupt()
+        node.interrupt()
+
+    def take(request: RunRequest, result: RunResult) -> bool:
+        search.take(request, result)
+        return True
+
+    resuming = f'-p resume:=true -p out:={options.campaign.out}'
+    with interrupts(interrupt, node.give_up), search:
+        heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+        warning = [search.warning] if search.warning else []
+        _say(
+            node,
+            [*warning, *heading_lines, *(line.plain for line in requirement_lines(search.check))],
+        )
+        answers = _Answers(node, take)
+        _drive(node, executor, iter(search.next, None), answers)
+        learned = write_learned(search)
+    if search.rows or search.interrupted:
+        _say(node, [*search_summary(search, resuming), *learned])
+    if answers.trouble:
+        return complain(f'{answers.trouble}; {resuming} continues it', INFRA)
+    if search.interrupted and len(search.rows) < options.campaign.runs:
+        return INTERRUPTED
+    return exit_code(search.rows)
+
+
+def _drive(
+    node: StandaloneSampler, executor: Any, requests: Iterator[RunRequest], answers: _Answers
+) -> None:
+    """Have the graph run one request after the other."""
+    if node.rivals():
+        answers.trouble = _RIVAL
+        return
+    spin_until(executor, node.start(executor, requests, answers))
+
+
+class _Answers:
+    """Takes the answers of the graph, and tells a run that broke from a graph that is not there.
+
+    Attributes:
+        trouble: why the graph cannot be used, in a line; '' where it can.
+    """
+
+    def __init__(
+        self, node: StandaloneSampler, take: Callable[[RunRequest, RunResult], bool]
+    ) -> None:
+        self.trouble = ''
+        self._node = node
+        self._take = take
+        self._broken: set[int] = set()
+
+    def __call__(self, request: RunRequest, result: RunResult) -> bool:
+        """Take one answer; False ends the campaign."""
+        infra = result.outcome is Outcome.INFRA_ERROR
+        # A run whose second try finds no graph may be what broke it, so that is its result.
+        if infra and request.index not in self._broken:
+            self.trouble = _trouble(result, self._node)
+            if self.trouble:
+                return False
+            self._broken.add(request.index)
+        return self._take(request, result)
+
+
+def _trouble(result: RunResult, node: StandaloneSampler) -> str:
+    if result.kind == 'busy':
+        # The simulator may have been found before the sampler that it works for.
+        return _RIVAL if node.rivals() else (
+            'the simulator is busy with a run of somebody else; wait for its end, or give each '
+            'graph its own ROS_DOMAIN_ID'
+        )
+    if result.kind != 'not_ready':
+        return ''
+    if result.who == interface.SIMULATOR:
+        return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'
+    if absent := node.absent():
+        names = ', '.join(absent)
+        return f'{names}: not in the graph; start it, or name in participants who takes part'
+    return f'{result.who}: {result.detail}; see what they say'
+
+
+def _shown(node: StandaloneSampler) -> Callable[[RunRow], None]:
+    return lambda row: _say(node, [row_line(row).plain])
+
+
+def _say(node: StandaloneSampler, lines: list[str]) -> None:
+    for line in lines:
+        node.get_logger().info(line.rstrip())
+
+
 """After an interrupt so many looks without a word mean that the simulator has gone too."""
-_ASK_AGAIN_S = 2.0
 """A simulator says several times a second how far it is; one that is silent for so long may have
 ended the run. Its answer can be lost (once in 3,900 tests on a busy machine), and is kept a while.
 """
 
-PATIENCE = (
-    Parameter(
-        name='server_timeout', default=30.0, limits=(0.1, 3600.0),
-        description='wall-clock time to find the simulator [s]',
-    ),
-    Parameter(
-        name='silence_timeout', default=60.0, limits=(0.1, 3600.0),
-        description='wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]',
-    ),
-)
-
-
-class _Asker(ActionClient):
-    """An action client that outlives a second server's answer, for which rclpy 7.1 raises.
-
-    Attributes:
-        answered_twice: whether there was one.
-    """
-
-    answered_twice = False
-
-    async def execute(self, taken_data: Any) -> None:
-        """See :class:`rclpy.action.ActionClient`."""
-        try:
-            await super().execute(taken_data)
-        except RuntimeError as error:
-            if 'goals were accepted with the same ID' not in str(error):
-                raise
-            self.answered_twice = True
-
-
-class ScenarioSampler(Node):
-    """Drives the graph run by run over the action ``run_scenario``.
-
-    Attributes:
-        seq: the control step that the run at hand has reached, as far as is known.
-        interrupted: whether :meth:`interrupt` was called.
-        one_simulator: whether it is not awaited that a second simulator goes away.
-    """
-
-    def __init__(self, **node: Any) -> None:
-        """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
-        super().__init__(interface.SCENARIO_SAMPLER, **node)
-        given = declare_all(self, PATIENCE)
-        self._limits = (given['server_timeout'], given['silence_timeout'])
-        self._client = _Asker(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
-        topic = interface.OBITUARY
-        self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
-        self._goal: Any = None
-        self._asked_of: set[Gid] = set()
-        self._dead: set[Gid] = set()
-        self._answer: Future | None = None
-        self._finished: Future | None = None
-        self.interrupted = self.one_simulator = False
-        self._request: RunRequest | None = None
-        self.seq = 0
-        self._last_heard = self._last_asked = 0.0
-        self._silent_looks = 0
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
-
-    def start(
-        self, executor: Any, requests: Iterable[RunRequest],
-        on_result: Callable[[RunRequest, RunResult], bool],
-    ) -> Future:
-        """Begin a campaign; the future is done when its last answer is taken.
-
-        Args:
-            executor: the one that spins this node.
-            requests: the runs, in order; drawn one at a time.
-            on_result: called with every answer; False ends the campaign.
-        """
-        self._executor = executor
-        self._finished = Future(executor=executor)
-        self._requests, self._on_result = iter(requests), on_result
-        executor.create_task(self._guarded(self._begin_next))
-        return self._finished
-
-    def interrupt(self) -> None:
-        """Cancel the run at hand, take its answer, and ask for no more."""
-        self.interrupted = True
-        self._silent_looks = 0
-        if self._goal is not None:
-            self._goal.cancel_goal_async()
-
-    def give_up(self) -> bool:
-        """Wait for no answer: the campaign ends with KeyboardInterrupt. False where none is on."""
-        if self._finished is None or self._finished.done():
-            return False
-        self._finished.set_exception(KeyboardInterrupt())
-        return True
-
-    def mourn(self, node: str, detail: str) -> None:
-        """A node's process is known to be dead: end its run at once, with the reason."""
-        if self._request is None or self._answer is None or self._answer.done():
-            return
-        if node == interface.SIMULATOR:
-            self._lose_simulator('died', detail)
-        else:
-            self._obituaries.publish(obituary(self._request.run_id, node, detail, seq=self.seq))
-
-    def _lose_simulator(self, kind: str, detail: str) -> None:
-        """End the run in its stead."""
-        assert self._request is not None
-        assert self._answer is not None
-        if kind == 'died':
-            self._dead |= self._asked_of
-        self._obituaries.publish(obituary(
-            self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
-        ))
-        self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
-
-    def close(self) -> None:
-        """Leave the graph; every answer is already taken."""
-        self._client.destroy()
-
-    # Run by run --------------------------------------------------------------------------------
-    #
-    # By callbacks, not by tasks that await: such a task of the events executor of rclpy 7.1 notices
-    # what another task brings at the next event only, and is looked after at every one till then.
-
-    def _guarded(self, action: Callable[..., None], *what: Any) -> Callable[..., None]:
-        """What it raises belongs to whoever waits for the campaign, not to the executor."""
-        finished = self._finished
-        assert finished is not None
-
-        def guarded(*came: Future) -> None:
-            try:
-                action(*what, *came)
-            except BaseException as error:
-                finished.set_exception(error)
-
-        return guarded
-
-    def _begin_next(self) -> None:
-        request = next(self._requests, None)
-        if request is None:
-            self._finish()
-            return
-        self._request, self.seq = request, 0
-        self._asked, self._last_heard = time.monotonic(), 0.0
-        self._answer = Future(executor=self._executor)
-        self._answer.add_done_callback(self._guarded(self._take_answer, request))
-        if self.interrupted:
-            self._answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
-        elif self._may_ask():
-            self._ask(request, self._answer)
-
-    def _take_answer(self, request: RunRequest, answer: Future) -> None:
-        self._goal = self._request = None
-        wall_s = time.monotonic() - self._asked
-        result = dataclasses.replace(answer.result(), wall_s=wall_s)
-        if not self._on_result(request, result) or self.interrupted:
-            self._finish()
-        else:
-            self._begin_next()
-
-    def _finish(self) -> None:
-        assert self._finished is not None
-        if not self._finished.done():
-            self._finished.set_result(None)
-
-    def _servers(self) -> dict[Gid, str]:
-        """Who serves the action, as far as the graph tells: node by the end that answers."""
-        name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
-        # How DDS names the topic of a service's answers, by ROS 2 in all its implementations.
-        ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
-        return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
-
-    def _may_ask(self) -> bool:
-        """Whether there is one simulator, and nothing lingers of one that died."""
-        servers = self._servers()
-        alone = len(servers) <= 1 and not self._dead & servers.keys()
-        return alone and self._client.server_is_ready()
-
-    def _ask(self, request: RunRequest, answer: Future) -> None:
-        self._asked_of = set(self._servers())
-        goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
-        self._last_heard = self._last_asked = time.monotonic()
-        sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
-        sent.add_done_callback(self._guarded(self._take_handle, answer))
-
-    def _take_handle(self, answer: Future, sent: Future) -> None:
-        handle = sent.result()
-        if answer.done():
-            return
-        if not handle.accepted:
-            answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
-            return
-        self._goal = handle
-        if self.interrupted:
-            handle.cancel_goal_async()
-        self._ask_result(handle, answer)
-
-    def _ask_result(self, handle: Any, answer: Future) -> None:
-        handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
-
-    def _take_result(self, answer: Future, response: Future) -> None:
-        found = response.result()
-        if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
-            return
-        result = result_of(found.result)
-        servers = self._servers()
-        strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
-        if self._client.answered_twice:
-            strangers.append(interface.SIMULATOR)
-        if result.outcome is not Outcome.INFRA_ERROR and strangers:
-            detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
-            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
-        answer.set_result(result)
-
-    def _on_feedback(self, message: Any) -> None:
-        self._silent_looks = 0
-        self._last_heard = self._last_asked = time.monotonic()
-        self.seq = message.feedback.seq
-
-    def _watch(self) -> None:
-        answer = self._answer
-        if answer is None or answer.done():
-            return
-        server_timeout_s, silence_timeout_s = self._limits
-        now = time.monotonic()
-        self._silent_looks += 1
-        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
-        silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
-        if self.interrupted and silent:
-            answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
-        elif self._last_heard:
-            if now - self._last_heard > silence_timeout_s:
-                self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
-            elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
-                self._last_asked = now
-                self._ask_result(self._goal, answer)
-        elif self._may_ask():
-            assert self._request is not None
-            self._ask(self._request, answer)
-        elif now - self._asked > server_timeout_s or self._is_shared():
-            answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
-
-    def _is_shared(self) -> bool:
-        return self.one_simulator and len(self._servers()) > 1
-
-    def _not_asked(self, within: str) -> RunResult:
-        """Why there was nobody to ask, or more than one."""
-        names = sorted(self._servers().values())
-        if len(names) > 1:
-            others = [name for name in names if name != interface.SIMULATOR] or names
-            detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
-            return _broken(INTRUDER, others[0], detail, 0)
-        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
-
-
-def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
-    return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
-
-
-def result_of(answer: Any) -> RunResult:
-    """What the result of the action ``run_scenario`` says, whoever gave it."""
-    status, verdict = answer.status, answer.verdict
-    if status.outcome not in list(Outcome):
-        detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
-        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
-    outcome = Outcome(status.outcome)
-    judged = outcome.judged
-    return RunResult(
-        outcome=outcome,
-        kind=plain_line(status.kind),
-        who=plain_line(status.who),
-        detail=plain_line(status.detail),
-        last_seq=status.seq,
-        perception=status.perception,
-        fingerprint=status.fingerprint,
-        timing=plain_line(answer.timing),
-        free=account_of(answer.account).figures() if answer.account.ended else {},
-        **(_judged(verdict) if judged else {}),
-    )
-
-
-def _judged(verdict: Verdict) -> dict[str, Any]:
-    stopped = verdict.stopped_early
-    return {
-        'rho': {s.spec: s.rho_lower for s in verdict.specs if s.rho_lower == s.rho_upper},
-        'rho_lower': {s.spec: s.rho_lower for s in verdict.specs if stopped},
-        'rho_upper': {s.spec: s.rho_upper for s in verdict.specs if stopped},
-        'stopped_early': stopped,
-        'statistics': statistics_of(verdict),
-    }
-
 
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros scenario_sampler``."""
-    from taxinet_ros.nodes.standalone_campaign import run_standalone
-
     run_standalone()
-
 
 if __name__ == '__main__':
     main()

@@ -1,21 +1,118 @@
-"""Executable ``scene_markers``: runway, aircraft and path as markers, for RViz and other viewers.
+"""Executable ``scene_markers``: runway, aircraft and path as markers, for 3-D viewers.
 
-It runs beside any graph, or beside ``bag_player``, and takes no part in either.
+It runs beside any graph, or beside ``bag_player``, and takes no part in either. The Foxglove
+server publishes the same markers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
+from scipy.spatial import ConvexHull
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
+from taxinet_ros.core.camera.airframe import OUTLINE
+from taxinet_ros.core.place import runway
+from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.onlooker import Onlooker
-from taxinet_ros.nodes.parameters import refuse_unknown
-from taxinet_ros.nodes.scene import Aircraft, runway_markers
-from taxinet_ros.nodes.usage import Usage, spoken
+from taxinet_ros.nodes.lockstep.observer import Observer
+from taxinet_ros.nodes.messages.convert import header, stamp_of
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import Usage, refuse_unknown, spoken
+
+_ASPHALT, _CONCRETE = (0.30, 0.30, 0.32), (0.38, 0.38, 0.39)
+_PAINT, _AIRFRAME, _PATH = (0.95, 0.95, 0.90), (0.98, 0.95, 0.90), (0.95, 0.45, 0.10)
+_THICKNESS_M = 0.02
+_PAINT_LIFT_M = 0.03
+_CROSSING_LENGTH_M = 600.0
+_PATH_WIDTH_M = 0.3
+Triangle = tuple[tuple[float, float, float], ...]
+
+
+def runway_markers() -> MarkerArray:
+    """Pavement, crossing and all paint, in ``map``."""
+    pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
+    pavement.pose.position = Point(x=runway.LENGTH_M / 2, z=-_THICKNESS_M / 2)
+    pavement.scale = Vector3(x=runway.LENGTH_M, y=runway.WIDTH_M, z=_THICKNESS_M)
+    crossing = _marker('crossing', Marker.CUBE, _CONCRETE)
+    crossing.pose.position = Point(x=runway.CROSSING_X_M, z=-_THICKNESS_M)
+    crossing.pose.orientation = _quaternion(*quaternion(0.0, 0.0, runway.CROSSING_YAW_RAD))
+    crossing.scale = Vector3(x=_CROSSING_LENGTH_M, y=runway.CROSSING_WIDTH_M, z=_THICKNESS_M)
+    paint = _triangles('paint', _paint_triangles(), _PAINT)
+    return MarkerArray(markers=[pavement, crossing, paint])
+
+
+class AircraftMarkers:
+    """The aircraft and the path that it has come in the run at hand."""
+
+    def __init__(self) -> None:
+        """Begin without a path."""
+        self._body = _triangles('aircraft', _aircraft_triangles(), _AIRFRAME)
+        self._path = _marker('path', Marker.LINE_STRIP, _PATH)
+        self._path.scale.x = _PATH_WIDTH_M
+        self._last_ns = -1
+
+    def markers(self, odometry: Odometry) -> MarkerArray:
+        """Both where the odometry says, in its frame; time that goes back begins a new path."""
+        stamp_ns = stamp_of(odometry.header.stamp)
+        at = odometry.pose.pose
+        if stamp_ns < self._last_ns:
+            self._path.points = []
+        self._last_ns = stamp_ns
+        self._path.points.append(Point(x=at.position.x, y=at.position.y, z=_PAINT_LIFT_M * 2))
+        self._body.pose = Pose(position=at.position, orientation=at.orientation)
+        self._body.header = self._path.header = odometry.header
+        return MarkerArray(markers=[self._body, self._path])
+
+
+def _marker(namespace: str, kind: int, colour: tuple[float, float, float]) -> Marker:
+    red, green, blue = colour
+    return Marker(
+        header=header(0), ns=namespace, type=kind, action=Marker.ADD,
+        color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
+    )
+
+
+def _triangles(
+    namespace: str, triangles: Iterable[Triangle], colour: tuple[float, float, float]
+) -> Marker:
+    marker = _marker(namespace, Marker.TRIANGLE_LIST, colour)
+    marker.scale = Vector3(x=1.0, y=1.0, z=1.0)
+    marker.points = [Point(x=x, y=y, z=z) for corners in triangles for x, y, z in corners]
+    return marker
+
+
+def _paint_triangles() -> list[Triangle]:
+    """Each painted patch as a fan: the patches are convex, or as good as."""
+    return [
+        tuple((x, y, _PAINT_LIFT_M) for x, y in (marking.polygon[0], left, right))
+        for marking in runway.markings()
+        for left, right in pairwise(marking.polygon[1:])
+    ]
+
+
+@cache
+def _aircraft_triangles() -> tuple[Triangle, ...]:
+    """The hulls of the parts that also throw its shadow, about the reference point."""
+    found = []
+    for part in OUTLINE:
+        # A flat part has no hull; qhull moves its corners by a hair (QJ) and finds one.
+        faces = part[ConvexHull(part, qhull_options='QJ').simplices]
+        found += [tuple(map(tuple, face)) for face in np.round(faces, 3).tolist()]
+    return tuple(found)
+
+
+def _quaternion(x: float, y: float, z: float, w: float) -> Quaternion:
+    return Quaternion(x=x, y=y, z=z, w=w)
+
 
 USAGE = Usage(
     executable=interface.SCENE_MARKERS,
@@ -26,7 +123,7 @@ USAGE = Usage(
 )
 
 
-class SceneMarkers(Onlooker):
+class SceneMarkers(Observer):
     """Draws what odometry tells."""
 
     def __init__(self, **node: Any) -> None:
@@ -37,7 +134,7 @@ class SceneMarkers(Onlooker):
             topic.name: self.create_publisher(topic.type, topic.name, topic.qos)
             for topic in interface.SCENE
         }
-        self._aircraft = Aircraft()
+        self._aircraft = AircraftMarkers()
         self._say(interface.SCENE_RUNWAY, runway_markers())
         self.watch(interface.ODOMETRY, self._draw)
 
@@ -51,7 +148,6 @@ class SceneMarkers(Onlooker):
 def main() -> None:
     """Entry point of ``ros2 run taxinet_ros scene_markers``."""
     run_node(SceneMarkers, usage=USAGE)
-
 
 if __name__ == '__main__':
     main()

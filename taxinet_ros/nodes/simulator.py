@@ -21,37 +21,62 @@ from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.errors import InfraError
-from taxinet_ros.core.free_run import FreeRun
 from taxinet_ros.core.loop import ROLLING_ON
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.timing import LAWS, MOST_FACTOR, parse_latency
+from taxinet_ros.core.pacing.free_run import FreeRun
+from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.nodes import diagnostics, interface
-from taxinet_ros.nodes.answer_check import check_answer, check_command
-from taxinet_ros.nodes.convert import header
-from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
-from taxinet_ros.nodes.diagnostics import Diagnostics, Health, RunHealth
-from taxinet_ros.nodes.domain import stand_alone
-from taxinet_ros.nodes.free_run import (
+from taxinet_ros.errors import InfraError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.lockstep import diagnostics
+from taxinet_ros.nodes.lockstep.active_run import (
     FREE_TICK_S,
-    account_message,
+    ActiveRun,
+    RunHealth,
+    check_answer,
+    check_command,
     chosen_timing,
+    not_begun,
+)
+from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health
+from taxinet_ros.nodes.lockstep.endpoints import (
+    HeardSpeakers,
+    Speakers,
+    Stranger,
+    first_stranger,
+    heard_by,
+    missing_nodes,
+)
+from taxinet_ros.nodes.messages.convert import (
+    INTRUDER,
+    PROTOCOL,
+    account_message,
+    duplicate_node_error,
+    header,
+    one_line,
+    parse_blame,
+    same_ready,
     settled_message,
 )
-from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.matching import heard_by
-from taxinet_ros.nodes.notices import INTRUDER, PROTOCOL, charged, same_ready, two_of_a_name
-from taxinet_ros.nodes.observation_messages import observation_messages
-from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
-from taxinet_ros.nodes.participant import one_line
-from taxinet_ros.nodes.presence import missing
-from taxinet_ros.nodes.reading import Said, read_here, reader_of
-from taxinet_ros.nodes.run_state import ActiveRun, not_begun
-from taxinet_ros.nodes.speakers import HeardSpeakers, Speakers, Stranger, first_stranger
-from taxinet_ros.nodes.transforms import TransformBroadcaster
-from taxinet_ros.nodes.usage import Usage, heard, spoken
+from taxinet_ros.nodes.messages.step import (
+    StepMessage,
+    TransformBroadcaster,
+    is_read_raw,
+    observation_messages,
+    step_reader,
+)
+from taxinet_ros.nodes.running.domain import require_free_domain
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import (
+    Parameter,
+    Usage,
+    declare_all,
+    heard,
+    refuse_unknown,
+    spoken,
+)
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -137,9 +162,9 @@ class Simulator(Node):
             (interface.COMMAND, self._on_command),
             (interface.VERDICT, self._on_verdict),
         ):
-            hear = functools.partial(self._hear, reader_of(topic), callback)
+            hear = functools.partial(self._hear, step_reader(topic), callback)
             self._listeners.append(HeardSpeakers(
-                self, topic, hear, raw=read_here(topic), on_match=self._look_for_strangers
+                self, topic, hear, raw=is_read_raw(topic), on_match=self._look_for_strangers
             ))
         heard = {listener.topic.name for listener in self._listeners}
         self._topics: list[Speakers] = [
@@ -151,7 +176,7 @@ class Simulator(Node):
         ]
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
-        told = functools.partial(self._hear, reader_of(topic), self._on_obituary)
+        told = functools.partial(self._hear, step_reader(topic), self._on_obituary)
         self.create_subscription(topic.type, topic.name, told, topic.qos)
         self._server = ActionServer(
             self,
@@ -275,7 +300,7 @@ class Simulator(Node):
     def _on_status(self, run: ActiveRun, status: NodeStatus) -> None:
         if status.state == NodeStatus.READY and status.node in run.participants:
             if not same_ready(run.ready.setdefault(status.node, status), status):
-                raise two_of_a_name(status.node)
+                raise duplicate_node_error(status.node)
             run.listens[status.node] = set(status.listens)
             if status.node == interface.PERCEPTION:
                 run.perception = {
@@ -289,7 +314,7 @@ class Simulator(Node):
         elif status.state == NodeStatus.ERROR:
             bag = status.node == interface.RECORDER
             usual = 'bag' if bag else 'node_error', status.node, status.detail
-            self._fail(run, *(charged(status.detail) or usual))
+            self._fail(run, *(parse_blame(status.detail) or usual))
         elif status.state == NodeStatus.DONE and status.node == interface.RECORDER:
             self._on_done(run, status)
 
@@ -312,12 +337,12 @@ class Simulator(Node):
         """A node is dead by the word of whoever looks after it, or this one is said to be."""
         self._fail(run, 'died', notice.node, notice.detail)
 
-    def _on_estimate(self, run: ActiveRun, estimate: Said) -> None:
+    def _on_estimate(self, run: ActiveRun, estimate: StepMessage) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
         if run.lockstep.answer(interface.PERCEPTION, estimate.seq, time.monotonic()):
             run.heard()
 
-    def _on_command(self, run: ActiveRun, command: Said) -> None:
+    def _on_command(self, run: ActiveRun, command: StepMessage) -> None:
         if run.ending is not None:
             return
         try:
@@ -335,7 +360,7 @@ class Simulator(Node):
             run.heard()
             self._go_on(run)
 
-    def _on_progress(self, run: ActiveRun, progress: Said) -> None:
+    def _on_progress(self, run: ActiveRun, progress: StepMessage) -> None:
         if progress.seq > run.lockstep.seq:
             detail = f'has come to frame {progress.seq}, which is not out yet'
             raise InfraError(PROTOCOL, progress.value, run.lockstep.seq, detail)
@@ -561,7 +586,7 @@ class Simulator(Node):
         for speakers in self._topics:
             if (stranger := speakers.unsettled_by(run.participants)) is not None:
                 return INTRUDER, stranger.name, f'{stranger.detail} ({within})'
-        if absent := missing(self, run.participants):
+        if absent := missing_nodes(self, run.participants):
             names = sorted(absent)
             return 'not_ready', ', '.join(names), f'{within}: {absent[names[0]]}'
         if silent := run.lockstep.missing():
@@ -579,7 +604,7 @@ def main() -> None:
 
 
 def _alone() -> Simulator:
-    stand_alone()
+    require_free_domain()
     return Simulator()
 
 

@@ -7,19 +7,29 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario
 
-from taxinet_ros.bag.recorded_run import words_of_gains
-from taxinet_ros.core.controller import STEERING, check_controller, make_controller
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.steering import GAIN_RANGES, SteeringGains
+from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.core.controller import (
+    GAIN_RANGES,
+    STEERING,
+    SteeringGains,
+    check_controller,
+    make_controller,
+)
 from taxinet_ros.core.user_code import IMPLEMENTATION
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.diagnostics import PARAMETER as DIAGNOSTICS
-from taxinet_ros.nodes.main import run_node
-from taxinet_ros.nodes.parameters import Parameter, declare_all, refuse_unknown
-from taxinet_ros.nodes.participant import Participant
-from taxinet_ros.nodes.reading import Said
-from taxinet_ros.nodes.step_cdr import command_cdr
-from taxinet_ros.nodes.usage import Usage, heard, spoken
+from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
+from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.messages.step import StepMessage, command_cdr
+from taxinet_ros.nodes.running.node_main import run_node
+from taxinet_ros.nodes.running.parameters import (
+    Parameter,
+    Usage,
+    declare_all,
+    heard,
+    refuse_unknown,
+    spoken,
+)
 
 _OPTIONS = (
     Parameter(
@@ -71,7 +81,7 @@ class SteeringController(Participant):
                 f'controller {word} has changed since this began: its sha256 is '
                 f'{self._controller.fingerprint[:12]}…, it was {sha256[:12]}…; put it back'
             )
-        self.implementation = words_of_gains(tuned) if word == STEERING else IMPLEMENTATION
+        self.implementation = gains_text(tuned) if word == STEERING else IMPLEMENTATION
         self.fingerprint = self._controller.fingerprint
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer, newest=True)
@@ -80,7 +90,7 @@ class SteeringController(Participant):
         """Forget the previous run."""
         self._controller.begin()
 
-    def _answer(self, estimate: Said) -> None:
+    def _answer(self, estimate: StepMessage) -> None:
         command = self._controller.command(estimate.value)
         self._commands.publish(
             command_cdr(command, estimate.run_id, estimate.seq, estimate.stamp_ns)

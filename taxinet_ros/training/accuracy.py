@@ -1,15 +1,51 @@
-"""How far estimates lie from the truth, in figures."""
+"""How well a network does: its figures epoch by epoch, and its errors on a dataset."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.model_card import ERROR_QUANTITIES
-from taxinet_ros.core.network import TaxiNet
-from taxinet_ros.training.dataset import Dataset
+from taxinet_ros.core.perception.network import TaxiNet
+from taxinet_ros.core.perception.weights import ERROR_QUANTITIES
+from taxinet_ros.training.data.dataset import Dataset
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Epoch:
+    """One pass over all the training pictures, and a look at the validation pictures after it.
+
+    Attributes:
+        number: from 1.
+        learning_rate: at its last step.
+        training_loss: mean over its steps, while the weights changed and, where asked for, on
+            augmented pictures; it may therefore lie above the other.
+        validation_loss: mean over the validation pictures, with the weights at its end.
+        cte_mae_m, he_mae_deg: mean absolute errors there [m] and [degrees].
+    """
+
+    number: int
+    learning_rate: float
+    training_loss: float
+    validation_loss: float
+    cte_mae_m: float
+    he_mae_deg: float
+
+
+def history_csv(history: Sequence[Epoch]) -> str:
+    """The epochs as CSV, one line each under the names of their values."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(field.name for field in fields(Epoch))
+    for epoch in history:
+        writer.writerow(f'{value:.6g}' for value in astuple(epoch))
+    return text.getvalue()
+
 
 _BATCH = 256
 _NORMAL_95 = 1.959964
@@ -24,13 +60,13 @@ def absolute_errors(network: TaxiNet, dataset: Dataset) -> NDArray[np.float64]:
     return np.abs(np.concatenate([np.empty((0, 2)), *parts]) - truth)
 
 
-def statistics(errors: NDArray[np.float64]) -> dict[str, dict[str, float]]:
+def error_statistics(errors: NDArray[np.float64]) -> dict[str, dict[str, float]]:
     """Mean, percentiles and maximum of errors (N, 2) in [m] and [rad], as a model card has them."""
-    columns = zip(ERROR_QUANTITIES, in_units(errors).T, strict=True)
+    columns = zip(ERROR_QUANTITIES, in_card_units(errors).T, strict=True)
     return {name: _row(column) for name, column in columns}
 
 
-def in_units(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def in_card_units(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Errors (N, 2) in [m] and [degrees] of those in [m] and [rad]."""
     return np.stack([errors[:, 0], np.degrees(errors[:, 1])], axis=1)
 

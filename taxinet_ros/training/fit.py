@@ -11,13 +11,17 @@ import torch
 from numpy.typing import NDArray
 from torch.nn.functional import smooth_l1_loss
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.network import Architecture, normalise, scaled, unscaled
-from taxinet_ros.core.weights import Weights
-from taxinet_ros.training.augment import augment
-from taxinet_ros.training.batch_norm import build_normed, folded, unfold
-from taxinet_ros.training.dataset import Dataset, Progress, silent
-from taxinet_ros.training.history import Epoch
+from taxinet_ros.core.perception.network import Architecture, normalise, scaled, unscaled
+from taxinet_ros.core.perception.weights import Weights
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.accuracy import Epoch
+from taxinet_ros.training.data.augmentation import augment
+from taxinet_ros.training.data.dataset import Dataset, Progress, no_progress
+from taxinet_ros.training.torch_network import (
+    build_with_batch_norm,
+    fold_batch_norm,
+    unfold_batch_norm,
+)
 
 _WARM_UP = 0.1
 """Share of all steps in which the learning rate rises, before it falls to nothing."""
@@ -72,7 +76,7 @@ def fit(
     training: Dataset,
     validation: Dataset,
     recipe: Recipe,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     start: Weights | None = None,
 ) -> Fitted:
     """Train a network, by AdamW under one cycle of the learning rate.
@@ -115,10 +119,12 @@ class _Trainer:
         self, architecture: Architecture, training: Dataset, validation: Dataset, recipe: Recipe,
         start: Weights | None,
     ) -> None:
-        network = build_normed(architecture)
+        network = build_with_batch_norm(architecture)
         if start is not None:
             some = np.linspace(0, len(training) - 1, min(len(training), _MEASURED_AT_ONCE))
-            unfold(network, start, torch.from_numpy(normalise(training.pictures[some.astype(int)])))
+            unfold_batch_norm(
+                network, start, torch.from_numpy(normalise(training.pictures[some.astype(int)]))
+            )
         # The annotations of Module.to leave the memory format out.
         self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._training = training
@@ -157,7 +163,7 @@ class _Trainer:
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
         """The weights as they are now, for the plain architecture."""
-        return folded(self._network)
+        return fold_batch_norm(self._network)
 
     def _batches(self) -> Iterator[NDArray[np.int64]]:
         kept = self._steps * self._recipe.batch

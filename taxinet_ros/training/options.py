@@ -8,10 +8,10 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.weights import SUFFIX, card_path
-from taxinet_ros.training.dataset import SAMPLERS
-from taxinet_ros.training.portions import Portion
+from taxinet_ros.core.perception.weights import SUFFIX, card_path
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.data.dataset import SAMPLERS
+from taxinet_ros.training.data.portions import Portion
 
 _LIMITS: dict[str, tuple[float, float]] = {
     'images': (1, 1_000_000),
@@ -36,7 +36,7 @@ class TrainOptions:
         data: folders of labelled images, or none to train on ``program``.
         validation_data: folder of the validation images; None to hold some of the others back.
         sampler: how the program's scenes are drawn, a word of
-            :data:`~taxinet_ros.training.dataset.SAMPLERS`.
+            :data:`~taxinet_ros.training.data.dataset.SAMPLERS`.
         validation_program: program of the validation scenes, which are those that a training on
             it with the same seed and number of images would hold back; None for ``program``.
         add: pictures added to those of ``program``, with validation pictures in proportion.

@@ -1,12 +1,21 @@
-"""An architecture as torch trains it."""
+"""The network as torch trains it, with batch normalisation that is gone afterwards.
+
+Normalised channels train faster and to a better end (Ioffe and Szegedy, ICML 2015). Once
+trained, each normalisation is an affine map of the convolution before it and is folded into
+its weights: the network that is shipped, and runs, has none.
+"""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import nn
 
-from taxinet_ros.core.network import Architecture
+from taxinet_ros.core.perception.network import Architecture
+from taxinet_ros.core.perception.weights import Weights
 
 
 def torch_network(architecture: Architecture) -> nn.Sequential:
@@ -26,3 +35,76 @@ def torch_network(architecture: Architecture) -> nn.Sequential:
     layers['relu'] = nn.ReLU()
     layers['output'] = nn.Linear(architecture.hidden, 2)
     return nn.Sequential(layers)
+
+
+def build_with_batch_norm(architecture: Architecture) -> nn.Sequential:
+    """A network to train, its weights drawn from torch's global generator."""
+    layers: OrderedDict[str, nn.Module] = OrderedDict()
+    for name, layer in torch_network(architecture).named_children():
+        layers[name] = layer
+        if isinstance(layer, nn.Conv2d):
+            layers[_norm_of(name)] = nn.BatchNorm2d(layer.out_channels)
+    return nn.Sequential(layers)
+
+
+def fold_batch_norm(network: nn.Sequential) -> dict[str, NDArray[np.float32]]:
+    """Weights of the plain architecture that answers as ``network`` does in evaluation."""
+    layers = dict(network.named_children())
+    weights: dict[str, NDArray[np.float32]] = {}
+    for name, layer in layers.items():
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            assert layer.bias is not None  # every layer of ours has one
+            weight, bias = layer.weight.detach(), layer.bias.detach()
+            norm = layers.get(_norm_of(name))
+            if isinstance(norm, nn.BatchNorm2d):
+                weight, bias = _folded_layer(weight, bias, norm)
+            weights[f'{name}.weight'] = np.array(weight.contiguous().numpy())
+            weights[f'{name}.bias'] = np.array(bias.numpy())
+    return weights
+
+
+def unfold_batch_norm(network: nn.Sequential, weights: Weights, seen: torch.Tensor) -> None:
+    """Give a network of :func:`build_normed` the weights of a plain one, to train it further.
+
+    Every normalisation is set to what leaves its convolution's answers to ``seen`` as they are, so
+    that evaluation gives the plain network's answers, and training begins close to them.
+
+    Args:
+        network: written to.
+        weights: of its plain architecture.
+        seen: inputs, (N, 1, H, W), some hundreds of those that it will be trained on.
+    """
+    network.eval()
+    with torch.no_grad():
+        for name, layer in network.named_children():
+            if isinstance(layer, nn.Conv2d | nn.Linear):
+                layer.weight.copy_(torch.from_numpy(weights[f'{name}.weight']))
+                assert layer.bias is not None  # every layer of ours has one
+                layer.bias.copy_(torch.from_numpy(weights[f'{name}.bias']))
+            elif isinstance(layer, nn.BatchNorm2d):
+                _set_to_identity(layer, seen)
+            seen = layer(seen)
+
+
+def _set_to_identity(norm: nn.BatchNorm2d, answers: torch.Tensor) -> None:
+    variance, mean = torch.var_mean(answers, dim=(0, 2, 3), correction=0)
+    assert norm.running_mean is not None  # both are kept, as is the default
+    assert norm.running_var is not None
+    norm.running_mean.copy_(mean)
+    norm.running_var.copy_(variance)
+    norm.weight.copy_(torch.sqrt(variance + norm.eps))
+    norm.bias.copy_(mean)
+
+
+def _norm_of(convolution: str) -> str:
+    return f'{convolution}_norm'
+
+
+def _folded_layer(
+    weight: torch.Tensor, bias: torch.Tensor, norm: nn.BatchNorm2d
+) -> tuple[torch.Tensor, torch.Tensor]:
+    mean, variance = norm.running_mean, norm.running_var
+    assert mean is not None  # both are kept, as is the default
+    assert variance is not None
+    scale = norm.weight.detach() / torch.sqrt(variance + norm.eps)
+    return weight * scale[:, None, None, None], (bias - mean) * scale + norm.bias.detach()

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import datetime
+import itertools
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from taxinet_ros import __version__
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.model_card import ModelCard
-from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
-from taxinet_ros.core.weights import (
+from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
+from taxinet_ros.core.perception.weights import (
     Model,
+    ModelCard,
+    Source,
     Weights,
     digest,
     load_model,
@@ -18,15 +22,142 @@ from taxinet_ros.core.weights import (
     to_bytes,
     weights_path,
 )
-from taxinet_ros.training.dataset import Dataset, Progress, silent
-from taxinet_ros.training.history import history_csv
-from taxinet_ros.training.material import Material, get_material
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.accuracy import history_csv
+from taxinet_ros.training.data.dataset import (
+    Dataset,
+    Progress,
+    draw_scenes,
+    make_dataset,
+    no_progress,
+)
+from taxinet_ros.training.data.image_folder import load_folders
+from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
 
 if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted
 
-def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
+
+_SPLIT = 2
+"""Tells the random numbers that hold rows back from those of the training."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TrainingData:
+    """What to learn and what to measure on, and where both come from.
+
+    Attributes:
+        training, validation: the pictures.
+        training_data, validation_data: their origins, as a model card has them; the latter is
+            empty where the validation pictures were held back from the others.
+    """
+
+    training: Dataset
+    validation: Dataset
+    training_data: tuple[Source, ...]
+    validation_data: tuple[Source, ...] = ()
+
+
+def get_training_data(options: TrainOptions, progress: Progress) -> TrainingData:
+    """Render or read what the options ask for.
+
+    Raises:
+        UsageError: a program, campaign or folder cannot be used, or has too little.
+        InfraError: a worker process died, or the simulator failed.
+    """
+    if options.program is not None:
+        return _render_scenes(options, options.program, progress)
+    return _read_folders(options, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class _SceneGroup:
+    """Scenes that are trained on, or held back, together."""
+
+    scenes: list[Scenario]
+    held_back: bool
+
+
+def _render_scenes(options: TrainOptions, program: str, progress: Progress) -> TrainingData:
+    other = options.validation_program
+    sources = (program_source(program), *(portion.source() for portion in options.add))
+    validation_data = () if other is None else (program_source(other),)
+    # The program's own lots come first, so that nothing added changes their pictures.
+    lots = [*_program_scenes(options, program, progress), *_added_scenes(options, progress)]
+    dataset = make_dataset(
+        list(itertools.chain.from_iterable(lot.scenes for lot in lots)),
+        workers=options.workers, varied=options.varied, seed=options.seed, progress=progress,
+    )
+    held_back = np.repeat([lot.held_back for lot in lots], [len(lot.scenes) for lot in lots])
+    return TrainingData(
+        training=dataset.take(~held_back), validation=dataset.take(held_back),
+        training_data=sources, validation_data=validation_data,
+    )
+
+
+def _program_scenes(options: TrainOptions, program: str, progress: Progress) -> list[_SceneGroup]:
+    """The program's scenes, and those held back, of it or of the validation program."""
+    images, total = options.images, options.images + options.validation
+    other = options.validation_program
+    scenes = draw_scenes(
+        program, seed=options.seed, images=total if other is None else images,
+        sampler=options.sampler, progress=progress,
+    )
+    if other is None:
+        return [_SceneGroup(scenes[:images], False), _SceneGroup(scenes[images:], True)]
+    others = draw_scenes(other, seed=options.seed, images=total, progress=progress)
+    return [_SceneGroup(scenes, False), _SceneGroup(others[images:], True)]
+
+
+def _added_scenes(options: TrainOptions, progress: Progress) -> list[_SceneGroup]:
+    lots = []
+    for number, portion in enumerate(options.add):
+        held_back = round(portion.count * options.validation / options.images)
+        seed = portion_seed(options.seed, number)
+        scenes = portion.scenes(portion.count + held_back, seed, progress)
+        lots += [
+            _SceneGroup(scenes[: portion.count], False),
+            _SceneGroup(scenes[portion.count :], True),
+        ]
+    return lots
+
+
+def _read_folders(options: TrainOptions, progress: Progress) -> TrainingData:
+    workers = options.workers
+    training, sources = load_folders(options.data, workers=workers, progress=progress)
+    if options.validation_data is None:
+        kept, held_back = _split(options, training)
+        return TrainingData(training=kept, validation=held_back, training_data=sources)
+    _check_batch(options, len(training))
+    validation, others = load_folders(
+        (options.validation_data,), workers=workers, stage='held back', progress=progress
+    )
+    return TrainingData(
+        training=training, validation=validation, training_data=sources, validation_data=others
+    )
+
+
+def _split(options: TrainOptions, dataset: Dataset) -> tuple[Dataset, Dataset]:
+    """Rows to learn and rows held back, each in the order of the tables."""
+    left = len(dataset) - options.validation
+    if left < 1:
+        raise UsageError(
+            f'train: --validation {options.validation} leaves nothing of {len(dataset)} images to '
+            'train on; hold fewer back'
+        )
+    _check_batch(options, left)
+    order = np.random.default_rng([options.seed, _SPLIT]).permutation(len(dataset))
+    return dataset.take(np.sort(order[:left])), dataset.take(np.sort(order[left:]))
+
+
+def _check_batch(options: TrainOptions, images: int) -> None:
+    if options.batch > images:
+        raise UsageError(f'train: a batch of {options.batch} is more than {images} images')
+
+
+def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
     """Get labelled pictures, fit a network, measure it, and write weights, card and curves.
 
     Everything that can be wrong with the options is found before the work starts. Files appear
@@ -47,7 +178,7 @@ def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
     """
     options.check_out()
     start = None if options.start is None else load_model(weights_path(options.start))
-    material = get_material(options, progress)
+    material = get_training_data(options, progress)
     fitted = _fit(options, material, start, progress)
     data = to_bytes(fitted.weights)
     card = ModelCard(
@@ -77,7 +208,7 @@ def train(options: TrainOptions, progress: Progress = silent) -> ModelCard:
 
 
 def _fit(
-    options: TrainOptions, material: Material, start: Model | None, progress: Progress
+    options: TrainOptions, material: TrainingData, start: Model | None, progress: Progress
 ) -> Fitted:
     from taxinet_ros.training.fit import Recipe, fit  # torch: bad options should not wait for it
 
@@ -91,15 +222,15 @@ def _fit(
 
 
 def _measure(weights: Weights, held_back: Dataset) -> dict[str, dict[str, float]]:
-    from taxinet_ros.core.network import TaxiNet
-    from taxinet_ros.training.accuracy import absolute_errors, statistics
+    from taxinet_ros.core.perception.network import TaxiNet
+    from taxinet_ros.training.accuracy import absolute_errors, error_statistics
 
     network = TaxiNet(ARCHITECTURES[DEFAULT_ARCHITECTURE], weights)
-    return statistics(absolute_errors(network, held_back))
+    return error_statistics(absolute_errors(network, held_back))
 
 
 def _write_curves(options: TrainOptions, fitted: Fitted) -> None:
-    from taxinet_ros.training.curves import learning_curves
+    from taxinet_ros.training.learning_curves import learning_curves
 
     picture = learning_curves(fitted.history, fitted.best_epoch, options.out.stem)
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from taxinet_ros.analysis.campaign_runs import CampaignRuns, read_runs
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, read_runs
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
 

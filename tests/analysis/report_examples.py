@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from taxinet_ros.analysis.report_parts import Column, Picture, Report, Section, Table, Theme
-from taxinet_ros.bag.golden import same_stack
+from taxinet_ros.analysis.report.parts import Column, Picture, Report, Section, Table, Theme
+from taxinet_ros.bag.check.compare import same_stack
 
 GOLDEN = Path(__file__).parents[2] / 'bags' / 'golden'
 NEEDS_OUR_STACK = pytest.mark.skipif(

@@ -13,16 +13,14 @@ from taxinet_ros.analysis.fault_localisation import (
     Suffices,
     judge_case,
     localisation,
-)
-from taxinet_ros.analysis.fault_report import (
     localisation_json,
     localisation_report,
     localisation_sentences,
     write_cases,
 )
-from taxinet_ros.analysis.picture_files import DARK, LIGHT, png_bytes
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.trials import Trial
+from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
+from taxinet_ros.campaign.past_runs.localisation import Trial
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 

@@ -13,13 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import GateOptions, Verdict, ask_gate, bounds, further_runs
-from taxinet_ros.analysis.junit import again, junit_xml
+from taxinet_ros.analysis.gate import (
+    GateOptions,
+    Verdict,
+    bounds,
+    further_runs,
+    gate_result,
+    junit_xml,
+    rerun_command,
+)
 from taxinet_ros.campaign.rates import ProgramRate
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
 
 ALPHA = 0.05
 LOOK = ALPHA / 2
@@ -45,7 +52,7 @@ def rows(passed: int, failed: int, *, off: int = 0, **changes) -> list[RunRow]:
 
 
 def verdict(passed: int, runs: int, threshold: float) -> Verdict:
-    return ask_gate(
+    return gate_result(
         rows(passed, runs - passed), GateOptions(min_satisfaction=threshold)).verdict
 
 
@@ -75,9 +82,9 @@ def test_given_no_failure_at_all_then_it_takes_72_runs_to_prove_95_per_cent():
 
 def test_given_the_runway_then_the_largest_share_counts_and_not_the_smallest():
     options = GateOptions(max_off_runway=0.05)
-    assert ask_gate(rows(72, 0), options).verdict is Verdict.PASS
-    assert ask_gate(rows(71, 0), options).verdict is Verdict.INCONCLUSIVE
-    answer = ask_gate(rows(20, 40, off=30), options)
+    assert gate_result(rows(72, 0), options).verdict is Verdict.PASS
+    assert gate_result(rows(71, 0), options).verdict is Verdict.INCONCLUSIVE
+    answer = gate_result(rows(20, 40, off=30), options)
     assert answer.verdict is Verdict.FAIL
     found = answer.criteria[0].bounds
     assert found is not None
@@ -86,28 +93,28 @@ def test_given_the_runway_then_the_largest_share_counts_and_not_the_smallest():
 
 def test_given_several_criteria_then_one_that_fails_is_enough_and_one_open_keeps_it_open():
     both = GateOptions(min_satisfaction=0.5, max_off_runway=0.05)
-    assert ask_gate(rows(90, 10), both).verdict is Verdict.PASS
-    assert ask_gate(rows(90, 10, off=4), both).verdict is Verdict.INCONCLUSIVE
-    assert ask_gate(rows(10, 90, off=4), both).verdict is Verdict.FAIL
+    assert gate_result(rows(90, 10), both).verdict is Verdict.PASS
+    assert gate_result(rows(90, 10, off=4), both).verdict is Verdict.INCONCLUSIVE
+    assert gate_result(rows(10, 90, off=4), both).verdict is Verdict.FAIL
 
 
 def test_given_a_broken_bench_then_it_is_counted_and_forgiven_only_as_often_as_asked():
     broken = [row(100 + number, Outcome.INFRA_ERROR, kind='died') for number in range(2)]
-    strict = ask_gate([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
+    strict = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5))
     assert strict.verdict is Verdict.FAIL
     assert strict.criteria[-1].name == 'broken by the bench <= 0'
     assert (strict.judged, strict.counts[Outcome.INFRA_ERROR]) == (100, 2)
-    lenient = ask_gate([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5, max_infra=2))
+    lenient = gate_result([*rows(90, 10), *broken], GateOptions(min_satisfaction=0.5, max_infra=2))
     assert lenient.verdict is Verdict.PASS
     assert '2 runs were broken by the bench and are in no share' in lenient.criteria[-1].sentence
-    nothing = ask_gate(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
+    nothing = gate_result(broken, GateOptions(min_satisfaction=0.95, max_infra=2))
     assert nothing.verdict is Verdict.INCONCLUSIVE
     assert nothing.criteria[0].sentence == 'no run was judged: all good, 72 would do'
 
 
 def test_given_runs_without_a_result_then_the_reader_is_told():
     others = [row(7, Outcome.REJECTED), row(8, Outcome.INTERRUPTED)]
-    answer = ask_gate([*rows(5, 1), *others], GateOptions(min_satisfaction=0.5), planned=20)
+    answer = gate_result([*rows(5, 1), *others], GateOptions(min_satisfaction=0.5), planned=20)
     assert answer.notes == (
         '1 runs were rejected by the program and are in no share',
         '1 runs were interrupted and are in no share',
@@ -119,7 +126,7 @@ def test_given_a_biased_sampler_then_only_what_the_program_itself_drew_counts():
     # A sampler that finds failures far more often than they are: 10 % of the draws fail, not half.
     chosen = rows(100, 100, sampler='ce')
     searched = [dataclasses.replace(one, drawn=one.index < 109) for one in chosen]
-    answer = ask_gate(searched, GateOptions(min_satisfaction=0.8))
+    answer = gate_result(searched, GateOptions(min_satisfaction=0.8))
     assert answer.verdict is Verdict.PASS
     assert answer.criteria[0].bounds is not None
     assert answer.criteria[0].bounds.share == pytest.approx(100 / 109)
@@ -131,7 +138,7 @@ def test_given_a_biased_sampler_then_only_what_the_program_itself_drew_counts():
 def test_given_a_search_without_draws_then_it_is_inconclusive_and_never_a_pass(sampler):
     for drawn in (None, False):
         searched = rows(1000, 0, sampler=sampler, weight=1.0, drawn=drawn)
-        answer = ask_gate(searched, GateOptions(min_satisfaction=0.01, max_off_runway=0.99))
+        answer = gate_result(searched, GateOptions(min_satisfaction=0.01, max_off_runway=0.99))
         assert answer.verdict is Verdict.INCONCLUSIVE
         for criterion in answer.criteria[:2]:
             assert criterion.verdict is Verdict.INCONCLUSIVE
@@ -142,17 +149,17 @@ def test_given_a_search_without_draws_then_it_is_inconclusive_and_never_a_pass(s
 def test_given_more_runs_than_were_planned_at_first_then_the_bounds_hold_at_any_number():
     # 0.95 ** 72 < 0.025: enough if 72 were planned, not if one looked before and went on.
     options = GateOptions(min_satisfaction=0.95)
-    assert ask_gate(rows(72, 0), options, planned=72).verdict is Verdict.PASS
-    assert ask_gate(rows(72, 0), options, planned=40).verdict is Verdict.INCONCLUSIVE
-    assert ask_gate(rows(72, 0), options, planned=100).verdict is Verdict.INCONCLUSIVE
-    assert ask_gate(rows(110, 0), options, planned=40).verdict is Verdict.PASS
+    assert gate_result(rows(72, 0), options, planned=72).verdict is Verdict.PASS
+    assert gate_result(rows(72, 0), options, planned=40).verdict is Verdict.INCONCLUSIVE
+    assert gate_result(rows(72, 0), options, planned=100).verdict is Verdict.INCONCLUSIVE
+    assert gate_result(rows(110, 0), options, planned=40).verdict is Verdict.PASS
 
 
 def test_given_runs_stopped_too_early_for_the_runway_then_one_line_refuses():
     stopped = [row(0, Outcome.FAIL, left=None)]
     with pytest.raises(UsageError, match='1 of 1 runs were stopped before'):
-        ask_gate(stopped, GateOptions(max_off_runway=0.1))
-    assert ask_gate(stopped, GateOptions(min_satisfaction=0.5)).judged == 1
+        gate_result(stopped, GateOptions(max_off_runway=0.1))
+    assert gate_result(stopped, GateOptions(min_satisfaction=0.5)).judged == 1
 
 
 @pytest.mark.parametrize(
@@ -193,7 +200,7 @@ def test_given_any_counts_then_the_share_is_within_bounds_that_more_confidence_w
 
 def test_given_a_share_at_the_threshold_then_no_number_of_runs_decides():
     assert further_runs(counted(1, 2), 0.5, 0.95) is None
-    answer = ask_gate(rows(5, 5), GateOptions(min_satisfaction=0.5))
+    answer = gate_result(rows(5, 5), GateOptions(min_satisfaction=0.5))
     assert 'no number of runs' in answer.criteria[0].sentence
 
 
@@ -202,10 +209,10 @@ def test_given_the_runs_that_are_said_to_be_missing_then_they_decide_and_fewer_d
     assert more is not None
     for runs, expected in ((50 + more, Verdict.PASS), (50 + more // 2, Verdict.INCONCLUSIVE)):
         good = math.ceil(0.9 * runs)
-        answer = ask_gate(
+        answer = gate_result(
             rows(good, runs - good), GateOptions(min_satisfaction=0.86), planned=50)
         assert answer.verdict is expected
-    sentence = ask_gate(rows(45, 5), GateOptions(min_satisfaction=0.86)).criteria[0].sentence
+    sentence = gate_result(rows(45, 5), GateOptions(min_satisfaction=0.86)).criteria[0].sentence
     number = int(re.search(r'about ([\d,]+) runs more', sentence)[1].replace(',', ''))
     assert number == pytest.approx(more, rel=0.06)
 
@@ -229,7 +236,7 @@ def test_given_a_system_at_the_threshold_then_it_passes_or_fails_as_seldom_as_pr
 
 
 def document(all_rows, options, *, passes=False) -> ElementTree.Element:
-    answer = ask_gate(all_rows, options)
+    answer = gate_result(all_rows, options)
     facts = {'program': 's_falsif.scenic', 'seed': 1, 'specs': {'phi': 'always(cte <= 1)'},
              'gains': {'heading_gain': 1.5}}
     data = junit_xml(all_rows, answer, Path('c d'), facts, inconclusive_passes=passes)
@@ -275,10 +282,12 @@ def test_given_an_open_criterion_then_it_is_skipped_only_where_that_passes():
 def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
     scene = Scenario(heading_rad=0.25, clouds='broken', rain=0.5, crossing=False)
     one = row(0, Outcome.FAIL, **scene.to_human())
-    words = again(one, Path('c'), {'specs': {'phi': 'always(abs(cte) <= 1)'}})
+    words = rerun_command(one, Path('c'), {'specs': {'phi': 'always(abs(cte) <= 1)'}})
     assert words.startswith('taxinet run nominal --perception original --spec ')
     assert "'phi=always(abs(cte) <= 1)'" in words
     for setting in ('rain=50.0', 'clouds=broken', 'crossing=off', 'heading=14.323944878'):
         assert f'--set {setting}' in words
     assert '--controller' not in words
-    assert '--controller mine.py:steer' in again(one, Path('c'), {'controller': 'mine.py:steer'})
+    assert '--controller mine.py:steer' in rerun_command(
+        one, Path('c'), {'controller': 'mine.py:steer'}
+    )

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.definitions import describe_topic
+from taxinet_ros.bag.topics import describe_topic
 
 # Gaps that depend on texts, gaps that do not, and numbers that touch.
 TYPES = [

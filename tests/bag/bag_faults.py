@@ -10,10 +10,16 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, McapRecord, Message, Schema
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.parse import Work, chunk_records, open_chunk, parse_record
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.bag.scan import scan
-from taxinet_ros.bag.storage import MAGIC, encode
+from taxinet_ros.bag.storage.records import (
+    MAGIC,
+    ReadBudget,
+    chunk_records,
+    encode,
+    open_chunk,
+    parse_record,
+)
+from taxinet_ros.bag.storage.scan import scan
 
 STEPS = 3
 PER_STEP = 6
@@ -63,7 +69,7 @@ def messages_by_chunk(data: bytes) -> list[tuple[int, int, list[tuple[int, int, 
     for start, end in chunks_of(data):
         chunk = parse_record(Opcode.CHUNK, data[start + 9:end])
         assert isinstance(chunk, Chunk)
-        work = Work(len(data))
+        work = ReadBudget(len(data))
         records = chunk_records(open_chunk(chunk, work), work)
         found.append((start, end, _messages(records)))
     return found

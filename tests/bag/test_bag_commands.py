@@ -215,7 +215,7 @@ def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
             raise OSError(28, 'No space left on device')
         write_whole(path, fail)
 
-    monkeypatch.setattr('taxinet_ros.cli.bag_export.write_whole', full)
+    monkeypatch.setattr('taxinet_ros.cli.bag.export.write_whole', full)
     code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
     assert (code, out) == (4, '')
     assert err == (

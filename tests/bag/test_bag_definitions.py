@@ -8,8 +8,8 @@ import bag_samples
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from taxinet_ros.bag.definitions import describe_topic, message_definition, type_hash
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bag.topics import describe_topic, message_definition, type_hash
+from taxinet_ros.errors import UsageError
 
 INSTALLED = [
     'std_msgs/msg/Header', 'std_msgs/msg/String', 'sensor_msgs/msg/Image',

@@ -16,8 +16,8 @@ from bag_samples import ROOT, samples, topics, write_bag
 
 from taxinet_ros.bag.errors import BagCorrupt, BagTruncated, BagWriteError
 from taxinet_ros.bag.layout import write_whole
-from taxinet_ros.bag.output import Output
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.storage.writer import Output
 from taxinet_ros.bag.writer import BagWriter
 
 CHILD = """

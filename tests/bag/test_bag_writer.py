@@ -1,53 +1,68 @@
-"""What a bag looks like to us and to others, and what the writer refuses."""
+"""What a bag looks like to us and to others, and what the writer refuses.
+
+Foxglove's own packages read one as well; that needs Node and, in ``NODE_PATH`` or an enclosing
+``node_modules``: ``npm install @mcap/core @foxglove/rosmsg @foxglove/rosmsg2-serialization
+fzstd``.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import bag_samples
 import pytest
 import yaml
 from bag_samples import ATTACHMENTS, METADATA, STEP_NS, samples, topics, write_bag
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
+from whole_runs import STEPS, run_messages, write_run
 
+from taxinet_ros.bag.description import BagContent, record_text
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
-from taxinet_ros.bag.topics import TopicInfo, qos_profiles
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos, qos_profiles
 from taxinet_ros.bag.writer import BagWriter
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.yaml_text import dump_yaml
 
-STEPS = 4
+STEPS_WRITTEN = 4
 
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('bags') / 'campaign' / 'run_7'
-    write_bag(folder, samples(STEPS, shape=(120, 120)))
+    write_bag(folder, samples(STEPS_WRITTEN, shape=(120, 120)))
     return folder
 
 
 def test_given_a_bag_when_read_back_then_every_message_is_there_in_order(bag: Path) -> None:
     read = [(m.topic, m.stamp_ns, m.cdr) for m in read_messages(bag)]
-    assert len(read) == 1 + 6 * STEPS
-    assert read == samples(STEPS, shape=(120, 120))
+    assert len(read) == 1 + 6 * STEPS_WRITTEN
+    assert read == samples(STEPS_WRITTEN, shape=(120, 120))
     assert {m.topic: m.type for m in read_messages(bag)} == bag_samples.TYPES
 
 
 def test_given_topic_names_when_read_then_only_those_come(bag: Path) -> None:
     names = [m.topic for m in read_messages(bag, ['/taxi_command'])]
-    assert names == ['/taxi_command'] * STEPS
+    assert names == ['/taxi_command'] * STEPS_WRITTEN
 
 
 def test_given_a_bag_when_its_contents_are_read_then_they_are_what_was_given(bag: Path) -> None:
     info = read_info(bag)
     assert (info.complete, info.trouble) == (True, '')
     assert info.topics == tuple(topics())
-    assert info.counts == {name: 1 if name == '/scenario' else STEPS for name in bag_samples.TYPES}
-    assert (info.start_ns, info.end_ns) == (0, (STEPS - 1) * STEP_NS)
+    assert info.counts == {
+        name: 1 if name == '/scenario' else STEPS_WRITTEN for name in bag_samples.TYPES
+    }
+    assert (info.start_ns, info.end_ns) == (0, (STEPS_WRITTEN - 1) * STEP_NS)
     assert info.duration_s == pytest.approx(0.3)
     assert info.metadata['taxinet'] == METADATA
     assert info.attachments == ('manifest.json', *ATTACHMENTS)
@@ -62,7 +77,7 @@ def test_given_a_bag_when_rosbags_reads_it_then_every_topic_yields_its_count(bag
         declared = {c.topic: c.msgcount for c in reader.connections}
         read = [(c.topic, stamp, bytes(raw)) for c, stamp, raw in reader.messages()]
     assert declared == read_info(bag).counts
-    assert sorted(read) == sorted(samples(STEPS, shape=(120, 120)))
+    assert sorted(read) == sorted(samples(STEPS_WRITTEN, shape=(120, 120)))
 
 
 def test_given_a_bag_when_anyreader_decodes_it_then_values_are_right(bag: Path) -> None:
@@ -84,7 +99,7 @@ def test_given_a_bag_when_mcap_ros2_decodes_it_then_values_and_frame_are_right(b
         metadata = [m.name for m in reader.iter_metadata()]
     assert header.profile == 'ros2'
     assert header.library.startswith('taxinet_ros ')
-    assert len(decoded) == 1 + 6 * STEPS
+    assert len(decoded) == 1 + 6 * STEPS_WRITTEN
     truth = [(n, d.cross_track_error) for t, n, d in decoded if t == '/ground_truth/tracking_error']
     assert truth == [(0, 0.0), (1, -0.5), (2, -1.0), (3, -1.5)]
     images = [d for t, _, d in decoded if t == '/camera/image_raw']
@@ -105,10 +120,14 @@ def test_given_a_bag_when_its_description_is_read_then_it_is_rosbag2_version_9(b
     assert whole['version'] == 9
     assert whole['relative_file_paths'] == ['run_7_0.mcap']
     assert whole['custom_data'] == METADATA
-    assert whole['files'] == [{
-        'path': 'run_7_0.mcap', 'starting_time': {'nanoseconds_since_epoch': 0},
-        'duration': {'nanoseconds': (STEPS - 1) * STEP_NS}, 'message_count': 1 + 6 * STEPS,
-    }]
+    assert whole['files'] == [
+        {
+            'path': 'run_7_0.mcap',
+            'starting_time': {'nanoseconds_since_epoch': 0},
+            'duration': {'nanoseconds': (STEPS_WRITTEN - 1) * STEP_NS},
+            'message_count': 1 + 6 * STEPS_WRITTEN,
+        }
+    ]
     profile = whole['topics_with_message_count'][0]['topic_metadata']['offered_qos_profiles'][0]
     assert (profile['durability'], profile['depth']) == ('transient_local', 1)
     assert profile['deadline'] == {'sec': 9223372036, 'nsec': 854775807}
@@ -240,3 +259,63 @@ def test_given_no_or_repeated_topics_when_opened_then_refused(
 ) -> None:
     with pytest.raises(UsageError, match=r'no topics given|given twice'):
         BagWriter(tmp_path / 'r', [topics()[k] for k in chosen], metadata={}, attachments={})
+
+
+QOS = offered_qos(
+    history='keep_last', depth=16, reliability='reliable', durability='transient_local'
+)
+TYPES = 'nav_msgs/msg/Odometry', 'taxinet_msgs/msg/TrackingError', 'rosgraph_msgs/msg/Clock'
+NAMES = st.from_regex(r'/[a-z_]{1,20}', fullmatch=True)
+TOPICS = st.builds(
+    describe_topic, name=NAMES, type_name=st.sampled_from(TYPES), qos=st.just(QOS)
+)
+COUNTED = st.lists(st.tuples(TOPICS, st.integers(0, 10**6)), max_size=4)
+WORDS = st.dictionaries(st.text(max_size=9), st.text(max_size=30), max_size=3)
+
+
+@given(COUNTED, WORDS, st.integers(0, 2**62))
+def test_given_any_bag_when_described_then_the_text_is_that_of_its_content_dumped_whole(
+    topics, custom, duration_ns
+):
+    text = record_text(BagContent(
+        file='run.mcap', start_ns=0, duration_ns=duration_ns, topics=topics, custom=custom,
+    ))
+    content = yaml.safe_load(text)
+    assert dump_yaml(content) == text
+    assert content['message_count'] == sum(count for _, count in topics)
+    told = content['topics_with_message_count']
+    assert [
+        (one['topic_metadata']['name'], one['topic_metadata']['type'], one['message_count'])
+        for one in told
+    ] == [(topic.name, topic.type, count) for topic, count in topics]
+    assert content['custom_data'] == custom
+
+
+READER = Path(__file__).with_name('read_with_mcap_core.cjs')
+NODE = shutil.which('node')
+
+
+def has_packages() -> bool:
+    words = ['node', '-e', "require('@mcap/core'); require('@foxglove/rosmsg2-serialization')"]
+    return NODE is not None and subprocess.run(
+        words, capture_output=True, cwd=READER.parent, check=False
+    ).returncode == 0
+
+
+@pytest.mark.skipif(NODE is None, reason='no Node on this machine')
+def test_given_a_run_when_foxgloves_packages_read_it_then_values_are_the_same(
+    tmp_path: Path,
+) -> None:
+    if not has_packages():
+        pytest.skip('no @mcap/core; see the head of this file for what to install')
+    bag = write_run(tmp_path / 'run')
+    done = subprocess.run(
+        ['node', str(READER), str(bag)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    read = json.loads(done.stdout)
+    assert read['profile'] == 'ros2'
+    assert sum(read['counts'].values()) == len(run_messages())
+    assert read['counts']['/camera/image_raw'] == STEPS
+    assert read['angles'] == read_trace(bag)['steering_rad'].tolist()
+    assert read['attachments'] == ['manifest.json', 'scenario.json']

@@ -14,7 +14,7 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.perception import make_perception
+from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 
 TYPES = {

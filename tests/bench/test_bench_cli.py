@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from taxinet_ros.bench import monitor
+from taxinet_ros.bench.subjects import monitor
 from taxinet_ros.cli.main import _exit_code, app
 
 
@@ -91,7 +91,9 @@ def report_of(ratio: float) -> dict[str, object]:
 def test_given_a_guard_when_a_ratio_is_beyond_its_bound_then_the_exit_code_and_a_line_say_so(
     ratio: float, code: int, line: str, capsys, monkeypatch
 ) -> None:
-    monkeypatch.setattr('taxinet_ros.cli.bench.run_subjects', lambda *args: report_of(ratio))
+    monkeypatch.setattr(
+        'taxinet_ros.cli.bench.subjects.run_subjects', lambda *args: report_of(ratio)
+    )
     found, out, err = call(capsys, 'graph', '--guard')
     assert (found, err) == (code, line)
     for words in ('a / b', 'physics', '25%', '3.0 MB', '<= 2', 'left out: start-up: no reason'):
@@ -106,7 +108,7 @@ def test_given_a_guard_without_a_graph_when_typed_then_it_is_refused(capsys, mon
         'taxinet: error: bench: --guard guards the ratios of the graph; name graph or all\n'
     )
     report = {'machine': {}, 'figures': {}, 'left_out': {'graph': 'no rclpy'}}
-    monkeypatch.setattr('taxinet_ros.cli.bench.run_subjects', lambda *args: report)
+    monkeypatch.setattr('taxinet_ros.cli.bench.subjects.run_subjects', lambda *args: report)
     code, _, err = call(capsys, '--guard')
     assert code == 2
     assert 'no guarded ratio was measured; the graph needs ROS 2' in err

@@ -11,17 +11,17 @@ import pytest
 
 from taxinet_ros.bench import chaos
 from taxinet_ros.bench.chaos import DAMAGES, FAULTS, NOT_RESUMED, RESUMED, Chaos, numbers
-from taxinet_ros.cli import chaos as command
+from taxinet_ros.cli.bench import chaos as command
 from taxinet_ros.cli.main import _exit_code, app
-from taxinet_ros.core.errors import InfraError
+from taxinet_ros.errors import InfraError
 
 FAKE = r"""
 import json, pathlib, sys, time
 sys.path[:0] = {path!r}
-from taxinet_ros.campaign.ledger import Ledger, read_ledger
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.table import write_tables
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import write_tables
+from taxinet_ros.errors import UsageError
 from taxinet_ros.core.outcome import Outcome
 
 words = sys.argv[1:]

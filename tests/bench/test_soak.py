@@ -17,15 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.bench import soak
-from taxinet_ros.bench.soak_sample import holdings
-from taxinet_ros.bench.soak_trend import (
-    FLAT,
-    GROWS,
-    MOST_SAMPLES,
-    UNSETTLED,
-    Series,
-    trend,
-)
+from taxinet_ros.bench.soak import FLAT, GROWS, MOST_SAMPLES, UNSETTLED, Series, holdings, trend
 from taxinet_ros.cli.main import _exit_code, app
 
 LEAK = """

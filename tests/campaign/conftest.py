@@ -14,7 +14,7 @@ from typing import Any, TextIO
 import pytest
 from waiting import PATIENT_S
 
-from taxinet_ros.campaign.programs import shipped_folder
+from taxinet_ros.campaign.scenes.programs import shipped_folder
 
 ROOT = Path(__file__).parents[2]
 
@@ -47,7 +47,7 @@ def start(*, timeout_s: float = PATIENT_S) -> Iterator[Client]:
     arguments = {'request-fd': request_read, 'response-fd': answer_write, 'seed': 1,
                  'memory-bytes': 4 << 30, 'timeout-s': timeout_s, 'shipped': shipped_folder()}
     child = subprocess.Popen(
-        [sys.executable, '-m', 'taxinet_ros.campaign.scenic_child',
+        [sys.executable, '-m', 'taxinet_ros.campaign.scenes.scenic_child',
          *(f'--{name}={value}' for name, value in arguments.items())],
         pass_fds=(request_read, answer_write), stdout=subprocess.DEVNULL, cwd=ROOT,
     )

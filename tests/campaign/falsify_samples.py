@@ -11,13 +11,13 @@ from typing import Any
 import pandas as pd
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.programs import find_program
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
-from taxinet_ros.campaign.scene_source import Refused, Rejected
+from taxinet_ros.campaign.scenes.programs import find_program
+from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
+from taxinet_ros.campaign.scenes.source import Refused, Rejected
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
-from taxinet_ros.campaign.search_space import Choice, SearchSpace
-from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros.campaign.facts import FACTS_NAME, read_facts, write_facts
-from taxinet_ros.campaign.journal import Journal, read_journal
-from taxinet_ros.campaign.table import CSV_NAME, PARQUET_NAME
+from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, write_facts
+from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
+from taxinet_ros.files.journal import Journal, read_journal
 
 
 def write_events(path: Path, events: Iterable[Mapping[str, Any]]) -> None:

@@ -13,9 +13,9 @@ import pytest
 from scipy.stats import chisquare
 
 from taxinet_ros.campaign.learned_program import learned_program
-from taxinet_ros.campaign.programs import shipped_folder
-from taxinet_ros.campaign.search_space import SearchSpace
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.scenes.programs import shipped_folder
+from taxinet_ros.campaign.scenes.search_space import SearchSpace
+from taxinet_ros.errors import UsageError
 
 WORLD = 'model runway_world\n'
 N = 2000

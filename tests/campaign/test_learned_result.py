@@ -18,10 +18,10 @@ from taxinet_ros.campaign.learned_result import (
     LearnedTogether,
 )
 from taxinet_ros.campaign.rates import share_bounds
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.campaign.search_space import Choice, Piece
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.scenes.search_space import Choice, Piece
+from taxinet_ros.errors import UsageError
 
 # Half of the starts lie in the first tenth of the runway.
 DISTANCE = Choice(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from taxinet_ros.analysis.gate import GateOptions, Verdict, ask_gate, bounds, further_runs
+from taxinet_ros.analysis.gate import GateOptions, Verdict, bounds, further_runs, gate_result
 from taxinet_ros.bench.intervals import LANDSCAPES, measure_intervals
 from taxinet_ros.campaign.rates import (
     ProgramRate,
@@ -22,9 +22,9 @@ from taxinet_ros.campaign.rates import (
     share_bounds,
     without_gaps,
 )
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.samplers.make import SAMPLERS, drawn_share, make_sampler
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_sampler
+from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
@@ -199,7 +199,7 @@ def test_s1_given_a_bandit_and_a_region_of_one_per_cent_then_gate_does_not_pass_
     for seed in range(5):
         rows = search('mab', 300, seed, true=0.01)
         assert sum(row.outcome is Outcome.FAIL for row in rows) >= 1
-        assert ask_gate(rows, options, planned=300).verdict is not Verdict.PASS
+        assert gate_result(rows, options, planned=300).verdict is not Verdict.PASS
 
 
 @pytest.mark.parametrize('word', ['ce', 'ce-verifai', 'mab', 'tpe', 'cmaes'])
@@ -210,7 +210,7 @@ def test_t2_given_any_sampler_then_gate_does_not_pass_at_half_the_true_failure_r
     floor = {} if drawn_share(word, {}) else {'floor': 0.3}
     for seed in range(2):
         rows = search(word, runs, seed, shape='diagonal', true=0.5, **floor)
-        assert ask_gate(rows, options, planned=runs).verdict is not Verdict.PASS
+        assert gate_result(rows, options, planned=runs).verdict is not Verdict.PASS
 
 
 # Stopping ------------------------------------------------------------------------------------

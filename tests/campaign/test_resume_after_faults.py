@@ -13,14 +13,13 @@ import pytest
 
 from taxinet_ros.campaign import search as search_module
 from taxinet_ros.campaign.campaign import exit_code
-from taxinet_ros.campaign.ledger import read_ledger
-from taxinet_ros.campaign.samplers.lagged import LAG
-from taxinet_ros.campaign.search import PATIENCE
-from taxinet_ros.campaign.search_lines import search_summary
-from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.campaign.samplers.sampler import LAG
+from taxinet_ros.campaign.search import PATIENCE, search_summary
 from taxinet_ros.cli import main as cli
-from taxinet_ros.core.errors import RecordError, UsageError
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import RecordError, UsageError
 
 
 @pytest.fixture(autouse=True)
@@ -262,7 +261,7 @@ def test_f9_given_a_table_that_cannot_be_written_then_the_bench_broke(
     def refuse(*arguments: object) -> None:
         raise PermissionError(13, 'Permission denied', str(tmp_path / 'c' / 'runs.csv'))
 
-    monkeypatch.setattr('taxinet_ros.campaign.record.write_tables', refuse)
+    monkeypatch.setattr('taxinet_ros.campaign.record.book.write_tables', refuse)
     code = cli._exit_code(lambda: toy.finish(toy.options(tmp_path / 'c')))
     assert (code, capsys.readouterr().err) == (4, (
         f'taxinet: error: {tmp_path}/c/runs.csv: [Errno 13] Permission denied; --resume goes on\n'

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.spec_files import read_specs
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.options import make_options, read_specs
 from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.errors import UsageError
 
 FILE = """\
 predicates:

@@ -10,16 +10,22 @@ import falsify_samples as toy
 import pytest
 
 from taxinet_ros.campaign import search as search_module
-from taxinet_ros.campaign.earlier import read_earlier
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME
-from taxinet_ros.campaign.ledger import Ledger, read_ledger
-from taxinet_ros.campaign.lines import blind_words, check_lines, row_line, scene_words, summary
-from taxinet_ros.campaign.overrides import doubtful_values
-from taxinet_ros.campaign.row import RunRow
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.scenes.overrides import doubtful_values
+from taxinet_ros.campaign.summary import (
+    blind_words,
+    campaign_summary,
+    requirement_lines,
+    row_line,
+    scene_words,
+)
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
 
 VACUOUS = 'gentle=always(abs(steering) <= 0.3)'
 
@@ -49,8 +55,8 @@ def test_people2_given_a_requirement_that_no_run_can_violate_then_it_is_told_and
 ) -> None:
     chosen = toy.options(tmp_path / 'a', runs=4, specs=('phi_eventually', VACUOUS))
     with toy.searching(chosen) as search:
-        lines = [line.plain for line in check_lines(search.check)]
-        quiet = [line.plain for line in check_lines(search.check, quiet=True)]
+        lines = [line.plain for line in requirement_lines(search.check)]
+        quiet = [line.plain for line in requirement_lines(search.check, quiet=True)]
         facts = json.loads((tmp_path / 'a' / FACTS_NAME).read_text())
         ledger = read_ledger(tmp_path / 'a' / LEDGER_NAME).campaign
     assert lines[0].startswith('phi_eventually: at some time from 0 s to 10 s: always from then on')
@@ -78,7 +84,7 @@ def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resume
     old.mkdir()
     with Ledger(old / LEDGER_NAME) as ledger:
         ledger.campaign({key: value for key, value in facts.items() if key != 'warnings'})
-        assert read_earlier(old, facts).begun == 0
+        assert read_earlier_runs(old, facts).begun == 0
 
 
 @pytest.mark.parametrize(
@@ -126,7 +132,7 @@ def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_s
         'warning: 1 passed with more than 5% of their frames without a usable estimate (run 3); '
         '--spec usable fails them'
     )
-    assert line in summary([blind, seeing], campaign).splitlines()
+    assert line in campaign_summary([blind, seeing], campaign).splitlines()
     failed = dataclasses.replace(blind, outcome=Outcome.FAIL)
     assert not failed.passed_blind
     assert '251 of 301 estimates unusable' in row_line(failed).plain

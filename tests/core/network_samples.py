@@ -7,9 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.model_card import ERROR_STATISTICS, ModelCard, Source
-from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, IMAGE_SHAPE
-from taxinet_ros.core.weights import digest, save_model, to_bytes
+from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, IMAGE_SHAPE
+from taxinet_ros.core.perception.weights import (
+    ERROR_STATISTICS,
+    ModelCard,
+    Source,
+    digest,
+    save_model,
+    to_bytes,
+)
 
 
 def random_weights(seed: int = 0) -> dict[str, NDArray[np.float32]]:

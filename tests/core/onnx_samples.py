@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from taxinet_ros.core.network import INPUT_SHAPE, normalise
+from taxinet_ros.core.perception.network import INPUT_SHAPE, normalise
 
 HEIGHT, WIDTH = 4, 6
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from taxinet_ros import __version__
-from taxinet_ros.core import pixels
+from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.provenance import (
     COMMIT,
     LIBRARIES,

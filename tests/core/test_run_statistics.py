@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.run_statistics import RunStatistics, RunStatisticsCollector
-from taxinet_ros.core.runway import HALF_WIDTH_M
 
 PERIOD_NS = 100_000_000
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.scenario import (
     CLOUDS,
     HUMAN_KEYS,
@@ -15,6 +14,7 @@ from taxinet_ros.core.scenario import (
     Scenario,
     scenario_from_human,
 )
+from taxinet_ros.errors import UsageError
 
 HUMAN = st.fixed_dictionaries({
     'cross_track': st.floats(-8, 8),

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.steering import GAIN_RANGES, STOP, SteeringGains, steer
+from taxinet_ros.core.controller import GAIN_RANGES, STOP, SteeringGains, steer
 from taxinet_ros.core.types import TaxiCommand, TrackingError
+from taxinet_ros.errors import UsageError
 
 GAINS = SteeringGains()
 metres = st.floats(-50, 50)

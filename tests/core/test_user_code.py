@@ -12,21 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.core.controller import check_controller, make_controller
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.core.controller import SteeringGains, check_controller, make_controller
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.node_words import command_of, short_word
-from taxinet_ros.core.perception import (
+from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
     GroundTruth,
     check_perception,
     make_perception,
 )
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.steering import SteeringGains
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.user_code import UserCodeError, command_of, short_word
+from taxinet_ros.errors import UsageError
 
 FRAME = np.full((200, 360, 3), 7, np.uint8)
 SEEN = TrackingError(cte_m=1.0, he_rad=0.1)

@@ -20,9 +20,9 @@ import onnx_samples
 import planted_runs
 from fuzz_mutations import mutants
 
-from taxinet_ros.analysis.campaign_runs import read_runs
-from taxinet_ros.core.onnx_network import NetworkFiles, OnnxNetwork
-from taxinet_ros.core.onnx_trial import inspect
+from taxinet_ros.analysis.runs.campaign import read_runs
+from taxinet_ros.core.perception.onnx.network import NetworkFiles, OnnxNetwork
+from taxinet_ros.core.perception.onnx.trial import inspect
 
 MEMORY_BYTES = 4 << 30
 """Address space of a child: pyarrow reserves a gigabyte that it never touches."""
@@ -68,11 +68,11 @@ steering_controller:
 
 def parameters(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
     """Parameter files, as each executable reads them: from its command line to its node."""
-    from taxinet_ros.core.errors import UsageError
-    from taxinet_ros.nodes.main import run_node
+    from taxinet_ros.errors import UsageError
+    from taxinet_ros.nodes.running.node_main import run_node
+    from taxinet_ros.nodes.running.parameters import Usage
     from taxinet_ros.nodes.simulator import Simulator
     from taxinet_ros.nodes.steering_controller import SteeringController
-    from taxinet_ros.nodes.usage import Usage
 
     path = folder / 'parameters.yaml'
     usage = Usage(executable='fuzzed', does='')

@@ -17,27 +17,27 @@ import onnx_samples
 import whole_runs
 import yaml
 
-from taxinet_ros.analysis.analysis_folder import SCHEMA, check_folder
-from taxinet_ros.analysis.campaign_runs import facts_beside
-from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.analysis.campaign.folder import SCHEMA, check_folder
+from taxinet_ros.analysis.runs.campaign import facts_beside
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bench.compare import load_report
-from taxinet_ros.campaign.earlier import read_earlier
-from taxinet_ros.campaign.experiment_file import known_experiments, read_experiment
-from taxinet_ros.campaign.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
-from taxinet_ros.campaign.journal import read_journal
+from taxinet_ros.bench.report import load_report
+from taxinet_ros.campaign.experiment import known_experiments, read_experiment
 from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
-from taxinet_ros.campaign.ledger import Ledger
-from taxinet_ros.campaign.programs import find_program, shipped_folder
-from taxinet_ros.campaign.requests import finished_row, run_request
-from taxinet_ros.campaign.spec_files import read_specs
-from taxinet_ros.campaign.table import table
-from taxinet_ros.core.onnx_sidecar import parse_sidecar
+from taxinet_ros.campaign.options import read_specs
+from taxinet_ros.campaign.record.book import finished_row, run_request
+from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, campaign_facts
+from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.table import table
+from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
+from taxinet_ros.core.perception.weights import SHIPPED, card_path, load_model
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.weights import SHIPPED, card_path, load_model
+from taxinet_ros.files.journal import read_journal
 
 Use = Callable[[bytes], object]
 
@@ -124,7 +124,7 @@ def _resume(folder: Path) -> Use:
 
     def use(data: bytes) -> object:
         (folder / LEDGER_NAME).write_bytes(data)
-        return table(read_earlier(folder, facts).rows.values(), ['phi_eventually'])
+        return table(read_earlier_runs(folder, facts).rows.values(), ['phi_eventually'])
     return use
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.core.errors import MAX_CHARACTERS, UsageError
+from taxinet_ros.errors import MAX_CHARACTERS, UsageError
 
 CPU_S = 20
 """Processor time for one input: what takes milliseconds has room on the slowest machine."""

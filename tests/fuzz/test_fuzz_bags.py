@@ -17,15 +17,21 @@ from bag_faults import chunk
 from mcap.records import Chunk, Header
 from whole_runs import run_messages, write_run
 
-from taxinet_ros.bag.checkup import check_bag
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.facts import read_facts
-from taxinet_ros.bag.parse import Work, open_chunk, parse_record, split_records
 from taxinet_ros.bag.reader import read_info, read_messages
-from taxinet_ros.bag.recover import recover
-from taxinet_ros.bag.storage import MAGIC, encode
-from taxinet_ros.bag.tables import read_tables
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bag.rewrite.recovery import recover
+from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.bag.run.tables import read_tables
+from taxinet_ros.bag.storage.records import (
+    MAGIC,
+    ReadBudget,
+    encode,
+    open_chunk,
+    parse_record,
+    split_records,
+)
+from taxinet_ros.errors import UsageError
 
 
 @pytest.fixture(scope='module')
@@ -38,7 +44,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def opened(data: bytes) -> bytes:
     """What the chunks of a file hold."""
     records = (parse_record(code, body) for code, body in split_records(data[len(MAGIC):-8]))
-    work = Work(len(data))
+    work = ReadBudget(len(data))
     return b''.join(open_chunk(record, work) for record in records if isinstance(record, Chunk))
 
 

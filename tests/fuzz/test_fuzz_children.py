@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from fuzz_mutations import ROUNDS
 
-from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.running.domain import own_domain
 
 CHILD = Path(__file__).with_name('fuzz_child.py')
 MUTANTS = {'onnx': 150, 'table': 60, 'parameters': 60}

@@ -19,14 +19,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from whole_runs import SCENE, _scenario, run_messages, run_topics
 
-from taxinet_ros.bag.cdr_gaps import walk_of
-from taxinet_ros.bag.facts import read_facts
-from taxinet_ros.bag.image_cdr import frame_of_cdr, image_cdr
-from taxinet_ros.bag.judged_bag import judge_runs
-from taxinet_ros.bag.recorded_run import read_run
-from taxinet_ros.bag.run_samples import read_run_samples
+from taxinet_ros.bag.cdr.alignment import walk_of
+from taxinet_ros.bag.cdr.image import frame_of_cdr, image_cdr
+from taxinet_ros.bag.check.judge import judge_runs
+from taxinet_ros.bag.run.facts import read_facts, read_run
+from taxinet_ros.bag.run.samples import read_run_samples
+from taxinet_ros.bag.run.trace import read_images, read_trace
 from taxinet_ros.bag.topics import TopicInfo
-from taxinet_ros.bag.trace import read_images, read_trace
 from taxinet_ros.bag.writer import BagWriter
 
 MUTANTS = 12

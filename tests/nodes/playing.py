@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.running.domain import own_domain
 
 
 class Listener(rclpy.node.Node):

@@ -21,9 +21,9 @@ from rclpy.parameter import Parameter
 
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, SIMULATOR
+from taxinet_ros.nodes.running.domain import own_domain
 
 FOLDER = Path(__file__).parents[2] / 'docs' / 'sros2' / 'policies'
 ENCLAVES = '/taxinet'
@@ -67,9 +67,9 @@ def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[
     from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
     from taxinet_ros.nodes.mtl_monitor import MtlMonitor
     from taxinet_ros.nodes.recorder import Recorder
+    from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
     from taxinet_ros.nodes.scene_markers import SceneMarkers
     from taxinet_ros.nodes.simulator import Simulator
-    from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
     from taxinet_ros.nodes.steering_controller import SteeringController
     from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 
@@ -90,10 +90,10 @@ def _nodes(bag: Path, folder: Path) -> dict[str, tuple[Callable[..., Any], dict[
 
 def _supervisor(context: Context, parameter_overrides: list[Parameter]) -> Any:
     """One that looks after the nodes of a graph, none of which is there."""
-    from taxinet_ros.nodes.supervisor import Care, Supervisor
+    from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
 
     processes: Any = [SimpleNamespace(name=name) for name in (SIMULATOR, *PARTICIPANTS)]
-    return Supervisor(processes, Care(), print, context=context)
+    return Supervisor(processes, SupervisionOptions(), print, context=context)
 
 
 @contextmanager

@@ -18,10 +18,9 @@ from std_srvs.srv import SetBool
 
 from taxinet_ros.bag.reader import read_messages
 from taxinet_ros.bag.topics import TopicInfo, offered_qos
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.playback import open_bag, portions, window
-from taxinet_ros.nodes.recorded_topics import message_class, recorded_qos
+from taxinet_ros.nodes.bag_player import message_class, open_bag, portions, recorded_qos, window
 
 pytestmark = pytest.mark.ros
 

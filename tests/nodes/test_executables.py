@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.nodes.domain import own_domain
+from taxinet_ros.nodes.running.domain import own_domain
 
 pytestmark = pytest.mark.ros
 

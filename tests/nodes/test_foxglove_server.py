@@ -19,13 +19,13 @@ import threading
 import pytest
 from rclpy.serialization import deserialize_message
 
-from taxinet_ros.bag.definitions import message_definition
 from taxinet_ros.bag.reader import read_messages
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.bag.topics import message_definition
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.foxglove_view import check_port, foxglove_view
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.graph.foxglove_view import check_port, foxglove_view
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+from taxinet_ros.nodes.running.domain import own_domain
 
 connect = pytest.importorskip('websockets.sync.client').connect
 pytest.importorskip('foxglove')

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -23,21 +23,20 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from waiting import wait_for
 
-from taxinet_ros.cli.node import NODES
+from taxinet_ros.cli.main import NODES
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.domain import own_domain
 from taxinet_ros.nodes.foxglove_server import FoxgloveServer
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
-from taxinet_ros.nodes.monitor_alone import MonitorAlone
+from taxinet_ros.nodes.live_monitor.node import LiveMonitor
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
-from taxinet_ros.nodes.parameters import Parameter
 from taxinet_ros.nodes.recorder import Recorder
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.parameters import Parameter, Usage
+from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 from taxinet_ros.nodes.scene_markers import SceneMarkers
 from taxinet_ros.nodes.simulator import Simulator
-from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
-from taxinet_ros.nodes.usage import Usage
 
 pytestmark = pytest.mark.ros
 
@@ -49,7 +48,7 @@ CLASSES: dict[str, type[Any]] = {
     'taxinet_perception': TaxinetPerception,
     'ground_truth_perception': GroundTruthPerception,
     'steering_controller': SteeringController,
-    'mtl_monitor': MonitorAlone,
+    'mtl_monitor': LiveMonitor,
     'recorder': Recorder,
     'scenario_sampler': StandaloneSampler,
     'bag_player': BagPlayer,
@@ -59,8 +58,7 @@ CLASSES: dict[str, type[Any]] = {
 
 
 def usage_of(executable: str) -> Usage:
-    module = 'standalone_sampler' if executable == 'scenario_sampler' else executable
-    usage: Usage = import_module(f'taxinet_ros.nodes.{module}').USAGE
+    usage: Usage = import_module(f'taxinet_ros.nodes.{executable}').USAGE
     return usage
 
 

@@ -21,19 +21,19 @@ from rclpy.parameter import Parameter
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.campaign.facts import write_facts
-from taxinet_ros.campaign.journal import Journal, read_journal
 from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.record.facts import write_facts
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
-from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.cli.falsify import run_falsify
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.cli.run.search import run_falsify
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.journal import Journal, read_journal
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, RECORDER
-from taxinet_ros.nodes.standalone_sampler import StandaloneSampler
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.scenario_sampler import StandaloneSampler
 
 pytestmark = pytest.mark.ros
 

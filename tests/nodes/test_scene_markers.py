@@ -15,15 +15,14 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
 
-from taxinet_ros.bag.trace import read_trace
-from taxinet_ros.core import runway
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.core.place import runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.scene import Aircraft, runway_markers
-from taxinet_ros.nodes.scene_markers import SceneMarkers
-from taxinet_ros.nodes.step_cdr import odometry_cdr
+from taxinet_ros.nodes.messages.step import odometry_cdr
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.scene_markers import AircraftMarkers, SceneMarkers, runway_markers
 
 STEPS = 21
 
@@ -62,7 +61,7 @@ def test_given_the_runway_then_its_markers_have_its_size_and_its_paint_lies_on_i
 
 
 def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_path():
-    aircraft = Aircraft()
+    aircraft = AircraftMarkers()
     for step in range(3):
         at = state(x_m=700.0 + step)
         body, path = aircraft.markers(odometry(at, step * 100_000_000)).markers
@@ -77,7 +76,7 @@ def test_given_odometry_then_the_aircraft_is_there_in_its_size_and_draws_its_pat
 
 
 def test_given_time_that_goes_back_then_another_path_begins():
-    aircraft = Aircraft()
+    aircraft = AircraftMarkers()
     aircraft.markers(odometry(state(), 100_000_000))
     _, path = aircraft.markers(odometry(state(x_m=10.0), 0)).markers
     assert points_of(path)[:, 0].tolist() == [10.0]

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.campaign.table import read_table
-from taxinet_ros.cli.case_study import CaseStudyOptions, run_case_study
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.study.config_file import read_study
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.stages.config import read_study
 
 PROGRAM = """model runway_world
 param time_of_day = Range(10, 11)
@@ -31,11 +31,11 @@ workers: 1
 BEST_ONLY = """
 import sys
 from pathlib import Path
-from taxinet_ros.cli.case_study import stage_command
-from taxinet_ros.study.config_file import read_config
-from taxinet_ros.study.plan import stages
-from taxinet_ros.study.stage_log import StageLog
-from taxinet_ros.study.study_run import StudyRun
+from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.study.stages.config import read_config
+from taxinet_ros.study.stages.plan import stages
+from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.stages.run import StudyRun
 
 found = [stage for stage in stages(read_config(Path('mine.yaml'))) if stage.name == 'evaluate-best']
 with StageLog(Path('study')) as log:
@@ -87,7 +87,9 @@ def test_given_a_study_that_was_begun_when_resumed_then_it_keeps_its_own_sizes(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(
-        'taxinet_ros.cli.case_study.stage_command', lambda: [sys.executable, '-S', '-c', '1 / 0'])
+        'taxinet_ros.cli.study.case_study.stage_command',
+        lambda: [sys.executable, '-S', '-c', '1 / 0'],
+    )
     out = tmp_path / 'study'
     assert run_case_study(CaseStudyOptions(out=out, scale=0.02)) == 1
     begun = read_study(out, '--resume')

@@ -7,13 +7,18 @@ import numpy as np
 import pytest
 from training_samples import bright_columns
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
-from taxinet_ros.core.weights import to_bytes
-from taxinet_ros.training.accuracy import absolute_errors, half_width_95, statistics
-from taxinet_ros.training.curves import learning_curves
+from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
+from taxinet_ros.core.perception.weights import to_bytes
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.accuracy import (
+    Epoch,
+    absolute_errors,
+    error_statistics,
+    half_width_95,
+    history_csv,
+)
 from taxinet_ros.training.fit import Fitted, Recipe, fit
-from taxinet_ros.training.history import Epoch, history_csv
+from taxinet_ros.training.learning_curves import learning_curves
 
 ARCHITECTURE = ARCHITECTURES[DEFAULT_ARCHITECTURE]
 RECIPE = Recipe(epochs=3, batch=16, learning_rate=2e-3, seed=1)
@@ -90,7 +95,7 @@ def test_given_a_rate_far_too_high_when_fitted_then_one_line_says_so() -> None:
 
 def test_given_errors_when_summed_up_then_metres_and_degrees_have_their_statistics() -> None:
     errors = np.stack([np.arange(101) / 100, np.radians(np.arange(101))], axis=1)
-    assert statistics(errors) == {
+    assert error_statistics(errors) == {
         'cte_m': {'mae': 0.5, 'p50': 0.5, 'p90': 0.9, 'p99': 0.99, 'max': 1.0},
         'he_deg': {'mae': 50.0, 'p50': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0},
     }

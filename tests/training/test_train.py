@@ -9,19 +9,17 @@ import pytest
 from training_samples import foreign_folder
 
 from taxinet_ros import __version__
-from taxinet_ros.campaign.programs import find_program, program_digest
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.model_card import Source
-from taxinet_ros.core.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
-from taxinet_ros.core.perception import make_perception
-from taxinet_ros.core.weights import digest, load_model
-from taxinet_ros.training.dataset import draw_scenes, make_dataset, silent
-from taxinet_ros.training.folder import DatasetOptions, write_dataset
-from taxinet_ros.training.images import load_folders
-from taxinet_ros.training.material import get_material
+from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.perception.weights import Source, digest, load_model
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.data.dataset import draw_scenes, make_dataset, no_progress
+from taxinet_ros.training.data.dataset_folder import DatasetOptions, write_dataset
+from taxinet_ros.training.data.image_folder import load_folders
+from taxinet_ros.training.data.portions import parse_portion
 from taxinet_ros.training.options import TrainOptions
-from taxinet_ros.training.portions import parse_portion
-from taxinet_ros.training.train import train
+from taxinet_ros.training.train import get_training_data, train
 
 
 def options(out: Path, **changes: object) -> TrainOptions:
@@ -123,7 +121,7 @@ def test_given_something_added_then_the_pictures_of_the_set_itself_stay_the_same
     tmp_path: Path,
 ) -> None:
     alone, more, other = (
-        get_material(options(tmp_path / 'net.safetensors', **changes), silent)
+        get_training_data(options(tmp_path / 'net.safetensors', **changes), no_progress)
         for changes in (
             {}, {'add': (parse_portion('nominal=3', 'program'),)},
             {'program': 'crossing', 'validation_program': 'nominal'},

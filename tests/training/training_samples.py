@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.core.network import HE_SCALE_RAD, IMAGE_SHAPE, INPUT_SHAPE
+from taxinet_ros.core.perception.network import HE_SCALE_RAD, IMAGE_SHAPE, INPUT_SHAPE
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.training.dataset import Dataset
+from taxinet_ros.training.data.dataset import Dataset
 
 SCENES = [
     Scenario(cross_track_m=2.5, heading_rad=-0.3, distance_m=600.0),

@@ -20,11 +20,11 @@ import numpy as np
 
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.network import ARCHITECTURES, normalise, shrink, unscaled
-from taxinet_ros.core.perception import Perception, make_perception
+from taxinet_ros.core.perception.network import ARCHITECTURES, normalise, shrink, unscaled
+from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.weights import SHIPPED, load_model
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.core.weights import SHIPPED, load_model
 
 SCENES = [
     {'cross_track': 6.0, 'heading': -12, 'distance': 700, 'time_of_day': 9.5},

@@ -5,8 +5,8 @@ from __future__ import annotations
 import random
 import time
 
-from taxinet_ros.core.perception import Perception
-from taxinet_ros.nodes.main import run_node
+from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.taxinet_perception import USAGE, TaxinetPerception
 
 _LONGEST_S = 0.04

@@ -14,7 +14,7 @@ from pathlib import Path
 from process_table import children
 from waiting import wait_for
 
-from taxinet_ros.nodes.domain import DISCOVERY_RANGE, LOCALHOST
+from taxinet_ros.nodes.running.domain import DISCOVERY_RANGE, LOCALHOST
 
 TAXINET = [sys.executable, '-c', 'from taxinet_ros.cli.main import main; main()']
 

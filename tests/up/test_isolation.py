@@ -20,14 +20,15 @@ from rclpy.task import Future
 from standing import ended, taxinet
 
 from taxinet_ros.campaign.options import make_options
-from taxinet_ros.campaign.table import WALL_CLOCK_COLUMNS, read_table
-from taxinet_ros.cli.campaign import run_campaign
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import app
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.nodes import domain, interface
-from taxinet_ros.nodes.domain import BY_HAND, own_domain
-from taxinet_ros.nodes.graph import GraphOptions
-from taxinet_ros.nodes.spinning import spin_until
+from taxinet_ros.cli.run.campaign import run_campaign
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.runner import GraphOptions
+from taxinet_ros.nodes.running import domain
+from taxinet_ros.nodes.running.domain import BY_HAND, own_domain
+from taxinet_ros.nodes.running.node_main import spin_until
 
 pytestmark = pytest.mark.ros
 

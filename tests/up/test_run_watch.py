@@ -12,8 +12,8 @@ from rclpy.node import Node
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.run_watch import RunWatch
+from taxinet_ros.nodes.graph.supervisor import RunWatch
+from taxinet_ros.nodes.running.domain import own_domain
 
 
 class Stage:

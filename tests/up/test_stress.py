@@ -17,8 +17,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph import GraphOptions, composed_graph
-from taxinet_ros.nodes.processes import process_graph
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 
 pytestmark = pytest.mark.ros
 

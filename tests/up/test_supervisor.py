@@ -12,12 +12,17 @@ from hypothesis import strategies as st
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.nodes.domain import own_domain
-from taxinet_ros.nodes.node_process import NodeProcess, end_all
-from taxinet_ros.nodes.spinning import spin_until
-from taxinet_ros.nodes.supervisor import Care, GraphLostError, Restart, Supervisor
-from taxinet_ros.nodes.watched_node import RestartLimit
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.node_process import NodeProcess, end_all
+from taxinet_ros.nodes.graph.supervisor import (
+    GraphLostError,
+    Restart,
+    RestartLimit,
+    SupervisionOptions,
+    Supervisor,
+)
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.node_main import spin_until
 
 PROGRAMS = {
     'torn': 'raise SystemExit(3)',
@@ -63,7 +68,7 @@ def start(tmp_path, monkeypatch):
     end_all(started, ())
 
 
-def looked_after(start, name: str, program: str, care: Care) -> list[str]:
+def looked_after(start, name: str, program: str, care: SupervisionOptions) -> list[str]:
     """What is said of one process until the supervisor is done with it."""
     said: list[str] = []
     with own_domain() as domain:
@@ -88,7 +93,7 @@ def looked_after(start, name: str, program: str, care: Care) -> list[str]:
 def test_given_a_node_that_dies_again_and_again_then_it_is_started_so_often_and_given_up(
     start, tmp_path
 ):
-    said = looked_after(start, 'recorder', 'torn', Care(limit=2, window_s=3600))
+    said = looked_after(start, 'recorder', 'torn', SupervisionOptions(limit=2, window_s=3600))
     assert said == [
         'recorder died: exit code 3; started again (1 of 2 in 3600 s)',
         'recorder died: exit code 3; started again (2 of 2 in 3600 s)',
@@ -99,13 +104,15 @@ def test_given_a_node_that_dies_again_and_again_then_it_is_started_so_often_and_
 
 @pytest.mark.ros
 def test_given_a_mistake_of_the_users_then_the_node_is_not_started_again(start):
-    said = looked_after(start, 'steering_controller', 'mistaken', Care(restart=Restart.ON_FAILURE))
+    said = looked_after(
+        start, 'steering_controller', 'mistaken', SupervisionOptions(restart=Restart.ON_FAILURE)
+    )
     assert said == ['UsageError: gain: too big']
 
 
 @pytest.mark.ros
 def test_given_a_node_that_does_not_join_then_it_is_named_with_what_it_lacks(start, tmp_path):
-    (line,) = looked_after(start, 'perception', 'absent', Care(ready_s=0.5))
+    (line,) = looked_after(start, 'perception', 'absent', SupervisionOptions(ready_s=0.5))
     assert line.startswith('GraphLostError: not ready within 0.5 s: perception does not ')
     assert line.endswith(f'; see {tmp_path}/perception.log')
 

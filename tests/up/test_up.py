@@ -13,10 +13,10 @@ from process_table import gone
 from standing import TAXINET, Standing, ended, environment, standing
 from waiting import wait_for
 
-from taxinet_ros.bag.checkup import check_bag
-from taxinet_ros.bag.compare import compare_bags
+from taxinet_ros.bag.check.compare import compare_bags
+from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info, read_messages
-from taxinet_ros.campaign.table import read_table
+from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
 pytestmark = pytest.mark.ros

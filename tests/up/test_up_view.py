@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from taxinet_ros.cli.up_view import UpView
-from taxinet_ros.nodes.graph import GraphOptions
-from taxinet_ros.nodes.up import UpOptions
-from taxinet_ros.nodes.watched_node import State
+from taxinet_ros.cli.run.up import UpView
+from taxinet_ros.nodes.graph.runner import GraphOptions
+from taxinet_ros.nodes.graph.standing import UpOptions
+from taxinet_ros.nodes.graph.supervisor import State
 
 
 def a_node(name: str, state: State, restarts: int = 0, pid: int = 0) -> SimpleNamespace:

@@ -1,8 +1,8 @@
 """Samplers: which point of a program's random choices to try next, given the results so far.
 
-A campaign gets one from :func:`~taxinet_ros.campaign.samplers.make.make_sampler`. All of them work
-on quantiles of the program's own prior (:mod:`~taxinet_ros.campaign.samplers.space`), are wrapped
-so that their sequence does not depend on the number of workers
-(:mod:`~taxinet_ros.campaign.samplers.lagged`), and say which points the program itself drew, for
+A campaign gets one from :func:`~taxinet_ros.campaign.samplers.registry.make_sampler`. All of them
+work on quantiles of the program's own prior (:mod:`~taxinet_ros.campaign.samplers.space`), are
+wrapped so that their sequence does not depend on the number of workers
+(:mod:`~taxinet_ros.campaign.samplers.sampler`), and say which points the program itself drew, for
 rates rest on those (:mod:`taxinet_ros.campaign.rates`).
 """

@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import ThreadpoolController
 
-from taxinet_ros.campaign.samplers.draws import generator, prior_point
-from taxinet_ros.campaign.samplers.product import Floats
+from taxinet_ros.campaign.samplers.histogram import Floats
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.samplers.space import Point, Space, prior_point, run_generator
 
 WINDOW = 300
 """Most results that the process knows; a prediction's cost grows with the square of it."""
@@ -132,7 +131,7 @@ class ActiveSearch:
         if self._attempt > PATIENCE:
             point = prior_point(self._space, self._seed, run, self._attempt)
         else:
-            chance = generator(self._seed, run, self._attempt)
+            chance = run_generator(self._seed, run, self._attempt)
             # Matrices as small as these are slowed down by BLAS threads on a busy machine.
             with _blas().limit(limits=1):
                 point = self._space.point(self._chosen(run, chance))

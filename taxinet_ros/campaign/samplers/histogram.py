@@ -1,14 +1,148 @@
-"""What the samplers that propose by histograms have in common: the asking, and exact weights."""
+"""Samplers that propose by an independent histogram per dimension, and learn these.
+
+Cross-entropy with importance weights, cross-entropy by VerifAI's rule, and the multi-armed
+bandit by upper confidence bounds, with the histograms, results and exact weights that they
+share.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from taxinet_ros.campaign.samplers.draws import generator
-from taxinet_ros.campaign.samplers.product import Floats, Product
+import numpy as np
+import numpy.typing as npt
+
 from taxinet_ros.campaign.samplers.sampler import Probabilities
-from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.samplers.space import IDLE, Dimension, Point, Space, run_generator
+
+Floats = npt.NDArray[np.float64]
+
+
+class Product:
+    """A histogram over the bins of each dimension, even within a bin.
+
+    Attributes:
+        probabilities: per dimension, of each of its bins (categories or buckets).
+    """
+
+    def __init__(self, space: Space, probabilities: Iterable[Floats]) -> None:
+        """Take histograms in the order of the dimensions, each adding up to 1.
+
+        That of a dimension that may be idle is conditional on its being active.
+        """
+        self._space = space
+        self.probabilities = tuple(probabilities)
+        self._edges = [np.array(dimension.edges) for dimension in space]
+        self._priors = [np.array(dimension.prior) for dimension in space]
+        self._cumulative = [_cumulative(each) for each in self.probabilities]
+
+    def point(self, uniform: Iterable[float]) -> Point:
+        """The point with these quantiles of this distribution: the prior's are left unchanged."""
+        return self._space.point(
+            np.interp(quantile, cumulative, edges)
+            for quantile, cumulative, edges in zip(
+                uniform, self._cumulative, self._edges, strict=True
+            )
+        )
+
+    def density(self, bins: Iterable[int]) -> float:
+        """Density over that of the prior, at a point in these bins; idle ones have no part."""
+        return math.prod(
+            float(mine[number] / prior[number])
+            for number, mine, prior in zip(bins, self.probabilities, self._priors, strict=True)
+            if number != IDLE
+        )
+
+
+def prior_product(space: Space) -> Product:
+    """The prior as such a distribution."""
+    return Product(space, (np.array(dimension.prior) for dimension in space))
+
+
+def _cumulative(probabilities: Floats) -> Floats:
+    total = np.cumsum(probabilities)
+    return np.concatenate(([0.0], total / total[-1]))
+
+
+LEAST = 10
+"""Failures from which on only failures are learned from."""
+ELITE = 0.1
+"""Share of the worst runs that are learned from as long as there are fewer."""
+STRENGTH = 5.0
+"""Weight of the prior in the learned histograms, in failures."""
+
+
+class History:
+    """Bins, weight and robustness of each run with a result."""
+
+    def __init__(self, dimensions: int) -> None:
+        self._size = 0
+        self._bins = np.zeros((64, dimensions), np.intp)
+        self._values = np.zeros((64, 2))
+
+    def __len__(self) -> int:
+        return self._size
+
+    def add(self, bins: Sequence[int], weight: float, rho: float) -> None:
+        """Keep one more."""
+        if self._size == len(self._bins):
+            self._bins = np.concatenate((self._bins, np.zeros_like(self._bins)))
+            self._values = np.concatenate((self._values, np.zeros_like(self._values)))
+        self._bins[self._size] = bins
+        self._values[self._size] = weight, rho
+        self._size += 1
+
+    def sums(self, dimension: int, bins: int, amounts: Floats) -> Floats:
+        """Total of the amounts in each of the ``bins`` bins of a dimension; not of idle runs."""
+        mine = self.bins[:, dimension]
+        active = mine != IDLE
+        return np.bincount(mine[active], amounts[active], bins).astype(np.float64)
+
+    @property
+    def bins(self) -> npt.NDArray[np.intp]:
+        """Bin of each run (first axis) in each dimension (second), ``IDLE`` where it has none."""
+        return self._bins[: self._size]
+
+    @property
+    def weights(self) -> Floats:
+        """Weight of each run."""
+        return self._values[: self._size, 0]
+
+    @property
+    def rhos(self) -> Floats:
+        """Robustness of each run."""
+        return self._values[: self._size, 1]
+
+
+def failures(rhos: Floats) -> npt.NDArray[np.bool_]:
+    """Which runs count as failures to be learned from.
+
+    Those with a robustness of 0 or less, as soon as there are :data:`LEAST` of them. Before that
+    the worst runs are taken, as the cross-entropy method does on its way to a rare event
+    (Rubinstein and Kroese, The Cross-Entropy Method, 2004): the :data:`ELITE`, at least as many.
+    """
+    failed = rhos <= 0
+    if len(rhos) == 0 or np.count_nonzero(failed) >= LEAST:
+        return failed
+    rank = min(max(round(ELITE * len(rhos)), LEAST), len(rhos)) - 1
+    level: Floats = np.partition(rhos, rank)[rank]
+    return rhos <= level
+
+
+def failure_histograms(space: Space, history: History) -> list[Floats]:
+    """Estimate of the probability of each bin given a failure under the prior, per dimension.
+
+    Of a dimension that may be idle: given a failure in which it is active.
+    """
+    amounts = np.where(failures(history.rhos), history.weights, 0.0)
+    found = []
+    for number, dimension in enumerate(space):
+        prior = np.array(dimension.prior)
+        mine = history.sums(number, len(prior), amounts)
+        found.append((mine + STRENGTH * prior) / (mine.sum() + STRENGTH))
+    return found
 
 
 class HistogramSampler(ABC):
@@ -50,7 +184,7 @@ class HistogramSampler(ABC):
         return self._drawn()
 
     def _drawn(self) -> Point:
-        chance = generator(self._seed, len(self._bins) - 1, self._attempt)
+        chance = run_generator(self._seed, len(self._bins) - 1, self._attempt)
         *uniform, mixing = chance.random(len(self._space) + 1)
         proposal = self._proposal()
         if not self._attempt:  # settled once: refusals must not favour either
@@ -94,3 +228,154 @@ def by_name(space: Space, probabilities: Iterable[Floats]) -> Probabilities:
         dimension.name: tuple(float(each) for each in histogram)
         for dimension, histogram in zip(space, probabilities, strict=True)
     }
+
+
+class CrossEntropy(HistogramSampler):
+    """Histograms fitted to all failures so far, each with the weight it has under the prior.
+
+    Minimises the cross entropy to the distribution of the failures under the prior (Rubinstein and
+    Kroese, The Cross-Entropy Method, 2004), so :meth:`learned` estimates the probability of each
+    bin given a failure, and does not collapse to the likeliest bin as
+    :class:`~taxinet_ros.campaign.samplers.histogram.VerifaiRule` does. Before the first fit the
+    points are those of the random sampler.
+    """
+
+    def __init__(
+        self, space: Space, seed: int, *, floor: float = 0.3, every: int = 50,
+    ) -> None:
+        """Know nothing yet.
+
+        Args:
+            space: what to search.
+            seed: of the campaign.
+            floor: share of the runs drawn from the prior, above 0, at most 1.
+            every: number of results between two fits.
+        """
+        super().__init__(space, seed, floor, blind=every)
+        self._every = every
+        self._fitted = prior_product(space)
+        self._history = History(len(space))
+
+    def _proposal(self) -> Product:
+        return self._fitted
+
+    def _learn(self, index: int, rho: float) -> None:
+        self._history.add(self._bins[index], self._weights[index], rho)
+        if len(self._history) % self._every == 0:
+            self._fitted = Product(
+                self._space, failure_histograms(self._space, self._history)
+            )
+
+
+class VerifaiRule(HistogramSampler):
+    """After each failure ``p *= alpha; p[bin] += 1 - alpha`` in every dimension.
+
+    This is the rule by which Fremont et al. (Formal Analysis and Redesign of a Neural Network-Based
+    Aircraft Taxiing System with VerifAI, CAV 2020) learned their failure distribution; it starts
+    from the prior, and a robustness of 0 is a failure. It ends on the likeliest failures alone, and
+    drifts in dimensions that do not matter: the closer ``alpha`` is to 1, the slower. The default
+    is VerifAI's own, for the paper names no other. It remembers some ten failures, so that what one
+    search comes to depends on chance: ask several, that differ in their seed. The rule has no plain
+    draws; a ``floor`` gives it some.
+    """
+
+    def __init__(
+        self, space: Space, seed: int, *, alpha: float = 0.9, floor: float = 0.0,
+    ) -> None:
+        """Know nothing yet.
+
+        Args:
+            space: what to search.
+            seed: of the campaign.
+            alpha: what one failure leaves of the histograms, above 0, below 1.
+            floor: share of the runs drawn from the prior, 0..1.
+        """
+        super().__init__(space, seed, floor)
+        self._alpha = alpha
+        self._current = prior_product(space)
+
+    def _proposal(self) -> Product:
+        return self._current
+
+    def _learn(self, index: int, rho: float) -> None:
+        if rho > 0:
+            return
+        histograms = [self._alpha * each for each in self._current.probabilities]
+        for each, number in zip(histograms, self._bins[index], strict=True):
+            if number != IDLE:
+                each[number] += 1 - self._alpha
+        # Where it was idle this leaves the histogram as it was.
+        self._current = Product(self._space, (each / np.sum(each) for each in histograms))
+
+
+class Bandit(HistogramSampler):
+    """UCB1 (Auer, Cesa-Bianchi and Fischer, Machine Learning 47, 2002), one per dimension.
+
+    The reward is 1 for a failure and 0 otherwise. Pulls whose result is still to come count as
+    pulls, so runs in flight together do not all try the same. Some runs are drawn from the prior,
+    which keeps the density known: a point is drawn evenly from the chosen bins otherwise.
+    """
+
+    def __init__(
+        self, space: Space, seed: int, *, floor: float = 0.1, explore: float = 0.3,
+    ) -> None:
+        """Know nothing yet.
+
+        Args:
+            space: what to search.
+            seed: of the campaign.
+            floor: share of the runs drawn from the prior, above 0, at most 1.
+            explore: factor of the confidence bound ``sqrt(ln(pulls) / pulls of the arm)``, 0 or
+                more; the root of 2 in the source, whose rewards are not as rare as failures.
+        """
+        super().__init__(space, seed, floor)
+        self._explore = explore
+        self._pulls = [np.zeros(len(dimension.prior)) for dimension in space]
+        self._history = History(len(space))
+        # Ties fall by chance, lest untried bins of all dimensions be tried along a diagonal.
+        chance = np.random.default_rng(seed)
+        self._orders = [chance.permutation(len(dimension.prior)) for dimension in space]
+
+    def ask(self) -> Point:
+        """The next point."""
+        point = super().ask()
+        self._count(1)
+        return point
+
+    def again(self) -> Point:
+        """Another point for the same run; the refused one is no pull."""
+        self._count(-1)
+        point = super().again()
+        self._count(1)
+        return point
+
+    def _count(self, amount: int) -> None:
+        for pulls, number in zip(self._pulls, self._bins[-1], strict=True):
+            if number != IDLE:
+                pulls[number] += amount
+
+    def learned(self) -> Probabilities:
+        """Where failures are under the prior, estimated as the cross-entropy sampler does."""
+        return by_name(self._space, failure_histograms(self._space, self._history))
+
+    def _learn(self, index: int, rho: float) -> None:
+        self._history.add(self._bins[index], self._weights[index], rho)
+
+    def _proposal(self) -> Product:
+        rewards = failures(self._history.rhos).astype(float)
+        return Product(
+            self._space,
+            (self._arm(number, each, rewards) for number, each in enumerate(self._space)),
+        )
+
+    def _arm(self, number: int, dimension: Dimension, rewards: Floats) -> Floats:
+        """All of the probability on the most promising bin that the prior knows of."""
+        prior = np.array(dimension.prior)
+        pulls = self._pulls[number]
+        results = self._history.sums(number, len(prior), np.ones_like(rewards))
+        mean = self._history.sums(number, len(prior), rewards) / np.maximum(results, 1)
+        wide = np.sqrt(math.log(max(pulls.sum(), 1)) / np.maximum(pulls, 1))
+        bound = np.where(pulls > 0, mean + self._explore * wide, np.inf)
+        order = self._orders[number]
+        best = order[np.argmax(np.where(prior > 0, bound, -np.inf)[order])]
+        return (np.arange(len(prior)) == best).astype(float)

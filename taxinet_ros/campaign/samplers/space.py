@@ -1,8 +1,9 @@
 """What a search may vary: the random choices of a program, each seen as a unit interval.
 
-A program's own prior stays in force whatever the sampler does: a sampler proposes *quantiles* of
-it, and the program's inverse distribution function turns them into values. A point that is uniform
-in the unit cube is therefore a draw from the prior.
+A program's own prior stays in force whatever the sampler does: a sampler proposes *quantiles*
+of it, and the program's inverse distribution function turns them into values. A point that is
+uniform in the unit cube is therefore a draw from the prior. Random numbers are drawn by the
+number of the run, without state, so those of any run can be had at any time.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple, Self
 
-from taxinet_ros.core.errors import UsageError
+import numpy as np
+
+from taxinet_ros.errors import UsageError
 
 Point = tuple[float | None, ...]
 """One quantile in [0, 1) per dimension; None for a dimension that is idle at this point."""
-
 IDLE = -1
 """Stands for the bin of a dimension that is idle."""
-
 BELOW_ONE = math.nextafter(1.0, 0.0)
 """The largest quantile."""
 
@@ -187,3 +188,23 @@ def make_space(dimensions: Iterable[Dimension]) -> Space:
     if not space:
         raise UsageError('the program makes no random choice, so there is nothing to search')
     return space
+
+
+def run_generator(
+    seed: int, index: int, attempt: int = 0, *, stream: int = 0
+) -> np.random.Generator:
+    """Random numbers of run ``index`` (0, 1, …) in a campaign with a seed (0 or more).
+
+    Args:
+        seed: of the campaign.
+        index: of the run.
+        attempt: how many points of this run were refused before.
+        stream: another one has independent numbers for the same run.
+    """
+    key = (index, attempt, stream) if stream else (index, attempt) if attempt else (index,)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def prior_point(space: Space, seed: int, index: int, attempt: int = 0) -> Point:
+    """The point of run ``index`` where it is simply drawn from the prior."""
+    return space.point(run_generator(seed, index, attempt).random(len(space)))

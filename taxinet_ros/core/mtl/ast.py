@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 
 ArithmeticOp = Literal['+', '-', '*', '/']
 FunctionName = Literal['abs', 'min', 'max', 'sqrt']

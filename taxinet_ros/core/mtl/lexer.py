@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NoReturn
 
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 Kind = Literal['number', 'name', 'word', 'sign', 'end']
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.margin import Column, margin_column
-from taxinet_ros.core.mtl.normal import (
+from taxinet_ros.core.mtl.normal_form import (
     Core,
     CoreAtom,
     CoreChain,
@@ -22,7 +21,8 @@ from taxinet_ros.core.mtl.normal import (
     normalise,
     window_offsets,
 )
-from taxinet_ros.core.mtl.window import INF, empty_value, slide
+from taxinet_ros.core.mtl.sliding import INF, empty_value, slide
+from taxinet_ros.errors import UsageError
 
 Array = npt.NDArray[Any]
 Stamps = npt.NDArray[np.int64]

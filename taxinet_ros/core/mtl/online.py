@@ -9,16 +9,16 @@ from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.build import Builder, Root
-from taxinet_ros.core.mtl.envelope import Envelope
-from taxinet_ros.core.mtl.lower import Asked, AtomBound
+from taxinet_ros.core.mtl.assumptions import Envelope
+from taxinet_ros.core.mtl.lower_bounds.builder import Builder, Root
+from taxinet_ros.core.mtl.lower_bounds.nodes import AtomBound, BoundRequest
 from taxinet_ros.core.mtl.margin import Margins
-from taxinet_ros.core.mtl.normal import CoreAtom, normalise
+from taxinet_ros.core.mtl.normal_form import CoreAtom, normalise
+from taxinet_ros.core.mtl.sliding import INF
 from taxinet_ros.core.mtl.specs import SIGNALS, Spec
-from taxinet_ros.core.mtl.window import INF
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
 
 
 class Verdict(enum.IntEnum):
@@ -242,7 +242,7 @@ class Monitor:
         self._roots = lower, upper
         return self._roots
 
-    def _atom(self, core: CoreAtom, asked: Asked) -> AtomBound:
+    def _atom(self, core: CoreAtom, asked: BoundRequest) -> AtomBound:
         atom, negated, envelope = core.atom, core.negated, self._envelope
         return AtomBound(
             asked,

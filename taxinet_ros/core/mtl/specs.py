@@ -8,12 +8,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import ast
-from taxinet_ros.core.mtl.build import check_parts
 from taxinet_ros.core.mtl.lexer import RESERVED
+from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.errors import UsageError
 
 SIGNALS: Mapping[str, str] = MappingProxyType(
     {

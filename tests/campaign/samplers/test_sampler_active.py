@@ -10,8 +10,7 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
-from taxinet_ros.bench.landscapes import LANDSCAPES, Landscape, count_distinct
-from taxinet_ros.bench.searches import Search, search
+from taxinet_ros.bench.searches import LANDSCAPES, Landscape, Search, count_distinct, search
 from taxinet_ros.campaign.samplers.active_search import (
     PATIENCE,
     WINDOW,
@@ -19,9 +18,8 @@ from taxinet_ros.campaign.samplers.active_search import (
     _Features,
     _Process,
 )
-from taxinet_ros.campaign.samplers.draws import prior_point
-from taxinet_ros.campaign.samplers.make import make_sampler
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
+from taxinet_ros.campaign.samplers.registry import make_sampler
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, prior_point
 
 SPACE = Space((Dimension(name='x'), Dimension(name='kind', weights=(2, 1)), Dimension(name='y')))
 

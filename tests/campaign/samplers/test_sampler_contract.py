@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
-from taxinet_ros.campaign.samplers.option import split_options
-from taxinet_ros.campaign.samplers.product import Product
+from taxinet_ros.campaign.samplers.histogram import Product
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.sampler import split_options
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, make_space
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 SPACE = (
     Dimension(name='x'),

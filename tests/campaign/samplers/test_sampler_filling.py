@@ -12,12 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chisquare, kstest, qmc
 
-from taxinet_ros.campaign.samplers.draws import prior_point
-from taxinet_ros.campaign.samplers.grid import CellOrder, Grid
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Exhausted
-from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, make_space
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, make_space, prior_point
+from taxinet_ros.campaign.samplers.space_filling import CellOrder, Grid
+from taxinet_ros.errors import UsageError
 
 WEATHER = Dimension(name='weather', weights=(3, 1, 2, 2))
 X, Y = Dimension(name='x'), Dimension(name='y')

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.samplers.history import failures
-from taxinet_ros.campaign.samplers.lagged import Lagged
-from taxinet_ros.campaign.samplers.make import make_sampler
-from taxinet_ros.campaign.samplers.product import Product, prior_product
+from taxinet_ros.campaign.samplers.histogram import Product, failures, prior_product
+from taxinet_ros.campaign.samplers.registry import make_sampler
+from taxinet_ros.campaign.samplers.sampler import Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point, make_space
 
 FAILING = np.array([0.30, 0.07, 0.07, 0.07, 0.07, 0.07, 0.50, 0.90, 0.12, 0.07])

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxinet_ros.campaign.samplers.cross_entropy import CrossEntropy
-from taxinet_ros.campaign.samplers.lagged import LAG, Lagged
-from taxinet_ros.campaign.samplers.make import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.histogram import CrossEntropy
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.sampler import LAG, Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point, make_space
 
 SPACE = make_space((Dimension(name='x'), Dimension(name='kind', weights=(2, 1))))

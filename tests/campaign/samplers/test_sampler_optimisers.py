@@ -9,8 +9,8 @@ import numpy as np
 import optuna
 import pytest
 
-from taxinet_ros.campaign.samplers.bayes import finite, in_window
-from taxinet_ros.campaign.samplers.make import make_sampler
+from taxinet_ros.campaign.samplers.optuna_study import finite, in_window
+from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension, Point
 
 SPACE = (Dimension(name='x'), Dimension(name='y'), Dimension(name='kind', weights=(3, 1)))

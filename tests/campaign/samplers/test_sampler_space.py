@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxinet_ros.campaign.samplers.space import IDLE, Branch, Dimension, make_space
-from taxinet_ros.core.errors import UsageError
+from taxinet_ros.errors import UsageError
 
 DIMENSIONS = st.one_of(
     st.builds(Dimension, name=st.just('d'), buckets=st.integers(1, 30)),

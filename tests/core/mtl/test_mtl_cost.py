@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import Monitor, parse_formula, parse_spec, robustness
+from taxinet_ros.errors import UsageError
 
 STEP = 100_000_000
 WAVES: dict[str, Callable[[int], float]] = {

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import SHIPPED, parse_formula, robustness
+from taxinet_ros.errors import UsageError
 
 S = 1_000_000_000
 

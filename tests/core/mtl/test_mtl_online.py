@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from taxinet_ros.core.errors import UsageError
 from taxinet_ros.core.mtl import (
     SHIPPED,
     Monitor,
@@ -18,6 +17,7 @@ from taxinet_ros.core.mtl import (
     robustness,
     verdict_of,
 )
+from taxinet_ros.errors import UsageError
 
 S = 1_000_000_000
 HORIZON = 30 * S

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from taxinet_ros.core.errors import UsageError
-from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.judge import Judge, check_specs
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -22,7 +21,7 @@ from taxinet_ros.core.mtl import (
     robustness,
     verdict_of,
 )
-from taxinet_ros.core.spec_check import check_specs
+from taxinet_ros.errors import UsageError
 
 S = 1_000_000_000
 HORIZON = 30 * S

@@ -1,0 +1,1 @@
+"""Pictures of the camera: contact sheets, and our frames beside real ones."""

@@ -1,0 +1,255 @@
+"""Contact sheets: camera pictures with captions, and scenes by hour and weather."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from taxinet_ros.core.aircraft import Aircraft
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+
+Picture = NDArray[np.uint8]
+_GAP_PX = 6
+_APART_PX = 18
+_PAPER = (255, 255, 255)
+_INK = (20, 20, 20)
+_FONT_SHARE = 22
+"""A tile is as wide as so many times the caption's letters are high: readable in a report."""
+_HEADING_SHARE = 85
+"""The same for the headings of a whole table of pictures."""
+
+
+def contact_sheet(
+    tiles: Sequence[tuple[Picture, str]], columns: int, path: Path,
+    *, title: str = '', group: int = 0,
+) -> None:
+    """Lay out pictures row by row, each with its caption below.
+
+    The same tiles give the same bytes. Every tile gets the size of the largest picture; a smaller
+    one is centred in it, not stretched. A caption wraps at spaces and keeps its line breaks.
+
+    Args:
+        tiles: pictures ((H, W, 3) uint8, RGB) and their captions.
+        columns: pictures in a row.
+        path: PNG file to write.
+        title: a line above all.
+        group: so many pictures of a row belong together and stand a little apart from the next.
+
+    Raises:
+        ValueError: no tiles, no columns, or a picture that is not (H, W, 3) uint8.
+    """
+    if not tiles or columns < 1:
+        raise ValueError(f'{len(tiles)} tiles in {columns} columns make no sheet')
+    _check(tiles)
+    columns = min(columns, len(tiles))
+    height, width = _largest(tiles)
+    captions = [_wrap(caption, width) for _, caption in tiles]
+    strip = _line_height(width) * max(caption.count('\n') + 1 for caption in captions) + _GAP_PX
+    rows = -(-len(tiles) // columns)
+    head = _title_height(_title_px(width)) if title else 0
+    lefts = [
+        _GAP_PX + column * (width + _GAP_PX) + (column // group * _APART_PX if group else 0)
+        for column in range(columns)
+    ]
+    pitch = height + strip + _GAP_PX
+    size = (lefts[-1] + width + _GAP_PX, head + rows * pitch + _GAP_PX)
+    sheet = Image.new('RGB', size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    _draw_title(draw, title, _title_px(width))
+    for number, ((image, _), caption) in enumerate(zip(tiles, captions, strict=True)):
+        row, column = divmod(number, columns)
+        left, top = lefts[column], head + _GAP_PX + row * pitch
+        _paste(sheet, image, (left, top), (height, width))
+        draw.text(
+            (left + 2, top + height + 2), caption, fill=_INK, font=_font(_font_px(width)),
+            spacing=_line_height(width) - _font_px(width),
+        )
+    sheet.save(path, format='PNG')
+
+
+def grid_sheet(
+    tiles: Sequence[Sequence[Picture]], rows: Sequence[str], columns: Sequence[str], path: Path,
+    *, title: str,
+) -> None:
+    """Lay out pictures as a table with a heading for every row and every column.
+
+    Args:
+        tiles: one sequence of pictures ((H, W, 3) uint8, RGB) per row.
+        rows: headings at the left; they keep their line breaks.
+        columns: headings above.
+        path: PNG file to write.
+        title: a line above all.
+
+    Raises:
+        ValueError: no tiles, headings that do not fit them, or a picture that is not such.
+    """
+    if not rows or not columns or [len(row) for row in tiles] != [len(columns)] * len(rows):
+        raise ValueError(f'{len(rows)} rows and {len(columns)} columns of headings fit no tiles')
+    flat = [
+        (image, f'{row}, {column}')
+        for row, images in zip(rows, tiles, strict=True)
+        for column, image in zip(columns, images, strict=True)
+    ]
+    _check(flat)
+    height, width = _largest(flat)
+    # A sheet is looked at as a whole: its headings grow with it, not with its pictures.
+    px = max(_title_px(width), len(columns) * width // _HEADING_SHARE)
+    font = _font(px)
+    draw = ImageDraw.Draw(Image.new('RGB', (1, 1)))
+    margin = round(max(draw.multiline_textbbox((0, 0), row, font)[2] for row in rows)) + 4 * _GAP_PX
+    top0 = _title_height(px) + round(1.3 * px) + _GAP_PX
+    size = (
+        margin + len(columns) * (width + _GAP_PX), top0 + len(rows) * (height + _GAP_PX),
+    )
+    sheet = Image.new('RGB', size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    _draw_title(draw, title, px)
+    for column, text in enumerate(columns):
+        middle = margin + column * (width + _GAP_PX) + width // 2
+        draw.text((middle, top0 - _GAP_PX), text, fill=_INK, font=font, anchor='md')
+    for row, text in enumerate(rows):
+        top = top0 + row * (height + _GAP_PX)
+        draw.multiline_text(
+            (margin - 2 * _GAP_PX, top + height // 2), text, _INK, font, 'rm', align='right',
+        )
+        for column, image in enumerate(tiles[row]):
+            _paste(sheet, image, (margin + column * (width + _GAP_PX), top), (height, width))
+    sheet.save(path, format='PNG')
+
+
+def _check(tiles: Sequence[tuple[Picture, str]]) -> None:
+    for image, caption in tiles:
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise ValueError(f'tile {caption!r}: {image.shape} {image.dtype}, not (H, W, 3) uint8')
+
+
+def _largest(tiles: Sequence[tuple[Picture, str]]) -> tuple[int, int]:
+    return max(i.shape[0] for i, _ in tiles), max(i.shape[1] for i, _ in tiles)
+
+
+def _paste(
+    sheet: Image.Image, image: Picture, corner: tuple[int, int], size: tuple[int, int]
+) -> None:
+    """Put a picture into the middle of a place of ``size`` (height, width)."""
+    left, top = corner
+    at = (left + (size[1] - image.shape[1]) // 2, top + (size[0] - image.shape[0]) // 2)
+    sheet.paste(Image.fromarray(image), at)
+
+
+def _draw_title(draw: ImageDraw.ImageDraw, title: str, px: int) -> None:
+    draw.text((_GAP_PX + 2, 2 * _GAP_PX), title, fill=_INK, font=_font(px))
+
+
+def _title_px(width: int) -> int:
+    return round(1.4 * _font_px(width))
+
+
+def _title_height(px: int) -> int:
+    return round(1.3 * px) + 3 * _GAP_PX
+
+
+def _font_px(width: int) -> int:
+    return max(width // _FONT_SHARE, 10)
+
+
+def _line_height(width: int) -> int:
+    return round(_font_px(width) * 1.25)
+
+
+@cache
+def _font(px: int) -> ImageFont.FreeTypeFont:
+    # matplotlib brings DejaVu Sans along: the same letters on every machine, degrees included.
+    file = Path(matplotlib.get_data_path(), 'fonts', 'ttf', 'DejaVuSans.ttf')
+    return ImageFont.truetype(file, px)
+
+
+def _wrap(caption: str, width: int) -> str:
+    return '\n'.join(line for part in caption.split('\n') for line in _wrap_line(part, width))
+
+
+def _wrap_line(text: str, width: int) -> list[str]:
+    lines: list[str] = []
+    for word in text.split(' '):
+        longer = f'{lines[-1]} {word}' if lines else word
+        if lines and _font(_font_px(width)).getlength(longer) <= width - 4:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+HOURS = (6.0, 6.5, 7.0, 9.0, 12.0, 14.0, 15.5, 17.0, 17.5)
+"""Local hours of a sheet where none are named: dawn and dusk closer together than the day."""
+POSE = {'cross_track': 1.0, 'heading': 4.0, 'distance': 900.0}
+"""Pose of a sheet where none is named: centreline, both edges and, after noon, our own shadow."""
+
+
+def scene_picture(scene: Scenario) -> Picture:
+    """The first camera frame of a run of ``scene``, (200, 360, 3) uint8 RGB."""
+    return Camera(scene).render(Aircraft(scene).state, 0)
+
+
+def sheet_scenes(
+    settings: Mapping[str, object], hours: Sequence[float], clouds: Sequence[str],
+    rains: Sequence[float],
+) -> list[list[Scenario]]:
+    """Scenes of one pose: a row per weather, in it a scene per hour.
+
+    Args:
+        settings: scenario values that all share, human keys and units; the pose is :data:`POSE`
+            where they do not say.
+        hours: local hours.
+        clouds: cloud kinds.
+        rains: rain [%]; a row for each under each kind of cloud.
+
+    Raises:
+        UsageError: a value that no scenario may have.
+    """
+    return [
+        [
+            scenario_from_human(
+                {**POSE, **settings, 'time_of_day': hour, 'clouds': cloud, 'rain': rain}
+            )
+            for hour in hours
+        ]
+        for cloud in clouds
+        for rain in rains
+    ]
+
+
+def camera_sheet(scenes: Sequence[Sequence[Scenario]], path: Path) -> None:
+    """Draw the scenes of :func:`sheet_scenes` as a table of pictures, into a PNG file."""
+    first = scenes[0][0]
+    state = Aircraft(first).state
+    grid_sheet(
+        [[Camera(scene).render(state, 0) for scene in row] for row in scenes],
+        [_weather(row[0]) for row in scenes],
+        [clock(scene.time_of_day_s) for scene in scenes[0]],
+        path, title=f'Grant County (KMWH) runway 04, {first.date}, {pose_words(first)}',
+    )
+
+
+def _weather(scene: Scenario) -> str:
+    return f'{scene.clouds}\nrain {100 * scene.rain:.0f} %' if scene.rain else scene.clouds
+
+
+def clock(time_s: float) -> str:
+    """Time of day as hours and minutes."""
+    hours, minutes = divmod(round(time_s / 60), 60)
+    return f'{hours:02d}:{minutes:02d}'
+
+
+def pose_words(scene: Scenario) -> str:
+    """The start pose of a scene in the units people read."""
+    human = scene.to_human()
+    return (
+        f'{human["distance"]:.0f} m past the threshold, CTE {human["cross_track"]:+.1f} m, '
+        f'heading {human["heading"]:+.0f}°'
+    )

@@ -1,0 +1,1 @@
+"""What a campaign says: findings, tables, figures and its report."""

@@ -1,0 +1,246 @@
+"""What an analysis finds out about a campaign.
+
+Causes, groups and predictors of its failures, comparisons with baselines (rates, their
+difference, and runs that changed in the same scenes), and which failed runs to look at first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+
+from taxinet_ros.analysis.causes.causes import Causes, find_causes
+from taxinet_ros.analysis.causes.clusters import (
+    Clusters,
+    PrincipalAxis,
+    find_clusters,
+    principal_axes,
+)
+from taxinet_ros.analysis.causes.predictors import (
+    CauseTree,
+    RankedFeature,
+    grow_tree,
+    rank_features,
+)
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.errors import UsageError
+
+_DIGITS = 6
+_SCENE = [feature.name for feature in PAPER_FEATURES]
+
+
+class ChangedScenes(NamedTuple):
+    """Scenes that both networks were run in.
+
+    Attributes:
+        scenes: how many there are.
+        worse: failed here, satisfied by the baseline.
+        better: satisfied here, failed by the baseline.
+        p: of so uneven a change if both fail alike (McNemar's test, exact).
+    """
+
+    scenes: int
+    worse: int
+    better: int
+    p: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineComparison:
+    """A campaign beside a baseline.
+
+    Attributes:
+        baseline: the other campaign.
+        rate: its failure rate.
+        difference: that of the campaign less it.
+        changed: in scenes that both have, or None if there are none.
+        in_causes: failure rate of the baseline in each of the campaign's causes.
+        off_causes: its failure rate outside all of them.
+    """
+
+    baseline: CampaignRuns
+    rate: GroupRate
+    difference: Difference
+    changed: ChangedScenes | None
+    in_causes: tuple[GroupRate, ...]
+    off_causes: GroupRate
+
+    def sentence(self, label: str, rate: GroupRate) -> str:
+        """The comparison for people.
+
+        Args:
+            label: of the campaign.
+            rate: its failure rate.
+        """
+        gap = self.difference
+        text = (f'{label} fails in {rate.words()}, {self.baseline.label} in {self.rate.words()}')
+        if np.isfinite(gap.low):
+            value, low, high = (f'{100 * part:+.1f}'.replace('-', '−') for part in gap)
+            text += f': {value} points ({low} to {high})'
+            text += '' if gap.clear else ', which may be chance'
+        if self.changed is not None:
+            same = self.changed
+            text += (f'. Of {same.scenes:,} scenes that both were run in, {same.worse:,} fail with '
+                     f'{label} only and {same.better:,} with {self.baseline.label} only')
+        return text + '.'
+
+
+def compare(runs: CampaignRuns, baseline: CampaignRuns, causes: Causes) -> BaselineComparison:
+    """Hold a campaign against a baseline, whole and in each cause."""
+    masks = [cause.region.mask(baseline.frame) for cause in causes.found]
+    rate = baseline.rate()
+    elsewhere = ~np.logical_or.reduce([np.zeros(len(baseline.frame), dtype=bool), *masks])
+    return BaselineComparison(
+        baseline=baseline, rate=rate, difference=difference(runs.rate(), rate),
+        changed=_changed(runs.frame, baseline.frame),
+        in_causes=tuple(baseline.rate(mask) for mask in masks),
+        off_causes=baseline.rate(elsewhere),
+    )
+
+
+def _changed(one: pd.DataFrame, other: pd.DataFrame) -> ChangedScenes | None:
+    """The scenes of both, each once: the same features to the last digit that is kept."""
+    here, there = (
+        frame[[*_SCENE, 'failed']].round(_DIGITS).drop_duplicates(_SCENE) for frame in (one, other)
+    )
+    both = here.merge(there, on=_SCENE, suffixes=('', '_there'))
+    if both.empty:
+        return None
+    worse = int((both['failed'] & ~both['failed_there']).sum())
+    better = int((~both['failed'] & both['failed_there']).sum())
+    p = float(binomtest(worse, worse + better).pvalue) if worse + better else 1.0
+    return ChangedScenes(len(both), worse, better, p)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What was found.
+
+    Attributes:
+        runs: of the campaign.
+        alpha: level of the causes.
+        ranking: features by how much they tell of failing.
+        causes, clusters, axes, tree: of the failures.
+        comparisons: with the baselines, in their order.
+    """
+
+    runs: CampaignRuns
+    alpha: float
+    ranking: tuple[RankedFeature, ...]
+    causes: Causes
+    clusters: Clusters
+    axes: tuple[PrincipalAxis, ...]
+    tree: CauseTree | None
+    comparisons: tuple[BaselineComparison, ...]
+
+    @property
+    def campaigns(self) -> tuple[CampaignRuns, ...]:
+        """The campaign and its baselines."""
+        return (self.runs, *(one.baseline for one in self.comparisons))
+
+
+def analyse(
+    runs: CampaignRuns, baselines: Sequence[CampaignRuns] = (), *, alpha: float = 0.05,
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> Findings:
+    """Analyse a campaign; the same runs give the same findings.
+
+    Args:
+        runs: of the campaign.
+        baselines: other campaigns to hold it against.
+        alpha: how often a cause may be named where there is none.
+        on_progress: is told what is being done.
+    """
+    on_progress('features')
+    ranking = rank_features(runs.frame)
+    on_progress('causes')
+    causes = find_causes(runs, alpha)
+    on_progress('clusters')
+    telling = [one.feature.name for one in ranking if one.p <= alpha]
+    clusters = find_clusters(runs.frame, telling)
+    on_progress('tree')
+    return Findings(
+        runs=runs, alpha=alpha, ranking=ranking, causes=causes, clusters=clusters,
+        axes=principal_axes(runs.frame), tree=grow_tree(runs),
+        comparisons=tuple(compare(runs, baseline, causes) for baseline in baselines),
+    )
+
+
+CAUSE, GROUP = 'cause', 'group'
+_NONE = 0
+
+
+def explained_runs(findings: Findings) -> pd.DataFrame:
+    """All judged runs with the cause and the group of each failure, 0 for none.
+
+    A failure that lies in several causes has the number of the first.
+    """
+    frame = findings.runs.frame.copy()
+    cause = np.full(len(frame), _NONE)
+    for found in reversed(findings.causes.found):
+        cause[found.region.mask(frame)] = found.rank
+    frame[CAUSE] = np.where(frame['failed'], cause, _NONE)
+    group = {run: one.number for one in findings.clusters.found for run in one.runs}
+    frame[GROUP] = frame['run_id'].map(lambda run: group.get(run, _NONE)).astype(int)
+    return frame
+
+
+def failures_to_inspect(findings: Findings) -> pd.DataFrame:
+    """The failures in the order in which to look at them, as :func:`explained_runs` has them.
+
+    First the most typical run of each group, then the worst one of each cause, then the second
+    worst of each, and so on; so the first few show all kinds of failures.
+    """
+    frame = explained_runs(findings)
+    failures = frame[frame['failed']].sort_values(['rho', 'index'], kind='stable')
+    typical = [one.typical for one in findings.clusters.found]
+    first = failures['run_id'].isin(typical)
+    others = failures[~first]
+    # What no cause explains comes after the causes in each turn.
+    rank = others[CAUSE].replace(_NONE, len(findings.causes.found) + 1)
+    others = others.assign(turn=others.groupby(CAUSE).cumcount(), rank=rank)
+    others = others.sort_values(['turn', 'rank'], kind='stable').drop(columns=['turn', 'rank'])
+    ordered = failures[first].set_index('run_id', drop=False).loc[typical]
+    return pd.concat([ordered, others], ignore_index=True)
+
+
+def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mapping[str, Path]:
+    """The folders of the first failures whose bags are there, by run id.
+
+    Args:
+        runs: of the campaign.
+        failures: in the order in which to look at them.
+        most: how many.
+
+    Raises:
+        UsageError: a bag is of another run.
+    """
+    found: dict[str, Path] = {}
+    for run_id, bag in zip(failures['run_id'], failures['bag'], strict=True):
+        if len(found) >= most:
+            break
+        folder = runs.folder / bag
+        if bag and any(folder.glob('*.mcap')):
+            _check_run(str(run_id), folder)
+            found[str(run_id)] = folder
+    return found
+
+
+def _check_run(run_id: str, bag: Path) -> None:
+    with contextlib.suppress(BagError):  # the page says of a damaged one that it is
+        told = read_facts(bag)
+        if told is not None and told.run_id != run_id:
+            raise UsageError(
+                f'{bag}: is of run {told.run_id}, not of {run_id}; was the folder moved here? '
+                f'taxinet doctor {bag.parent} checks all of them'
+            )

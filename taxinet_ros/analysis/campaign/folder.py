@@ -1,0 +1,218 @@
+"""The folder of an analysis: tables, pictures, programs of causes, ``analysis.json``, the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from taxinet_ros.analysis.campaign.findings import BaselineComparison, Findings, explained_runs
+from taxinet_ros.analysis.causes.causes import Cause, FoundRate
+from taxinet_ros.analysis.causes.program import cause_program, program_name
+from taxinet_ros.analysis.causes.region import Region
+from taxinet_ros.analysis.report.parts import Report, Table
+from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+
+SCHEMA, VERSION = 'taxinet-analysis', 1
+
+
+def findings_values(findings: Findings, report: Report) -> dict[str, Any]:
+    """All findings; shares are fractions 0..1, and what is not known or not finite is None.
+
+    Args:
+        findings: of an analysis.
+        report: on it.
+    """
+    values = {
+        'schema': SCHEMA, 'version': VERSION, 'title': report.title, 'facts': dict(report.facts),
+        'summary': list(report.summary), 'alpha': findings.alpha,
+        'made_on': dict(provenance()),
+        'campaign': _campaign(findings.runs),
+        'ranking': [
+            {'feature': one.feature.name, 'information_bit': one.information_bit,
+             'explained': one.explained, 'p': one.p} for one in findings.ranking
+        ],
+        'causes': [_cause(one) for one in findings.causes.found],
+        'causes_why_not': findings.causes.why_not,
+        'causes_searched': findings.causes.searched, 'scenes_again': findings.causes.again,
+        'outside_causes': _rate(findings.causes.rest), 'candidates': findings.causes.candidates,
+        'clusters': [
+            {'number': one.number, 'failures': one.failures, 'share': one.share,
+             'words': one.words(), 'region': _region(one.common), 'typical_run': one.typical,
+             'median_rho': one.median_rho} for one in findings.clusters.found
+        ],
+        'silhouette': findings.clusters.silhouette if findings.clusters.found else None,
+        'principal_axes': [
+            {'explained': one.explained, 'loadings': dict(one.loadings)} for one in findings.axes
+        ],
+        'tree': None if findings.tree is None else {
+            'depth': findings.tree.depth, 'accuracy': findings.tree.accuracy,
+            'guess': findings.tree.guess,
+            'rules': [{'words': rule.region.words(), 'region': _region(rule.region),
+                       'rate': _rate(rule.rate)} for rule in findings.tree.rules],
+        },
+        'baselines': [_baseline(one) for one in findings.comparisons],
+        'runs_to_look_at': {run: str(folder) for run, folder in report.runs.items()},
+    }
+    return plain_values(values)
+
+
+def _campaign(runs: CampaignRuns) -> dict[str, Any]:
+    off = runs.off_runway()
+    return {
+        'label': runs.label, 'path': str(runs.path), 'program': runs.program,
+        'perception': runs.perception, 'sampler': runs.sampler, 'spec': runs.spec,
+        'stacks': [dict(stack) for stack in runs.stacks],
+        'weighting': runs.weighting.value, 'judged': len(runs.frame),
+        'without_verdict': dict(runs.others), 'undecided': runs.undecided,
+        'stopped_early': runs.stopped, 'warnings': list(runs.warnings),
+        'failed': _rate(runs.rate()),
+        'left_runway': None if off is None else _rate(off),
+    }
+
+
+def _baseline(one: BaselineComparison) -> dict[str, Any]:
+    return {
+        **_campaign(one.baseline), 'difference': one.difference._asdict(),
+        'changed': None if one.changed is None else one.changed._asdict(),
+        'in_causes': [_rate(rate) for rate in one.in_causes],
+        'outside_causes': _rate(one.off_causes),
+    }
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    return {
+        'rank': cause.rank, 'words': cause.region.words(), 'sentence': cause.sentence(),
+        'region': _region(cause.region), 'inside': _rate(cause.inside),
+        'outside': _rate(cause.outside), 'all_runs': _rate(cause.whole),
+        'share': cause.share, 'explained': cause.added,
+        'attributable': dict(zip(('value', 'low', 'high'), cause.attributable, strict=True)),
+        'p': cause.p, 'p_is_bound': cause.p_is_bound,
+    }
+
+
+def _region(region: Region) -> list[dict[str, Any]]:
+    return [part.to_json() for part in region.parts]
+
+
+def _rate(rate: GroupRate | FoundRate) -> dict[str, Any]:
+    return rate._asdict()
+
+
+JSON_NAME, PAGE_NAME = 'analysis.json', 'report.html'
+_TABLES = CSV_NAME, PARQUET_NAME
+
+
+def check_folder(out: Path) -> None:
+    """See that an analysis may be written to ``out``.
+
+    Raises:
+        UsageError: there is something else, which no analysis has put there.
+    """
+    if out.is_dir():
+        if any(out.iterdir()) and _written_before(out) is None:
+            raise UsageError(
+                f'--out {out}: holds other files than those of an analysis; name a new folder')
+    elif out.exists() or out.is_symlink():
+        raise UsageError(f'--out {out}: not a folder; name another')
+
+
+def write_analysis(
+    findings: Findings, report: Report, out: Path, *,
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Write everything, in place of what an earlier analysis has written there.
+
+    Args:
+        findings: of the analysis.
+        report: on them.
+        out: folder, for which :func:`check_folder` has nothing to say.
+        on_progress: is told what is being written.
+
+    Returns:
+        The values of ``analysis.json``.
+
+    Raises:
+        UsageError: the folder cannot be made.
+        BagWriteError: a file cannot be written.
+    """
+    from taxinet_ros.analysis.report.page import write_report_page
+
+    _begin(out)
+    others = _files(out)
+    _write_runs(findings, out)
+    for cause in findings.causes.found:
+        if (program := cause_program(findings.runs, cause)) is not None:
+            write_atomically(out / program_name(cause), program)
+    for section in report.sections:
+        for table in section.tables:
+            write_atomically(out / f'{table.name}.csv', csv_text(table))
+        for picture in section.pictures:
+            on_progress(f'picture {picture.name}')
+            write_png(picture, out, LIGHT)
+    write_report_page(report, out / PAGE_NAME, on_progress=on_progress)
+    files = sorted({*_files(out) - others, JSON_NAME})
+    values = {**findings_values(findings, report), 'files': files}
+    write_sealed(out / JSON_NAME, values, [out / name for name in files if name in _TABLES])
+    return values
+
+
+def csv_text(table: Table) -> str:
+    """A table as CSV with a header; empty cells are not known."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow([column.name for column in table.columns])
+    writer.writerows(table.rows)
+    return text.getvalue()
+
+
+def json_text(values: dict[str, Any]) -> str:
+    """Text of ``analysis.json``."""
+    return json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False) + '\n'
+
+
+def _begin(out: Path) -> None:
+    """Make the folder, remove what an earlier analysis has written, and claim it."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in _written_before(out) or ():
+            path = PurePosixPath(name)
+            if not path.is_absolute() and '..' not in path.parts:
+                (out / path).unlink(missing_ok=True)
+        claim = {'schema': SCHEMA, 'version': VERSION, 'files': [JSON_NAME]}
+        write_sealed(out / JSON_NAME, claim)
+    except OSError as error:
+        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+
+
+def _write_runs(findings: Findings, out: Path) -> None:
+    """All judged runs with cause and group: as CSV for people, as Parquet for programs."""
+    frame = explained_runs(findings)
+    write_whole(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
+    write_whole(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))
+
+
+def _written_before(out: Path) -> list[str] | None:
+    """The files that an earlier analysis has written there; None if there was none."""
+    try:
+        values = read_sealed(out / JSON_NAME).values
+    except (OSError, UsageError):
+        return None
+    if values.get('schema') != SCHEMA:
+        return None
+    return [str(name) for name in values.get('files', ())]
+
+
+def _files(out: Path) -> set[str]:
+    return {path.relative_to(out).as_posix() for path in out.rglob('*') if path.is_file()}

@@ -1,0 +1,337 @@
+"""The report on a campaign: its findings as sentences, tables and pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from taxinet_ros.analysis.campaign.cause_figures import (
+    causes_picture,
+    clusters_picture,
+    ranking_picture,
+)
+from taxinet_ros.analysis.campaign.figures import (
+    clouds_picture,
+    distribution_picture,
+    map_picture,
+    rates_picture,
+    rho_picture,
+)
+from taxinet_ros.analysis.campaign.findings import Findings, bag_folders, failures_to_inspect
+from taxinet_ros.analysis.campaign.tables import (
+    axes_table,
+    bins_table,
+    causes_table,
+    clusters_table,
+    failures_table,
+    ranking_table,
+    rates_table,
+    tree_table,
+)
+from taxinet_ros.analysis.causes.clusters import CLEAR, Clusters
+from taxinet_ros.analysis.causes.program import confirmation_command
+from taxinet_ros.analysis.causes.scan import DISCOUNT, SHUFFLES
+from taxinet_ros.analysis.report.parts import Report, Section
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting
+from taxinet_ros.analysis.runs.features import (
+    CLOUDS_KIND,
+    CROSS_TRACK,
+    DISTANCE,
+    HEADING,
+    TIME_OF_DAY,
+    varied,
+)
+from taxinet_ros.campaign.rates import count_words
+from taxinet_ros.core.provenance import differences, words
+
+_WEAK = 0.25
+
+
+def summary(findings: Findings) -> tuple[str, ...]:
+    """What was found: rates, causes, and how baselines compare."""
+    return (
+        *rate_sentences(findings.runs), *cause_sentences(findings),
+        *stack_sentences(findings.campaigns),
+        *(one.sentence(findings.runs.label, findings.runs.rate())
+          for one in findings.comparisons),
+    )
+
+
+def rate_sentences(runs: CampaignRuns) -> tuple[str, ...]:
+    """How often runs fail, and how many have no verdict."""
+    rate, off = runs.rate(), runs.off_runway()
+    unit = 'run' if rate.runs == 1 else 'runs'
+    count = f'{rate.runs:,} {unit} of {runs.program} with {runs.label}'
+    known = off is not None and not math.isnan(off.low)
+    left = f'; the aircraft leaves the runway in {off.words()}' if off and known else ''
+    match runs.weighting:
+        case Weighting.DRAWN:
+            first = f'{count}: {rate.words()} violate {runs.spec}{left}.{_anytime(runs)}'
+        case Weighting.WEIGHTED:
+            first = (
+                f'{count}, chosen by the sampler {runs.sampler}: {rate.failures:,} violate '
+                f'{runs.spec}. Of the {rate.effective:,.0f} runs among them that the program '
+                f'itself drew it is {rate.words()}{left}; all rates here are of such runs.'
+                f'{_anytime(runs)}'
+            )
+        case Weighting.UNKNOWN:
+            first = (
+                f'{count}, chosen by the sampler {runs.sampler or "(unknown)"}: {rate.failures:,} '
+                f'violate {runs.spec}. There is no rate from this search: the program itself drew '
+                'none of its runs, so they say where failures are, and not how many. All shares '
+                'are of the runs made.'
+            )
+    return (first, *_without_verdict(runs), *(f'Warning: {line}.' for line in runs.warnings))
+
+
+def stack_sentences(campaigns: Sequence[CampaignRuns]) -> tuple[str, ...]:
+    """A warning where runs that are held together come from different machines or versions."""
+    sentences = []
+    if found := differences(*(stack for one in campaigns for stack in one.stacks)):
+        sentences.append(
+            f'The runs were made on different machines or versions: {found}. A closed loop '
+            'amplifies a last bit; see docs/determinism.md.'
+        )
+    untold = [one.label for one in campaigns if not one.stacks]
+    if untold and len(campaigns) > 1:
+        sentences.append(
+            f'Nothing tells on which machine and versions the runs of {", ".join(untold)} were '
+            'made.'
+        )
+    return tuple(sentences)
+
+
+def cause_sentences(findings: Findings) -> tuple[str, ...]:
+    """The causes, one sentence each, and what they leave."""
+    causes = findings.causes
+    if causes.why_not:
+        return (f'{causes.why_not[0].upper()}{causes.why_not[1:]}.',)
+    if not causes.found:
+        return (f'No cause found: the {findings.runs.rate().failures:,} failures lie among the '
+                f'runs as chance would have them (at a level of {findings.alpha:g}).',)
+    number, failures = len(causes.found), findings.runs.rate().failures
+    many = 'One cause holds' if number == 1 else f'{number} causes hold'
+    some = f'{100 * causes.explained:.1f} %' if causes.explained < 0.9995 else 'all'
+    return (
+        f'{many} {some} of the {failures:,} failures; elsewhere {causes.rest.words()} of '
+        f'{causes.rest.runs:,} runs fail.',
+        *(f'{cause.rank}. {cause.sentence()}.' for cause in causes.found),
+    )
+
+
+def cluster_sentence(clusters: Clusters) -> str:
+    """How many groups there are, and how clear they are."""
+    if clusters.why_not:
+        return f'{clusters.why_not[0].upper()}{clusters.why_not[1:]}.'
+    clear = 'clearly' if clusters.silhouette >= CLEAR else (
+        'weakly' if clusters.silhouette >= _WEAK else 'hardly')
+    some = f'{clusters.compared:,} failures'
+    if clusters.compared < clusters.failures:
+        some = f'{clusters.compared:,} of the {clusters.failures:,} failures, drawn at random,'
+    return (
+        f'{some} were compared by the features that tell of failing. They '
+        f'fall into {len(clusters.found)} groups that are {clear} apart (silhouette '
+        f'{clusters.silhouette:.2f}; 1 is perfect, 0 none).'
+    )
+
+
+def _anytime(runs: CampaignRuns) -> str:
+    if not runs.anytime:
+        return ''
+    return (' As the number of runs was not settled beforehand, the intervals are those that hold '
+            'wherever a campaign stops.')
+
+
+def _without_verdict(runs: CampaignRuns) -> tuple[str, ...]:
+    words = [count_words(runs.others, runs.kinds)] if runs.others else []
+    if runs.undecided:
+        words.append(f'{runs.undecided:,} stopped before {runs.spec} was decided')
+    return (f'Without verdict, and in no rate: {", ".join(words)}.',) if words else ()
+
+
+VIEWERS = 20
+
+
+def campaign_report(findings: Findings, *, viewers: int = VIEWERS) -> Report:
+    """Put findings into words, tables and pictures.
+
+    Args:
+        findings: of :func:`~taxinet_ros.analysis.campaign.findings.analyse`.
+        viewers: most failed runs to look at step by step.
+    """
+    failures = failures_to_inspect(findings)
+    count = len(findings.runs.frame)
+    return Report(
+        title=f'{findings.runs.program}: {count:,} {"run" if count == 1 else "runs"} of '
+        f'{findings.runs.label}',
+        facts=_facts(findings), summary=summary(findings),
+        sections=_sections(findings, failures),
+        runs=bag_folders(findings.runs, failures, viewers),
+    )
+
+
+def _sections(findings: Findings, failures: pd.DataFrame) -> tuple[Section, ...]:
+    sections = [
+        _rates(findings), _day(findings), _runway(findings), _start_pose(findings),
+        _causes(findings, failures), _failures(failures, findings.runs), _clusters(findings),
+        _tree(findings), _robustness(findings),
+    ]
+    return tuple(section for section in sections if section is not None)
+
+
+def _rates(findings: Findings) -> Section:
+    return Section(
+        name='rates', heading='Rates',
+        pictures=(rates_picture(findings.campaigns),),
+        tables=(rates_table(findings), bins_table(findings.runs)),
+    )
+
+
+def _day(findings: Findings) -> Section:
+    return Section(
+        name='day', heading='Over the day',
+        pictures=(
+            rho_picture(findings.campaigns, TIME_OF_DAY, 'rho_by_hour'),
+            clouds_picture(findings.campaigns),
+            map_picture(findings.runs, TIME_OF_DAY, CLOUDS_KIND, 'rate_by_hour_and_clouds'),
+        ),
+    )
+
+
+def _runway(findings: Findings) -> Section:
+    return Section(
+        name='runway', heading='Along the runway',
+        pictures=(
+            rho_picture(findings.campaigns, DISTANCE, 'rho_by_distance'),
+            map_picture(findings.runs, DISTANCE, TIME_OF_DAY, 'rate_by_distance_and_hour'),
+        ),
+    )
+
+
+def _start_pose(findings: Findings) -> Section:
+    return Section(
+        name='start_pose', heading='Start pose',
+        pictures=(
+            rho_picture(findings.campaigns, HEADING, 'rho_by_heading'),
+            rho_picture(findings.campaigns, CROSS_TRACK, 'rho_by_cross_track'),
+        ),
+    )
+
+
+def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
+    constant = [feature.title for feature in (TIME_OF_DAY, CLOUDS_KIND, DISTANCE, HEADING,
+                                              CROSS_TRACK)
+                if not varied(findings.runs.frame, (feature,))]
+    sentences = []
+    if constant:
+        sentences.append(f'The same in all runs, and so no cause: {", ".join(constant)}.')
+    if findings.causes.candidates:
+        sentences.append(
+            f'How they were found: {findings.causes.candidates:,} regions were compared: intervals '
+            'and kinds, slanted bands of two features, and pairs of conditions (which must tell '
+            f'{DISCOUNT - 1:.0%} more to be named), by the likelihood ratio of the failure rates '
+            'inside and outside. The most telling one is kept if so telling a one would be found '
+            f'somewhere in less than {findings.alpha:.0%} of cases without any cause'
+            .replace('%', ' %'))
+        how = (
+            '; the outcomes had a part in the choice of the scenes, so the runs were judged in '
+            'their order, each before the next was chosen. All shares are of the runs made: they '
+            'are no rates of the program, and have no intervals' if findings.causes.searched else
+            f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
+            'All intervals of causes hold for all regions together, and so for those picked'
+        )
+        sentences[-1] += how + '. Its runs are taken out, and the next is looked for.'
+    if findings.causes.again:
+        sentences.append(f'{findings.causes.again:,} runs repeat the very scene of another, and '
+                         'do not count here.')
+    commands = [command for cause in findings.causes.found
+                if (command := confirmation_command(findings.runs, cause)) is not None]
+    if commands:
+        sentences.append(
+            'Each cause can be tested on fresh scenes by a command of its own, in this folder:')
+        sentences += commands
+    return Section(
+        name='causes', heading='Causes', sentences=tuple(sentences),
+        pictures=(*((causes_picture(findings),) if findings.causes.found else ()),
+                  *((ranking_picture(findings.ranking),) if findings.ranking else ())),
+        tables=(*((causes_table(findings, failures),) if findings.causes.found else ()),
+                *((ranking_table(findings),) if findings.ranking else ())),
+    )
+
+
+def _failures(failures: pd.DataFrame, runs: CampaignRuns) -> Section | None:
+    if failures.empty:
+        return None
+    shown = min(len(failures), 2 * VIEWERS)
+    more = '' if shown == len(failures) else f'; all {len(failures):,} are in runs.csv'
+    return Section(
+        name='counterexamples', heading='Counterexamples',
+        sentences=(f'{shown} of the runs that violate {runs.spec}{more}.',),
+        tables=(failures_table(failures, shown),),
+    )
+
+
+def _clusters(findings: Findings) -> Section:
+    found = bool(findings.clusters.found)
+    sentences = [cluster_sentence(findings.clusters)]
+    if findings.axes:
+        first = findings.axes[0]
+        even = 1 / len(findings.axes)
+        sentences.append(
+            f'The longest principal axis of the failures holds {100 * first.explained:.0f} % of '
+            f'their variance, where features without any relation would have {100 * even:.0f} %.')
+    return Section(
+        name='clusters', heading='Groups of failures', sentences=tuple(sentences),
+        pictures=(clusters_picture(findings),) if found else (),
+        tables=(*((clusters_table(findings),) if found else ()),
+                *((axes_table(findings),) if findings.axes else ())),
+    )
+
+
+def _tree(findings: Findings) -> Section | None:
+    tree = findings.tree
+    if tree is None:
+        return None
+    return Section(
+        name='tree', heading='As a tree of questions',
+        sentences=(
+            f'A tree of {tree.depth} {"question" if tree.depth == 1 else "questions"} at most '
+            f'tells {100 * tree.accuracy:.0f} % of held-back runs right (five-fold '
+            f'cross-validation); always guessing the commoner outcome, {100 * tree.guess:.0f} %.',
+        ),
+        tables=(tree_table(findings),),
+    )
+
+
+def _robustness(findings: Findings) -> Section:
+    rho = findings.runs.frame['rho'].quantile([0.05, 0.5, 0.95])
+    words = ', '.join(f'{value:+.2f}'.replace('-', '−') for value in rho)
+    return Section(
+        name='robustness', heading='How robust the runs are',
+        sentences=(f'Robustness of the runs made, 5 %, 50 % and 95 % quantile: {words}.',),
+        pictures=(distribution_picture(findings.campaigns),),
+    )
+
+
+def _facts(findings: Findings) -> Mapping[str, str]:
+    runs, facts = findings.runs, findings.runs.facts
+    found = {
+        'program': runs.program, 'network': runs.perception,
+        'network, SHA-256': str(facts.get('perception_sha256') or '')[:16],
+        'timing': str(facts.get('timing') or ''),
+        'sampler': runs.sampler or 'none, drawn from the program',
+        'seed': str(facts.get('seed', '')),
+        'formula': f'{runs.spec}: {_formula(runs)}' if _formula(runs) else runs.spec,
+        'runs': f'{len(runs.frame):,} with a verdict',
+        'baselines': ', '.join(one.baseline.label for one in findings.comparisons),
+        'table': str(runs.path), 'version': str(facts.get('taxinet_ros_version') or ''),
+        'made on': '; '.join(map(words, runs.stacks)) or 'not told',
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _formula(runs: CampaignRuns) -> str:
+    specs = runs.facts.get('specs')
+    return str(specs.get(runs.spec, '')) if isinstance(specs, dict) else ''

@@ -1,0 +1,211 @@
+"""The findings about a campaign as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from typing import Any
+
+import pandas as pd
+
+from taxinet_ros.analysis.campaign.findings import CAUSE, GROUP, Findings
+from taxinet_ros.analysis.causes.causes import FoundRate
+from taxinet_ros.analysis.causes.clusters import CLOUD_RANK
+from taxinet_ros.analysis.report.parts import Cell, Column, Table
+from taxinet_ros.analysis.runs.bins import bin_rates
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.analysis.runs.features import BY_NAME, PAPER_FEATURES, clock_words
+
+_RATE = (
+    Column(name='runs', title='runs'), Column(name='failures', title='fail'),
+    Column(name='rate_percent', title='fail [%]', decimals=1),
+    Column(name='rate_low_percent', title='from [%]', decimals=1),
+    Column(name='rate_high_percent', title='to [%]', decimals=1),
+)
+_NUMBERS = ('rain_percent', 'cross_track_m', 'distance_m', 'heading_deg')
+
+
+def rates_table(findings: Findings) -> Table:
+    """How often each network fails and leaves the runway."""
+    rows: list[tuple[Cell, ...]] = []
+    for runs in findings.campaigns:
+        off = runs.off_runway()
+        off_cells = _shares(off)[2:] if off is not None else (None, None, None)
+        rows.append((runs.label, runs.sampler or 'drawn', *_shares(runs.rate()), *off_cells,
+                     _known(runs.rate().effective), sum(runs.others.values()) + runs.undecided))
+    return Table(
+        name='rates', title='Rates', rows=tuple(rows),
+        caption='With 95 % intervals, of the runs that the program itself drew. Where there is no '
+        'such run there is no interval, and the rate is that of the runs made; the share that '
+        'leaves the runway is unknown where runs were stopped before.',
+        columns=(
+            Column(name='network', title='network'), Column(name='sampler', title='sampler'),
+            *_RATE, Column(name='off_runway_percent', title='off the runway [%]', decimals=1),
+            Column(name='off_runway_low_percent', title='from [%]', decimals=1),
+            Column(name='off_runway_high_percent', title='to [%]', decimals=1),
+            Column(name='effective_runs', title='drawn [runs]', decimals=0),
+            Column(name='without_verdict', title='without verdict'),
+        ),
+    )
+
+
+def bins_table(runs: CampaignRuns) -> Table:
+    """Failure rates in bins of each feature."""
+    rows: list[tuple[Cell, ...]] = []
+    for feature in PAPER_FEATURES:
+        for one, rate in bin_rates(runs, feature):
+            rho = runs.frame.loc[one.mask, 'rho'].median()
+            rows.append((feature.title, one.label, _known(one.low), _known(one.high),
+                         *_shares(rate), _known(float(rho))))
+    return Table(
+        name='rates_by_feature', title='Rates by feature', rows=tuple(rows),
+        caption='The failure rate in each bin of the figure above, and the median robustness.',
+        columns=(
+            Column(name='feature', title='feature'), Column(name='bin', title='values'),
+            Column(name='low', title='low', decimals=2),
+            Column(name='high', title='high', decimals=2), *_RATE,
+            Column(name='median_rho', title='median ρ', decimals=2),
+        ),
+    )
+
+
+def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
+    """The causes, with the worst run of each and what the baselines do in them."""
+    rows: list[tuple[Cell, ...]] = []
+    for number, cause in enumerate(findings.causes.found):
+        worst = failures[failures[CAUSE] == cause.rank].sort_values('rho')['run_id']
+        others = [100 * one.in_causes[number].rate for one in findings.comparisons]
+        rows.append((
+            cause.rank, cause.region.words(), *_shares(cause.inside),
+            100 * cause.outside.rate, 100 * cause.whole.rate, 100 * cause.share,
+            *(_known(100 * part) for part in cause.attributable), 100 * cause.added,
+            *(_known(other) for other in others), _p(cause.p),
+            str(worst.iloc[0]) if len(worst) else None,
+        ))
+    return Table(
+        name='causes', title='Causes', rows=tuple(rows), run_id_column='worst_run',
+        caption='Each among the runs that the causes above it have left; "all" is the rate of all '
+        'runs in it. The regions were chosen for their rates, which are therefore too high as a '
+        'rule; the intervals are wide enough for that. "Holds" is the share of all failures in it, '
+        '"goes with it" that of all failures which would not be if it failed like all other runs: '
+        'neither depends on the other causes. "Adds" is what no cause above it holds.',
+        columns=(
+            Column(name='rank', title='#'), Column(name='cause', title='cause'), *_RATE,
+            Column(name='elsewhere_percent', title='elsewhere [%]', decimals=1),
+            Column(name='all_runs_percent', title='all [%]', decimals=1),
+            Column(name='share_percent', title='holds [%]', decimals=1),
+            Column(name='attributable_percent', title='goes with it [%]', decimals=1),
+            Column(name='attributable_low_percent', title='from [%]', decimals=1),
+            Column(name='attributable_high_percent', title='to [%]', decimals=1),
+            Column(name='added_percent', title='adds [%]', decimals=1),
+            *(Column(name=f'baseline_{number}_percent', title=f'{one.baseline.label} [%]',
+                     decimals=1)
+              for number, one in enumerate(findings.comparisons, 1)),
+            Column(name='p', title='p'), Column(name='worst_run', title='worst run'),
+        ),
+    )
+
+
+def ranking_table(findings: Findings) -> Table:
+    """Features by how much they tell."""
+    return Table(
+        name='feature_ranking', title='Features', caption='One at a time; p after Holm.',
+        columns=(
+            Column(name='feature', title='feature'),
+            Column(name='information_bit', title='tells [bit]', decimals=4),
+            Column(name='explained_percent', title='of all there is to know [%]', decimals=1),
+            Column(name='p', title='p', decimals=3),
+        ),
+        rows=tuple((one.feature.title, one.information_bit, 100 * one.explained, one.p)
+                   for one in findings.ranking),
+    )
+
+
+def failures_table(failures: pd.DataFrame, most: int) -> Table:
+    """The first failures to look at."""
+    rows = tuple(_failure(run) for run in failures.head(most).to_dict('records'))
+    return Table(
+        name='counterexamples', title='Counterexamples', rows=rows, run_id_column='run_id',
+        caption='The typical run of each group first, then the worst of each cause in turn.',
+        columns=(
+            Column(name='run_id', title='run'), Column(name='rho', title='ρ', decimals=2),
+            Column(name='time_of_day', title='time'), Column(name='clouds', title='clouds'),
+            Column(name='rain_percent', title='rain [%]', decimals=0),
+            Column(name='cross_track_m', title='left of the line [m]', decimals=1),
+            Column(name='distance_m', title='along the runway [m]', decimals=0),
+            Column(name='heading_deg', title='nose left [°]', decimals=0),
+            Column(name='left_runway', title='off the runway'),
+            Column(name='cause', title='cause'), Column(name='group', title='group'),
+        ),
+    )
+
+
+def clusters_table(findings: Findings) -> Table:
+    """Groups of failures in words."""
+    return Table(
+        name='clusters', title='Groups', run_id_column='typical_run',
+        caption='What nine in ten of its runs have in common and many others do not.',
+        columns=(
+            Column(name='group', title='#'), Column(name='failures', title='failures'),
+            Column(name='share_percent', title='of those compared [%]', decimals=0),
+            Column(name='common', title='in common'),
+            Column(name='median_rho', title='median ρ', decimals=2),
+            Column(name='typical_run', title='typical run'),
+        ),
+        rows=tuple((one.number, one.failures, 100 * one.share, one.words(), one.median_rho,
+                    one.typical) for one in findings.clusters.found),
+    )
+
+
+def axes_table(findings: Findings) -> Table:
+    """Principal axes and their loadings."""
+    names = list(findings.axes[0].loadings) if findings.axes else []
+    titles = {CLOUD_RANK: 'clouds (rank)'}
+    return Table(
+        name='principal_axes', title='Principal axes of the failures',
+        caption='How far the failures are spread along each direction, and the part of each '
+        'standardised feature in it.',
+        columns=(
+            Column(name='axis', title='axis'),
+            Column(name='explained_percent', title='variance [%]', decimals=1),
+            *(Column(name=name, title=titles.get(name) or BY_NAME[name].title, decimals=2)
+              for name in names),
+        ),
+        rows=tuple((number, 100 * axis.explained, *axis.loadings.values())
+                   for number, axis in enumerate(findings.axes, 1)),
+    )
+
+
+def tree_table(findings: Findings) -> Table:
+    """The tree's leaves as rules."""
+    rules = findings.tree.rules if findings.tree is not None else ()
+    return Table(
+        name='tree_rules', title='Rules of the tree',
+        caption='Every run is in one of them. The intervals are of the runs that the tree was '
+        'grown from, and so a little too narrow.',
+        columns=(Column(name='rule', title='scenes'), *_RATE),
+        rows=tuple((rule.region.words() or 'all', *_shares(rule.rate)) for rule in rules),
+    )
+
+
+def _failure(run: Mapping[Hashable, Any]) -> tuple[Cell, ...]:
+    left = float(run['left_runway'])
+    return (
+        str(run['run_id']), float(run['rho']), clock_words(float(run['time_of_day_h'])),
+        str(run['clouds']), *(float(run[name]) for name in _NUMBERS),
+        None if math.isnan(left) else bool(left), int(run[CAUSE]) or None,
+        int(run[GROUP]) or None,
+    )
+
+
+def _shares(rate: GroupRate | FoundRate) -> tuple[Cell, ...]:
+    return (rate.runs, rate.failures, _known(100 * rate.rate), _known(100 * rate.low),
+            _known(100 * rate.high))
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _p(value: float) -> str:
+    return '< 0.001' if value < 0.001 else f'{value:.3f}'

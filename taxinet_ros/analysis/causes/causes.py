@@ -1,0 +1,403 @@
+"""Names causes of failures, one after another, until what is left looks like chance.
+
+The most telling region of failures (:mod:`.scan`) gets sharper limits, to the run and then on
+round values, and its runs are taken out; then the next one is looked for among the rest. A step
+is taken only if the step before found something that was not chance, so where there are no
+causes one is named no oftener than ``alpha``.
+
+All that is looked for, and all figures of a cause, are of the runs as they were made, each
+scene once: a region is named for what its figures say. Where a sampler chose the scenes they
+are no rates of the program; these, and fresh figures of any cause, are to be had by
+:mod:`.program`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from taxinet_ros.analysis.causes.region import (
+    Either,
+    Interval,
+    Kinds,
+    Part,
+    Region,
+    Slant,
+    interval_cells,
+    subsets,
+)
+from taxinet_ros.analysis.causes.scan import (
+    Scan,
+    goes_round,
+    interval_of,
+    least_runs,
+    likelihood_ratio,
+    p_of_search,
+)
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, rate_words
+from taxinet_ros.analysis.runs.features import ALL_FEATURES, BY_NAME, Floats, Mask, kinds_present
+
+_CELLS, _CELLS_OF_HALVES = 250, 60
+_ROUNDS = 6
+
+
+def refine_limits(region: Region, frame: pd.DataFrame) -> Region:
+    """The region with the limits that tell most, changed in turn until none can be bettered.
+
+    Args:
+        region: with limits on a coarse grid.
+        frame: runs with features and ``failed``; the region is held against all others of them.
+    """
+    for _ in range(_ROUNDS):
+        before = region
+        for old in before.parts:
+            if old not in region.parts:
+                continue
+            others = tuple(part for part in region.parts if part is not old)
+            best = _best_part(old, Region(parts=others), frame)
+            region = Region(parts=others if best is None else tuple(
+                best if part is old else part for part in region.parts))
+        if region == before:
+            break
+    return region
+
+
+def round_limits(region: Region, frame: pd.DataFrame) -> Region:
+    """The region with its limits on round values, and open where no run lies beyond.
+
+    Args:
+        region: any.
+        frame: all runs of the campaign.
+    """
+    order = list(BY_NAME)
+    parts = [_rounded(part, frame) for part in region.parts]
+    return Region(parts=tuple(sorted(parts, key=lambda part: order.index(part.feature))))
+
+
+def _best_part(part: Part, others: Region, frame: pd.DataFrame) -> Part | None:
+    """The part with the limits that tell most together with others; None where it is idle."""
+    if isinstance(part, Either):
+        return _best_halves(part, frame)
+    among = others.mask(frame)
+    if isinstance(part, Kinds):
+        return _best_kinds(part.feature, among, frame)
+    failed = frame['failed'].to_numpy(dtype=bool)
+    every = (part.values(frame) if isinstance(part, Slant)
+             else frame[part.feature].to_numpy(dtype=np.float64))
+    firsts, lasts, places = interval_cells(every[among], _CELLS)
+    cells = len(firsts)
+    runs = np.concatenate([[0.0], np.bincount(places, minlength=cells).cumsum()])
+    failures = np.bincount(places, weights=failed[among], minlength=cells)
+    failures = np.concatenate([[0.0], failures.cumsum()])
+    low, high = np.triu_indices(cells + 1, 1)
+    inside, within = runs[high] - runs[low], failures[high] - failures[low]
+    ratio = _ratio(within, inside, failed)
+    if isinstance(part, Interval) and goes_round(part.feature, every):
+        around = _ratio(failures[-1] - within, runs[-1] - inside, failed)
+        around[(low == 0) | (high == cells)] = 0.0
+        best = int(around.argmax())
+        if around[best] > ratio.max():
+            return replace(part, low=float(firsts[high[best]]), high=float(lasts[low[best] - 1]))
+    best = int(ratio.argmax())
+    if inside[best] == among.sum() and others.parts:
+        return None
+    return replace(part, low=float(firsts[low[best]]), high=float(lasts[high[best] - 1]))
+
+
+def _best_kinds(feature: str, among: Mask, frame: pd.DataFrame) -> Part | None:
+    kinds = kinds_present(BY_NAME[feature], frame)
+    failed = frame['failed'].to_numpy(dtype=bool)
+    members = np.concatenate([subsets(len(kinds)), np.ones((1, len(kinds)), dtype=np.float32)])
+    column = frame[feature].to_numpy()
+    runs = np.array([(column[among] == kind).sum() for kind in kinds], dtype=np.float64)
+    failures = np.array([(column[among & failed] == kind).sum() for kind in kinds])
+    ratio = _ratio(members @ failures, members @ runs, failed)
+    best = int(ratio.argmax())
+    # A word without a run there says nothing.
+    chosen = tuple(kind for kind, one, count in zip(kinds, members[best], runs, strict=True)
+                   if one and count)
+    everywhere = len(chosen) == int((runs > 0).sum())
+    return None if everywhere and not among.all() else Kinds(feature=feature, kinds=chosen)
+
+
+def _best_halves(part: Either, frame: pd.DataFrame) -> Either:
+    """Two halves of which a run lies in one only, cut where that tells most."""
+    failed = frame['failed'].to_numpy(dtype=bool)
+    firsts, seconds = (list(_halves(name, frame)) for name in part.names)
+    one, other = (np.array([half.mask(frame) for half in halves]) for halves in (firsts, seconds))
+    both_runs, both = one.astype(float) @ other.T, (one & failed).astype(float) @ other.T
+    inside = one.sum(axis=1)[:, None] + other.sum(axis=1)[None, :] - 2 * both_runs
+    within = ((one & failed).sum(axis=1)[:, None] + (other & failed).sum(axis=1)[None, :]
+              - 2 * both)
+    ratio = _ratio(within, inside, failed)
+    first, second = np.unravel_index(int(ratio.argmax()), ratio.shape)
+    return Either(first=firsts[first], second=seconds[second])
+
+
+def _halves(name: str, frame: pd.DataFrame) -> Iterator[Interval | Kinds]:
+    """Below and above each of some values, or words up to and from each."""
+    feature = BY_NAME[name]
+    if not feature.numeric:
+        kinds = kinds_present(feature, frame)
+        for cut in range(1, len(kinds)):
+            yield Kinds(feature=name, kinds=kinds[:cut])
+            yield Kinds(feature=name, kinds=kinds[cut:])
+        return
+    firsts, lasts, _ = interval_cells(frame[name].to_numpy(dtype=np.float64), _CELLS_OF_HALVES)
+    for last, first in zip(lasts[:-1], firsts[1:], strict=True):
+        yield Interval(feature=name, low=None, high=float(last))
+        yield Interval(feature=name, low=float(first), high=None)
+
+
+def _ratio(failures: npt.NDArray[Any], inside: npt.NDArray[Any], failed: Mask) -> Floats:
+    ratio = likelihood_ratio(failures, inside, int(failed.sum()), len(failed))
+    least = least_runs(len(failed))
+    ratio[(inside < least) | (len(failed) - inside < least)] = 0.0
+    return ratio
+
+
+def _rounded(part: Part, frame: pd.DataFrame) -> Part:
+    if isinstance(part, Either):
+        first, second = (_rounded(each, frame) for each in (part.first, part.second))
+        assert isinstance(first, Interval | Kinds)
+        assert isinstance(second, Interval | Kinds)
+        return Either(first=first, second=second)
+    if isinstance(part, Kinds):
+        return part
+    feature = BY_NAME[part.feature]
+    values = part.values(frame) if isinstance(part, Slant) else frame[part.feature].to_numpy(
+        dtype=np.float64)
+    least, most = float(values.min()), float(values.max())
+    low, high = feature.rounded(
+        least if part.low is None else part.low, most if part.high is None else part.high
+    )
+    if part.low is not None and part.high is not None and part.low > part.high:
+        return replace(part, low=low, high=high)
+    return replace(part, low=low if low > least else None, high=high if high < most else None)
+
+
+LEAST_RUNS, LEAST_FAILURES, MOST_CAUSES = 20, 5, 8
+_TIMES_DENSER = 2.0
+"""A region is narrowed where failures are this much denser within the narrower one."""
+_OF_ALL = 1.92
+"""Half the 95 % quantile of chi-square: for the rate of all runs, where nothing was picked."""
+_OUTCOME_BLIND_SAMPLERS = {'', 'random', 'halton', 'sobol', 'grid'}
+"""Samplers that choose scenes without regard to outcomes."""
+
+
+class FoundRate(NamedTuple):
+    """How often runs fail in a group that was chosen because of how its runs ended.
+
+    Attributes:
+        runs, failures: of the group, of runs as they were made.
+        rate: share of failures among these; of a region that was found, too high as a rule.
+        low, high: ends of an interval that holds in 95 % of cases for all regions that were
+            compared together, so also for the one that was picked; NaN where outcomes chose scenes.
+    """
+
+    runs: int
+    failures: int
+    rate: float
+    low: float
+    high: float
+
+    def words(self) -> str:
+        """Rate and interval, such as ``49.9 % (43.3–56.5 %)``."""
+        return rate_words(self.runs, self.rate, self.low, self.high)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cause:
+    """A region in which runs fail more often than elsewhere.
+
+    Attributes:
+        region: of the scenes.
+        rank: 1 for the one that was found first.
+        inside, outside: failure rates of the runs that causes before it have left, in the region
+            and elsewhere.
+        whole: failure rate of all runs in the region, whatever other causes hold.
+        share: of all failures, those in the region.
+        added: of all failures, those in the region and in none of the causes before it.
+        attributable: share of all failures that there would not be if the region's runs failed as
+            often as all others; with its interval. It depends on no other cause (Levin, Acta Unio
+            Internationalis contra Cancrum 9, 1953).
+        p: of so telling a region somewhere among the runs left, if nothing mattered there.
+        p_is_bound: whether the true p value may be smaller.
+    """
+
+    region: Region
+    rank: int
+    inside: FoundRate
+    outside: FoundRate
+    whole: FoundRate
+    share: float
+    added: float
+    attributable: tuple[float, float, float]
+    p: float
+    p_is_bound: bool
+
+    def sentence(self) -> str:
+        """The cause for people."""
+        words = self.region.words()
+        left = '' if self.rank == 1 else ' that are left'
+        share, low, high = (100 * part for part in self.attributable)
+        known = '' if math.isnan(low) else f' ({low:.0f}–{high:.0f} %)'.replace('-', '−')
+        attributable = f'{share:.0f} %{known}'.replace('-', '−')
+        return (
+            f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} runs'
+            f'{left} fail, elsewhere {self.outside.words()} of {self.outside.runs:,}; it holds '
+            f'{_percent(self.share)} of all failures, and {attributable} of them go with it '
+            f'({self.p_words()})'
+        )
+
+    def p_words(self) -> str:
+        """The p value for people."""
+        return 'p < 0.001' if self.p < 0.001 else f'p = {self.p:.3f}'
+
+
+class Causes(NamedTuple):
+    """What was found.
+
+    Attributes:
+        found: causes, the most telling first.
+        rest: failure rate of the runs outside all of them.
+        why_not: why none were looked for, or ''.
+        candidates: regions that were compared in the first step.
+        searched: whether outcomes may have chosen scenes, so that there are no intervals.
+        again: runs that were left out because they had the very scene of another.
+    """
+
+    found: tuple[Cause, ...]
+    rest: FoundRate
+    why_not: str
+    candidates: int
+    searched: bool = False
+    again: int = 0
+
+    @property
+    def explained(self) -> float:
+        """Share of all failures in some cause."""
+        return sum(cause.added for cause in self.found)
+
+
+def find_causes(runs: CampaignRuns, alpha: float = 0.05) -> Causes:
+    """Name the causes of a campaign's failures.
+
+    Args:
+        runs: of the campaign.
+        alpha: how often causes may be named where there are none.
+    """
+    # The same scene ends the same way, and is no second witness.
+    scene = [feature.name for feature in ALL_FEATURES if feature.name in runs.frame]
+    frame = runs.frame[~runs.frame.duplicated([*scene, 'rho'])].reset_index(drop=True)
+    again = len(runs.frame) - len(frame)
+    failed = frame['failed'].to_numpy(dtype=bool)
+    left = np.ones(len(frame), dtype=bool)
+    searched = not set(runs.sampler.split(', ')) <= _OUTCOME_BLIND_SAMPLERS
+    why_not = _why_not(failed)
+    found: list[Cause] = []
+    candidates, slack = 0, 0.0
+    rng = np.random.default_rng(0)
+    while not why_not and len(found) < MOST_CAUSES and not _why_not(failed[left]):
+        scan = Scan(frame[left])
+        candidates = candidates or scan.candidates
+        p, bound = (p_of_search(frame[left]), True) if searched else scan.p_value(alpha, rng)
+        if scan.region is None or p > alpha:
+            break
+        region = refine_limits(scan.region, frame[left])
+        region = round_limits(_narrowed(region, frame[left], alpha, rng), frame)
+        within = region.mask(frame)
+        inside, beyond = within & left, ~within & left
+        if not failed[inside].any() or not beyond.any():
+            break
+        deviance = math.nan if searched else scan.deviance(min(inside.sum(), beyond.sum()))
+        slack += deviance
+        found.append(Cause(
+            region=region, rank=len(found) + 1, inside=_rate(failed[inside], deviance),
+            outside=_rate(failed[beyond], deviance), whole=_rate(failed[within], deviance),
+            share=float(within[failed].mean()), added=float(inside[failed].mean()),
+            attributable=_attributable(failed, within, deviance), p=p, p_is_bound=bound,
+        ))
+        left = beyond
+    if not found:
+        slack = math.nan if searched else _OF_ALL
+    return Causes(
+        found=tuple(found), rest=_rate(failed[left], slack), why_not=why_not,
+        candidates=candidates, searched=searched, again=again,
+    )
+
+
+def _narrowed(
+    region: Region, among: pd.DataFrame, alpha: float, rng: np.random.Generator
+) -> Region:
+    """The region with one condition more, where most of its failures have it; else as it is.
+
+    There is at most one such step, and only from one condition to two.
+    """
+    inside = among[region.mask(among)]
+    failed = inside['failed'].to_numpy(dtype=bool)
+    if len(region.parts) > 1 or len(region.features) > 1 or _why_not(failed):
+        return region
+    scan = Scan(inside)
+    new = scan.region.parts if scan.region is not None else ()
+    sources = {feature.source for feature in region.features}
+    new = tuple(part for part in new if isinstance(part, Interval | Kinds)
+                and BY_NAME[part.feature].source not in sources)
+    if len(new) != 1:
+        return region
+    within = new[0].mask(inside)
+    if within.all() or failed[within].mean() < _TIMES_DENSER * failed[~within].mean():
+        return region
+    if scan.p_value(alpha, rng)[0] > alpha:
+        return region
+    narrower = refine_limits(Region(parts=(*region.parts, *new)), among)
+    return narrower if len(narrower.parts) > 1 else region
+
+
+def _rate(failed: Mask, deviance: float) -> FoundRate:
+    runs, failures = len(failed), int(failed.sum())
+    share = failures / runs if runs else math.nan
+    if math.isnan(deviance):
+        return FoundRate(runs, failures, share, math.nan, math.nan)
+    return FoundRate(runs, failures, share, *interval_of(failures, runs, deviance))
+
+
+def _attributable(failed: Mask, within: Mask, deviance: float) -> tuple[float, float, float]:
+    """Share of the failures that go with a region, and its interval, from those of both rates."""
+    part = float(within.mean())
+
+    def share(inside: float, outside: float) -> float:
+        whole = part * inside + (1 - part) * outside
+        return part * (inside - outside) / whole if whole else 0.0
+
+    inside, outside = _rate(failed[within], deviance), _rate(failed[~within], deviance)
+    return (share(inside.rate, outside.rate), share(inside.low, outside.high),
+            share(inside.high, outside.low))
+
+
+def _why_not(failed: Mask) -> str:
+    """Why no cause can be told from chance, or ''."""
+    runs, failures = len(failed), int(failed.sum())
+    counts = f'{runs:,} {"run" if runs == 1 else "runs"}, '
+    counts += 'no failure' if not failures else f'{failures:,} ' + (
+        'failure' if failures == 1 else 'failures')
+    if runs and failures == runs:
+        return f'{counts}: where all runs fail, nothing tells causes apart'
+    if not failures:
+        return f'{counts}: there are no causes to name'
+    if runs < LEAST_RUNS or failures < LEAST_FAILURES or runs - failures < LEAST_FAILURES:
+        few = 'too few to name causes' if runs < LEAST_RUNS or failures < LEAST_FAILURES else (
+            'too few others to tell causes apart')
+        return f'{counts}: {few}'
+    return ''
+
+
+def _percent(share: float) -> str:
+    digits = 1 if share < 0.0995 or share > 0.9905 else 0
+    return f'{100 * share:.{digits}f} %'

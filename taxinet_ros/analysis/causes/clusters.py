@@ -1,0 +1,241 @@
+"""How failures lie among the scenes: groups that are alike, and principal axes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from sklearn.cluster import AgglomerativeClustering
+from sklearn.decomposition import PCA
+from sklearn.metrics import silhouette_score
+
+from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region
+from taxinet_ros.analysis.runs.features import (
+    BY_NAME,
+    CLOUDS_KIND,
+    PAPER_FEATURES,
+    Feature,
+    Floats,
+    kinds_present,
+    ordered_values,
+    varied,
+)
+
+LEAST_FAILURES = 12
+CLEAR = 0.5
+"""Silhouette of groups that are clearly apart (Kaufman and Rousseeuw, Finding Groups, 1990)."""
+_MOST_FAILURES = 1500
+_MOST_CLUSTERS = 8
+_LEAST_SHARE, _TWO = 0.02, 2
+_MIDDLE = (0.05, 0.95)
+_PURE, _FEW, _BEYOND = 0.9, 0.7, 0.03
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cluster:
+    """Failures that are alike.
+
+    Attributes:
+        number: from 1, the largest cluster first.
+        failures: how many it has.
+        share: of all failures that were compared.
+        typical: run whose mean distance to the others is the least (the medoid).
+        common: what nearly all of them have in common (nine in ten), beside all failures.
+        median_rho: of its runs.
+        runs: their ids.
+    """
+
+    number: int
+    failures: int
+    share: float
+    typical: str
+    common: Region
+    median_rho: float
+    runs: tuple[str, ...]
+
+    def words(self) -> str:
+        """What it is, for people."""
+        return self.common.words() or 'all over the scenes'
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Clusters:
+    """All of them.
+
+    Attributes:
+        found: the largest first; empty where there are too few failures.
+        silhouette: how well they are told apart, from 0 (not at all) to 1 (Rousseeuw 1987).
+        compared: number of failures that were compared, drawn from all where those are too many.
+        failures: number of all of them.
+        why_not: why there is none, or ''.
+    """
+
+    found: tuple[Cluster, ...]
+    silhouette: float
+    compared: int
+    failures: int
+    why_not: str = ''
+
+
+def find_clusters(frame: pd.DataFrame, telling: Collection[str] = ()) -> Clusters:
+    """Group the failures of a campaign.
+
+    Their distance is Gower's (Biometrics 27, 1971): for numbers, and kinds of clouds by their rank,
+    the difference over the range of all runs, for other words 0 or 1, and the mean of these. Groups
+    are joined by their average distance; there are as many as give the best silhouette, but more
+    than two where that is any good.
+
+    Args:
+        frame: all runs, with features and ``failed``.
+        telling: names of features to compare by; failures do not differ in others for a reason.
+            All features where none of these varies.
+    """
+    failures = frame[frame['failed']]
+    features = varied(frame, PAPER_FEATURES)
+    features = tuple(one for one in features if one.name in telling) or features
+    if len(failures) < LEAST_FAILURES or not features:
+        why = f'{len(failures)} failures: too few to group' if features else 'all scenes are equal'
+        return Clusters(found=(), silhouette=0.0, compared=0, failures=len(failures),
+                        why_not=why)
+    number_of_all = len(failures)
+    if number_of_all > _MOST_FAILURES:
+        chosen = np.random.default_rng(0).choice(number_of_all, _MOST_FAILURES, replace=False)
+        failures = failures.iloc[np.sort(chosen)]
+    distances = gower(failures, features, frame)
+    silhouette, labels = _best_labels(distances)
+    found = tuple(
+        _cluster(place, failures, np.flatnonzero(labels == label), distances, frame, features)
+        for place, label in enumerate(_of_some_size(labels), 1)
+    )
+    return Clusters(
+        found=found, silhouette=silhouette, compared=len(failures), failures=number_of_all,
+    )
+
+
+def gower(
+    some: pd.DataFrame, features: tuple[Feature, ...], frame: pd.DataFrame
+) -> Floats:
+    """Distance between any two of ``some`` runs, 0..1; ranges are those of ``frame``."""
+    total = np.zeros((len(some), len(some)))
+    for feature in features:
+        if feature.numeric or feature is CLOUDS_KIND:
+            values = ordered_values(feature, some)
+            total += np.abs(values[:, None] - values) / np.ptp(ordered_values(feature, frame))
+        else:
+            column = some[feature.name].to_numpy()
+            total += column[:, None] != column
+    distance: Floats = total / len(features)
+    return distance
+
+
+def _best_labels(distances: Floats) -> tuple[float, Ints]:
+    """Silhouette and labels of the number of groups that tells most.
+
+    Two groups nearly always have the best silhouette and tell the least, so unless they are clearly
+    apart they are taken only where more of some size are less than half as clear.
+    """
+    tried: list[tuple[float, Ints]] = []
+    for number in range(2, min(_MOST_CLUSTERS, len(distances) - 1) + 1):
+        joined = AgglomerativeClustering(
+            n_clusters=number, metric='precomputed', linkage='average'
+        ).fit_predict(distances)
+        score = float(silhouette_score(distances, joined, metric='precomputed'))
+        tried.append((score, joined.astype(np.int64)))
+    two, *others = tried
+    if two[0] >= CLEAR:
+        return max(tried, key=lambda one: round(one[0], 9))
+    more = [one for one in others if len(_of_some_size(one[1])) > _TWO]
+    best = max(more, key=lambda one: round(one[0], 9), default=two)
+    return best if best[0] > two[0] / 2 else two
+
+
+def _of_some_size(labels: Ints) -> list[int]:
+    """The labels of groups that are not mere strays, the largest first."""
+    sizes = np.bincount(labels)
+    least = max(2, _LEAST_SHARE * len(labels))
+    return [int(one) for one in np.argsort(-sizes, kind='stable') if sizes[one] >= least]
+
+
+def _cluster(
+    number: int, failures: pd.DataFrame, members: Ints, distances: Floats, frame: pd.DataFrame,
+    features: tuple[Feature, ...],
+) -> Cluster:
+    runs = failures.iloc[members]
+    medoid = int(distances[np.ix_(members, members)].sum(axis=1).argmin())
+    parts = [part for feature in features if (part := _common(feature, runs, frame)) is not None]
+    return Cluster(
+        number=number, failures=len(runs), share=len(runs) / len(failures),
+        typical=str(runs['run_id'].iloc[medoid]), common=Region(parts=tuple(parts)),
+        median_rho=float(runs['rho'].median()), runs=tuple(runs['run_id'].astype(str)),
+    )
+
+
+def _common(feature: Feature, runs: pd.DataFrame, frame: pd.DataFrame) -> Part | None:
+    """What nine in ten of the runs have of a feature, where many others do not have it."""
+    part: Part
+    if not feature.numeric:
+        counts = runs[feature.name].value_counts(normalize=True)
+        kinds = set(counts.index[counts.cumsum().shift(fill_value=0.0) < _PURE])
+        ordered = tuple(kind for kind in kinds_present(feature, frame) if kind in kinds)
+        part = Kinds(feature=feature.name, kinds=ordered)
+    else:
+        values, everywhere = runs[feature.name], frame[feature.name]
+        low, high = BY_NAME[feature.name].rounded(
+            *(float(values.quantile(share)) for share in _MIDDLE))
+        # An end that hardly a run lies beyond is none.
+        part = Interval(
+            feature=feature.name, low=low if (everywhere < low).mean() > _BEYOND else None,
+            high=high if (everywhere > high).mean() > _BEYOND else None,
+        )
+    return part if part.mask(frame).mean() <= _FEW else None
+
+
+_LEAST_FOR_AXES = 10
+CLOUD_RANK = 'cloud_rank'
+"""The kind of clouds as a number, from 0 for a clear sky to 5 for stratus."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PrincipalAxis:
+    """A direction.
+
+    Attributes:
+        explained: share of the failures' variance along it.
+        loadings: part of each standardised feature, by column.
+    """
+
+    explained: float
+    loadings: Mapping[str, float]
+
+
+def principal_axes(frame: pd.DataFrame) -> tuple[PrincipalAxis, ...]:
+    """Principal axes of the failures, the longest first; none where there are too few.
+
+    Each feature is divided by its standard deviation over all runs, so a feature in which failures
+    are as spread as scenes are has variance 1, and one that failures agree in has little.
+
+    Args:
+        frame: all runs, with features and ``failed``.
+    """
+    values = pd.DataFrame({
+        feature.name: frame[feature.name] for feature in PAPER_FEATURES if feature.numeric
+    })
+    values[CLOUD_RANK] = ordered_values(CLOUDS_KIND, frame)
+    values = values.loc[:, values.std(ddof=0) > 0]
+    failures = (values / values.std(ddof=0))[frame['failed'].to_numpy(dtype=bool)]
+    spread = failures.loc[:, failures.std(ddof=0) > 0]
+    if len(spread) < _LEAST_FOR_AXES or spread.shape[1] < 2:
+        return ()
+    found = PCA(svd_solver='full').fit(spread.to_numpy())
+    return tuple(
+        PrincipalAxis(explained=float(share), loadings=_signed(list(spread.columns), axis))
+        for share, axis in zip(found.explained_variance_ratio_, found.components_, strict=True)
+    )
+
+
+def _signed(names: list[str], axis: np.ndarray) -> dict[str, float]:
+    """Loadings with the sign that makes the largest one positive."""
+    sign = 1.0 if axis[np.abs(axis).argmax()] > 0 else -1.0
+    return {name: float(sign * value) for name, value in zip(names, axis, strict=True)}

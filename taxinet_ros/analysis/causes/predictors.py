@@ -1,0 +1,226 @@
+"""Which features predict failure: each by itself, and together in a small decision tree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.sparse import csr_array
+from sklearn.model_selection import StratifiedKFold, cross_val_score
+from sklearn.tree import DecisionTreeClassifier
+
+from taxinet_ros.analysis.causes.causes import round_limits
+from taxinet_ros.analysis.causes.region import Interval, Ints, Kinds, Part, Region, interval_cells
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.analysis.runs.features import (
+    BY_NAME,
+    PAPER_FEATURES,
+    Feature,
+    Floats,
+    Mask,
+    kinds_present,
+    ordered_values,
+    varied,
+)
+
+_SHUFFLES = 999
+_CELLS, _RUNS_PER_CELL = 10, 10
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RankedFeature:
+    """A feature's part.
+
+    Attributes:
+        feature: which.
+        information_bit: mutual information of the feature, cut into cells, and failing, less what
+            shuffled outcomes show on average; that of a coin is 1 bit.
+        explained: the same as a share of all that there is to know (of the deviance), 0..1.
+        p: of so much information if the feature did not matter, by shuffling; after Holm
+            (Scandinavian Journal of Statistics 6, 1979), so that all p values hold together.
+    """
+
+    feature: Feature
+    information_bit: float
+    explained: float
+    p: float
+
+
+def rank_features(frame: pd.DataFrame) -> tuple[RankedFeature, ...]:
+    """The features that vary, the most telling first; none where all runs ended alike.
+
+    Args:
+        frame: runs with features and ``failed``.
+    """
+    failed = frame['failed'].to_numpy(dtype=bool)
+    entropy = float(_entropy(np.array([failed.mean()]))[0])
+    features = varied(frame)
+    if not features or entropy == 0:
+        return ()
+    rng = np.random.default_rng(0)
+    rows = np.concatenate([failed[None, :],
+                           rng.permuted(np.tile(failed, (_SHUFFLES, 1)), axis=1)])
+    found = [_information(_cells(feature, frame), rows, entropy) for feature in features]
+    p = holm([(1 + int((one[1:] >= one[0] - 1e-12).sum())) / (1 + _SHUFFLES) for one in found])
+    ranked = [
+        RankedFeature(
+            feature=feature, information_bit=max(0.0, float(one[0] - one[1:].mean())),
+            explained=max(0.0, float(one[0] - one[1:].mean())) / entropy, p=each,
+        )
+        for feature, one, each in zip(features, found, p, strict=True)
+    ]
+    return tuple(sorted(ranked, key=lambda one: -one.information_bit))
+
+
+def holm(values: list[float]) -> list[float]:
+    """The p values after Holm's step-down correction, in the same order."""
+    order = np.argsort(values, kind='stable')
+    steps = [min(1.0, values[place] * (len(values) - step)) for step, place in enumerate(order)]
+    corrected = np.empty(len(values))
+    corrected[order] = np.maximum.accumulate(steps) if steps else []
+    return [float(value) for value in corrected]
+
+
+def _cells(feature: Feature, frame: pd.DataFrame) -> Ints:
+    if not feature.numeric:
+        return pd.factorize(frame[feature.name])[0].astype(np.int64)
+    values = frame[feature.name].to_numpy(dtype=np.float64)
+    most = int(np.clip(len(values) // _RUNS_PER_CELL, 2, _CELLS))
+    return interval_cells(values, most)[2]
+
+
+def _information(cells: Ints, rows: Mask, entropy: float) -> Floats:
+    """Mutual information of the cells and each row of outcomes [bit]."""
+    counts = np.bincount(cells)
+    where = csr_array(
+        (np.ones(len(cells), dtype=np.float32), (cells, np.arange(len(cells)))),
+        shape=(len(counts), len(cells)),
+    )
+    share = (where @ rows.T.astype(np.float32)) / counts[:, None]
+    left: Floats = (_entropy(share.astype(np.float64)) * counts[:, None]).sum(axis=0)
+    return entropy - left / len(cells)
+
+
+def _entropy(share: Floats) -> Floats:
+    """Of a coin with this share of heads [bit]."""
+    heads, tails = np.clip(share, 1e-300, 1), np.clip(1 - share, 1e-300, 1)
+    return -(share * np.log2(heads) + (1 - share) * np.log2(tails))
+
+
+LEAST_RUNS, LEAST_OF_A_KIND = 40, 10
+_FOLDS, _DEEPEST = 5, 4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rule:
+    """A leaf of the tree.
+
+    Attributes:
+        region: the scenes in it.
+        rate: how often its runs fail, of those that the tree was grown from.
+    """
+
+    region: Region
+    rate: GroupRate
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CauseTree:
+    """The tree.
+
+    Attributes:
+        rules: its leaves, those with the highest rate first.
+        depth: questions to the deepest leaf, chosen by cross-validation.
+        accuracy: share of held-back runs that it gets right, the mean of five folds.
+        guess: share that the commoner outcome would get right.
+    """
+
+    rules: tuple[Rule, ...]
+    depth: int
+    accuracy: float
+    guess: float
+
+
+def grow_tree(runs: CampaignRuns) -> CauseTree | None:
+    """Grow the tree; None where there are too few runs or failures, or nothing to split by.
+
+    The depth is the smallest whose log loss on held-back runs is within one standard error of the
+    best (Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984).
+    """
+    failed = runs.failed
+    columns = _columns(runs.frame)
+    of_a_kind = min(int(failed.sum()), int((~failed).sum()))
+    if len(failed) < LEAST_RUNS or of_a_kind < LEAST_OF_A_KIND or columns.empty:
+        return None
+    folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=0)
+    values = columns.to_numpy()
+    losses = np.array([
+        cross_val_score(_tree(depth, len(failed)), values, failed, cv=folds, scoring='neg_log_loss')
+        for depth in range(1, _DEEPEST + 1)
+    ])
+    mean = losses.mean(axis=1)
+    best = int(mean.argmax())
+    error = float(losses[best].std(ddof=1)) / np.sqrt(_FOLDS)
+    depth = int(np.flatnonzero(mean >= mean[best] - error)[0]) + 1
+    right = cross_val_score(_tree(depth, len(failed)), values, failed, cv=folds)
+    tree = _tree(depth, len(failed)).fit(values, failed)
+    rules = [
+        Rule(region=round_limits(region, runs.frame), rate=runs.rate(region.mask(runs.frame)))
+        for region in _leaves(tree.tree_, list(columns.columns), runs.frame)
+    ]
+    return CauseTree(
+        rules=tuple(sorted(rules, key=lambda rule: -rule.rate.rate)), depth=depth,
+        accuracy=float(right.mean()), guess=float(max(failed.mean(), 1 - failed.mean())),
+    )
+
+
+def _tree(depth: int, runs: int) -> DecisionTreeClassifier:
+    return DecisionTreeClassifier(
+        max_depth=depth, min_samples_leaf=max(8, runs // 100), criterion='entropy', random_state=0,
+    )
+
+
+def _columns(frame: pd.DataFrame) -> pd.DataFrame:
+    """Numbers as they are, kinds of clouds by their rank."""
+    columns = {
+        feature.name: ordered_values(feature, frame) for feature in varied(frame, PAPER_FEATURES)
+    }
+    return pd.DataFrame(columns, index=frame.index)
+
+
+def _leaves(tree: Any, names: list[str], frame: pd.DataFrame) -> Iterator[Region]:
+    """The region of each leaf, from left to right."""
+    def below(node: int, region: Region) -> Iterator[Region]:
+        if tree.children_left[node] < 0:
+            yield region
+            return
+        name, limit = names[tree.feature[node]], float(tree.threshold[node])
+        yield from below(tree.children_left[node], _with(region, name, limit, False, frame))
+        yield from below(tree.children_right[node], _with(region, name, limit, True, frame))
+
+    yield from below(0, Region(parts=()))
+
+
+def _with(region: Region, name: str, limit: float, above: bool, frame: pd.DataFrame) -> Region:
+    """The part of a region on one side of a question."""
+    feature = BY_NAME[name]
+    old = next((part for part in region.parts if part.feature == name), None)
+    others = tuple(part for part in region.parts if part.feature != name)
+    new: Part
+    if not feature.numeric:
+        kinds = old.kinds if isinstance(old, Kinds) else kinds_present(feature, frame)
+        new = Kinds(feature=name, kinds=tuple(
+            kind for kind in kinds if (feature.kinds.index(kind) > limit) is above))
+    else:
+        # The ends of an interval are values of runs: no run lies between one and the limit.
+        values = frame[name].to_numpy(dtype=np.float64)
+        low, high = (old.low, old.high) if isinstance(old, Interval) else (None, None)
+        if above:
+            low = float(values[values > limit].min())
+        else:
+            high = float(values[values <= limit].max())
+        new = Interval(feature=name, low=low, high=high)
+    return Region(parts=(*others, new))

@@ -1,0 +1,108 @@
+"""A cause as a Scenic program, by which it is tested on fresh scenes.
+
+The program is the one whose runs were analysed, with one requirement more: that a scene lies in the
+region. Scenic draws until it does, so the scenes are those of the program itself in the region,
+whatever sampler chose the runs that the cause was found in.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+from taxinet_ros.analysis.causes.causes import Cause
+from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
+from taxinet_ros.analysis.runs.campaign import CampaignRuns
+from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
+from taxinet_ros.core.controller import STEERING, controller_options
+from taxinet_ros.core.pacing.timing import parse_timing
+
+RUNS = 100
+_ANOTHER_SEED = 1_000_003
+_FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
+_VALUES = {
+    'time_of_day_h': 'scene_time_of_day', 'clouds': 'scene_clouds',
+    'rain_percent': 'scene_rain', 'cross_track_m': 'ego.cross_track',
+    'distance_m': 'ego.distance', 'heading_deg': 'ego.heading_deg',
+    'abs_cross_track_m': 'abs(ego.cross_track)', 'abs_heading_deg': 'abs(ego.heading_deg)',
+    'shadows': 'scene_shadows', 'crossing': 'scene_crossing',
+    'aircraft': 'scene_aircraft', 'date': 'scene_date',
+}
+_SWITCHES = {'on': True, 'off': False}
+
+
+def program_name(cause: Cause) -> str:
+    """File name of a cause's program."""
+    return f'cause-{cause.rank}{SUFFIX}'
+
+
+def cause_program(runs: CampaignRuns, cause: Cause) -> str | None:
+    """Text of a cause's program; None where the text of the runs' own program is not known.
+
+    Args:
+        runs: that it was found in.
+        cause: which.
+    """
+    source = _source(runs)
+    if source is None:
+        return None
+    required = [f'require {_condition(part)}' for part in cause.region.parts]
+    # A requirement knows the names of a program, but not the parameters of the world.
+    named = sorted({word for text in required for word in re.findall(r'\bscene_\w+', text)})
+    required[:0] = [f'{word} = globalParameters.{word.removeprefix("scene_")}' for word in named]
+    return '\n'.join([
+        source.rstrip(), '', f'# Only scenes of cause {cause.rank} of {runs.label}: '
+        f'{cause.region.words()}.', *required, '',
+    ])
+
+
+def confirmation_command(runs: CampaignRuns, cause: Cause, folder: Path = Path()) -> str | None:
+    """The command that runs fresh scenes of a cause; None where its program cannot be written.
+
+    Args:
+        runs: that it was found in.
+        cause: which.
+        folder: that its program is in.
+    """
+    if _source(runs) is None:
+        return None
+    seed = int(runs.facts.get('seed') or 0) + _ANOTHER_SEED
+    words = ['taxinet', 'run', str(folder / program_name(cause)), '--runs', str(RUNS),
+             '--seed', str(seed), '--perception', runs.perception,
+             *controller_options(runs.facts.get('controller', STEERING))]
+    values = {**runs.facts.get('overrides', {}), **runs.facts.get('laid_over', {})}
+    for key, value in values.items():
+        words += ['--set', f'{key}={value}']
+    specs = runs.facts.get('specs', {})
+    words += ['--spec', f'{runs.spec}={specs[runs.spec]}' if runs.spec in specs else runs.spec]
+    words += parse_timing(str(runs.facts.get('timing', ''))).options
+    return shlex.join([*words, '--images', 'none'])
+
+
+def _source(runs: CampaignRuns) -> str | None:
+    """The program's own text, of the campaign's record or as it is shipped."""
+    record = str(runs.facts.get('program_text', ''))
+    files = _FILE.split(record)[1:]
+    texts = dict(zip(files[::2], files[1::2], strict=True))
+    if texts:
+        own = {name: text for name, text in texts.items() if name != f'runway_world{SUFFIX}'}
+        return next(iter(own.values())).lstrip('\n') if len(own) == 1 else None
+    word = runs.program.removesuffix(SUFFIX)
+    return find_program(word).read_text(encoding='utf-8') if word in known_programs() else None
+
+
+def _condition(part: Part) -> str:
+    if isinstance(part, Either):
+        return f'({_condition(part.first)}) != ({_condition(part.second)})'
+    if isinstance(part, Kinds):
+        kinds = tuple(_SWITCHES.get(kind, kind) for kind in part.kinds)
+        return f'{_VALUES[part.feature]} in {kinds!r}'
+    value = _VALUES[part.feature]
+    if isinstance(part, Slant):
+        value = f'{value} + {part.factor!r} * {_VALUES[part.other]}'
+    low, high = part.low, part.high
+    bounds = [f'{low!r} <= {value}'] * (low is not None) + [f'{value} <= {high!r}'] * (
+        high is not None)
+    joined = ' or ' if low is not None and high is not None and low > high else ' and '
+    return f'({joined.join(bounds) or "True"})'

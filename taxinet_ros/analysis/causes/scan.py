@@ -1,0 +1,521 @@
+"""Scan statistic: where failures are denser than elsewhere, and whether that is chance.
+
+Regions are of three families: intervals of a numeric feature, over midnight too, and sets of
+words; intervals of a sum of two features, which are slanted bands; and two conditions, of which
+both hold or exactly one does. Each family's greatest score is held against the greatest ones of
+the same family in shuffled outcomes, and the family that exceeds its own by most against the
+same of the shufflings. So the p value accounts for all regions that were looked at.
+
+The statistic of a region is the log likelihood ratio of two failure rates, inside and outside,
+against one (Kulldorff, Communications in Statistics: Theory and Methods 26, 1997). There are
+many more small regions than large ones, so the greatest of all statistics would nearly always
+be that of a small one; the score of a region is therefore compared with what regions of its
+size reach by chance (Walther and Perry, Journal of the Royal Statistical Society B 84, 2022).
+
+Shuffling supposes that scenes were chosen without regard to outcomes. Where a sampler has
+learned from them, the runs are judged in their order instead, by an e-value.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+from scipy.sparse import csr_array
+from scipy.special import betaln, logsumexp
+from threadpoolctl import threadpool_limits
+
+from taxinet_ros.analysis.causes.region import (
+    Either,
+    Floats32,
+    Interval,
+    Ints,
+    Kinds,
+    Region,
+    Slant,
+    around_the_clock,
+    beginnings,
+    interval_cells,
+    neighbours,
+    subsets,
+)
+from taxinet_ros.analysis.runs.features import (
+    CROSS_TRACK,
+    DISTANCE,
+    HEADING,
+    TIME_OF_DAY,
+    Feature,
+    Floats,
+    Mask,
+    kinds_present,
+    varied,
+)
+
+
+def likelihood_ratio(
+    failures: npt.NDArray[Any], inside: npt.NDArray[Any], all_failures: int, runs: int
+) -> Floats:
+    """Log likelihood ratio of two rates against one; 0 where the rate inside is not the higher.
+
+    Args:
+        failures: inside.
+        inside: number of runs inside, to go with ``failures``.
+        all_failures: inside and outside together.
+        runs: inside and outside together.
+    """
+    x_log_x = _x_log_x(runs)
+    k, n = np.rint(failures).astype(np.int32), np.rint(inside).astype(np.int32)
+    # Outside there are never more failures than runs where k is a count of these runs.
+    beyond = np.minimum(all_failures - k, runs - n)
+    ratio: Floats = x_log_x[k] + x_log_x[n - k]
+    ratio += x_log_x[beyond]
+    ratio += x_log_x[runs - n - beyond]
+    ratio -= x_log_x[n] + x_log_x[runs - n]
+    ratio -= float(x_log_x[all_failures] + x_log_x[runs - all_failures] - x_log_x[runs])
+    return np.where(k * float(runs) > n * float(all_failures), ratio, 0.0)
+
+
+def _x_log_x(most: int) -> Floats:
+    numbers = np.arange(most + 1, dtype=np.float64)
+    return numbers * np.log(np.maximum(numbers, 1))
+
+
+def size_penalty(inside: npt.NDArray[Any], runs: int) -> Floats:
+    """What chance alone makes of the root of twice the ratio, for regions of a size."""
+    smaller = np.minimum(inside, runs - inside)
+    penalty: Floats = np.sqrt(2 * np.log(np.e * runs / np.maximum(smaller, 1.0)))
+    return penalty
+
+
+def hoeffding_bound(failed: Mask, inside: Mask) -> float:
+    """A bound on how probable it is that shuffled outcomes put as many failures inside, or more.
+
+    Args:
+        failed: of each run.
+        inside: which runs are inside, neither none nor all.
+    """
+    share = float(failed.mean())
+    exponents = []
+    for among, of in ((failed[inside], share), (~failed[~inside], 1 - share)):
+        part = float(among.mean())
+        exponents.append(len(among) * _divergence(part, of) if part > of else 0.0)
+    return math.exp(-max(exponents))
+
+
+def interval_of(failures: int, runs: int, deviance: float) -> tuple[float, float]:
+    """Rates that the counts do not speak against by more than a log likelihood ratio.
+
+    Args:
+        failures: among the runs.
+        runs: how many; with none every rate is possible.
+        deviance: the log likelihood ratio of the observed rate to a rate at an end.
+    """
+    if not runs:
+        return 0.0, 1.0
+    share = failures / runs
+
+    def end(of: float) -> float:
+        near, far = share, of
+        for _ in range(60):
+            middle = (near + far) / 2
+            if runs * _divergence(share, middle) <= deviance:
+                near = middle
+            else:
+                far = middle
+        return near
+
+    return (end(0.0) if failures else 0.0), (end(1.0) if failures < runs else 1.0)
+
+
+def _divergence(part: float, whole: float) -> float:
+    """Kullback and Leibler's, of two coins."""
+    terms = ((part, whole), (1 - part, 1 - whole))
+    return sum(one * math.log(one / max(other, 1e-300)) for one, other in terms if one > 0)
+
+
+def log_evidence(
+    failures: npt.NDArray[Any], inside: npt.NDArray[Any], all_failures: int, runs: int
+) -> Floats:
+    """Log of an e-value against 'one rate', for each of some regions fixed before the runs.
+
+    The likelihood of the outcomes under two unknown rates, each mixed over Jeffreys's prior, by the
+    greatest one under a single rate. Given the past and the scene, the outcome of the next run is a
+    toss of one coin if no scene fails more often than another, however the scene was chosen. So
+    the ratio to the true coin is a martingale, the ratio here is not above it, and by Ville's
+    inequality it exceeds 1 / alpha with probability alpha at most, whatever the sampler has learned
+    from outcomes (universal inference: Wasserman, Ramdas and Balakrishnan, PNAS 117, 2020; Ramdas,
+    Grünwald, Vovk and Shafer, Statistical Science 38, 2023). Means of e-values are e-values.
+    """
+    k, n = failures.astype(np.float64), inside.astype(np.float64)
+    beyond, others = all_failures - k, runs - n
+
+    def mixed(hits: Floats, tosses: Floats) -> Floats:
+        value: Floats = betaln(hits + 0.5, tosses - hits + 0.5) - betaln(0.5, 0.5)
+        return value
+
+    x_log_x = _x_log_x(runs)
+    one_rate = x_log_x[all_failures] + x_log_x[runs - all_failures] - x_log_x[runs]
+    evidence: Floats = mixed(k, n) + mixed(beyond, others) - float(one_rate)
+    return evidence
+
+
+SHUFFLES = 999
+DISCOUNT = 1.2
+"""A region of two features must tell a fifth more than one of one, to be named instead."""
+PERIODS = {TIME_OF_DAY.name: 24.0, HEADING.name: 360.0}
+"""Features that begin anew."""
+_FIRST_SHUFFLES, _SHUFFLES_OF_BOUND = 199, 59
+_HOPELESS = 3.0
+"""Where p is more than so many times alpha after the first shufflings, there are no more."""
+_LEVEL = 0.05
+_LEVELS = (0.03, 0.015, 0.015)
+"""Of each family: single features are causes more often than pairs are."""
+_MOST_KINDS = 8
+_SLOPES = (0.5, 1.0, 2.0)
+_SLANTED = (CROSS_TRACK, HEADING, DISTANCE, TIME_OF_DAY)
+_WRAPS = 0.2
+"""A feature goes round where no more than this share of its period has no run."""
+_LEARNING = 0.2
+"""Share of the runs of a search that only tell where to cut, if outcomes chose the scenes."""
+_NONE = -99.0
+"""Below every score."""
+_ONE, _SLANT, _TWO = range(3)
+
+
+class _Axis(NamedTuple):
+    """A feature, or a sum of two, in cells: the cell of each run, and what cells make a part.
+
+    Attributes:
+        part: it as a whole; its limits are put in.
+        firsts, lasts: least and greatest value of each cell; of words empty.
+        places: cell of each run.
+        members: cells of each candidate, (candidates, cells).
+    """
+
+    part: Interval | Kinds | Slant
+    firsts: Floats
+    lasts: Floats
+    places: Ints
+    members: Floats32
+
+    def chosen(self, cells: Floats32) -> Interval | Kinds | Slant:
+        """The part that some cells make."""
+        part, inside = self.part, np.flatnonzero(cells)
+        if isinstance(part, Kinds):
+            return Kinds(feature=part.feature, kinds=tuple(part.kinds[cell] for cell in inside))
+        first, last = int(inside[0]), int(inside[-1])
+        if last - first + 1 > len(inside):  # it goes round
+            gap = np.flatnonzero(cells == 0)
+            first, last = int(gap[-1]) + 1, int(gap[0]) - 1
+        low, high = float(self.firsts[first]), float(self.lasts[last])
+        if isinstance(part, Slant):
+            return Slant(feature=part.feature, other=part.other, factor=part.factor,
+                         low=low, high=high)
+        return Interval(feature=part.feature, low=low, high=high)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Candidates that are counted together.
+
+    Attributes:
+        family: of :data:`_ONE`, :data:`_SLANT` and :data:`_TWO`.
+        axes: one, or the two that are crossed.
+        runs_of_cell: which runs each cell, or pair of cells, has: (cells, runs).
+        inside: number of runs of each candidate.
+    """
+
+    family: int
+    axes: tuple[_Axis, ...]
+    runs_of_cell: csr_array
+    inside: Floats32
+
+    def failures(self, rows: Floats32) -> Floats32:
+        """Failures of each candidate, for each row of outcomes: (candidates, rows)."""
+        return _counts(self.axes, self.runs_of_cell @ rows.T)
+
+    def region(self, candidate: int) -> Region:
+        """What a candidate is."""
+        if len(self.axes) == 1:
+            return Region(parts=(self.axes[0].chosen(self.axes[0].members[candidate]),))
+        one, other = self.axes
+        both = len(one.members) * len(other.members)
+        if candidate < both:
+            first, second = divmod(candidate, len(other.members))
+            return Region(parts=(one.chosen(one.members[first]), other.chosen(
+                other.members[second])))
+        halves = [beginnings(axis.members.shape[1]) for axis in self.axes]
+        either = len(halves[0]) * len(halves[1])
+        same, candidate = divmod(candidate - both, either)
+        first, second = divmod(candidate, len(halves[1]))
+        cells = 1 - halves[1][second] if same else halves[1][second]
+        parts = one.chosen(halves[0][first]), other.chosen(cells)
+        assert not isinstance(parts[0], Slant)
+        assert not isinstance(parts[1], Slant)
+        return Region(parts=(Either(first=parts[0], second=parts[1]),))
+
+
+class Scan:
+    """The candidates of a set of runs.
+
+    Attributes:
+        region: the most telling one, its limits on the grid of the scan; None where none has more
+            failures than the others.
+        candidates: that were compared.
+    """
+
+    def __init__(self, frame: pd.DataFrame, basis: pd.DataFrame | None = None) -> None:
+        """Compare them.
+
+        Args:
+            frame: runs with features and ``failed``.
+            basis: runs that tell where to cut features; these themselves where None.
+        """
+        self._failed = frame['failed'].to_numpy(dtype=bool)
+        self._blocks = list(_blocks(frame, frame if basis is None else basis))
+        self.candidates = sum(len(block.inside) for block in self._blocks)
+        self.region: Region | None = None
+        self._greatest = np.full(3, _NONE)
+        self._first_score, self._score_of = np.zeros(0, dtype=np.int32), np.zeros(0, np.float32)
+        rows, told = self._failed[None, :].astype(np.float32), 0.0
+        for block in self._blocks:
+            score = self._scores(block, rows)[:, 0]
+            best = int(score.argmax())
+            self._greatest[block.family] = max(self._greatest[block.family], score[best])
+            penalty = float(size_penalty(block.inside[best], len(self._failed)))
+            worth = float(score[best]) + penalty
+            worth /= 1.0 if block.family == _ONE else math.sqrt(DISCOUNT)
+            if worth > told:
+                self.region, told = block.region(best), worth
+        self._shuffled = np.zeros((0, 3))
+        self._inside = None if self.region is None else self.region.mask(frame)
+
+    def p_value(self, alpha: float, rng: np.random.Generator) -> tuple[float, bool]:
+        """How probable so telling a region is somewhere, if failing had no cause here.
+
+        Args:
+            alpha: the shufflings end when it is clear that the value is above it.
+            rng: for the shufflings.
+
+        Returns:
+            The p value, and whether it is a bound that the true one is below.
+        """
+        if self._inside is None:
+            return 1.0, False
+        bound = self.candidates * hoeffding_bound(self._failed, self._inside)
+        if bound < 1 / (SHUFFLES + 1):
+            self._shuffle(_SHUFFLES_OF_BOUND, rng)  # for the intervals
+            return bound, True
+        self._tabulate()
+        self._shuffle(_FIRST_SHUFFLES, rng)
+        if self._rank() <= _HOPELESS * alpha:
+            self._shuffle(SHUFFLES - _FIRST_SHUFFLES, rng)
+        return self._rank(), False
+
+    def _rank(self) -> float:
+        usual = np.array([np.quantile(each, 1 - level) for each, level in zip(
+            self._shuffled.T, _LEVELS, strict=True)])
+        usual[usual <= _NONE] = -_NONE  # a family without candidates never exceeds anything
+        here = float((self._greatest - usual).max())
+        there = (self._shuffled - usual).max(axis=1)
+        return (1 + int((there >= here - 1e-9).sum())) / (1 + len(there))
+
+    def deviance(self, inside: int) -> float:
+        """Log likelihood ratio by which, in 95 % of cases, no region's counts miss its true rate.
+
+        Args:
+            inside: runs of the region.
+        """
+        greatest = self._shuffled.max(axis=1)
+        usual = float(np.quantile(greatest, 1 - _LEVEL))
+        root = max(usual, 0.0) + float(size_penalty(np.array([inside]), len(self._failed))[0])
+        return root**2 / 2 + _OF_ONE_RATE
+
+    def p_of_search(self) -> float:
+        """As :meth:`p_value`, valid too where scenes were chosen by the outcomes before them.
+
+        The regions must have been cut by runs before these. Half of the weight is on regions of
+        one feature.
+        """
+        families = []
+        for family in range(3):
+            each = [
+                log_evidence(block.failures(rows)[:, 0], block.inside, int(self._failed.sum()),
+                             len(self._failed))
+                for block in self._blocks if block.family == family
+                for rows in [self._failed[None, :].astype(np.float32)]
+            ]
+            if each:
+                evidence = np.concatenate(each)
+                families.append(float(logsumexp(evidence)) - math.log(len(evidence)))
+        if not families:
+            return 1.0
+        weights = np.array([2.0, *[1.0] * (len(families) - 1)])
+        total = float(logsumexp(families, b=weights / weights.sum()))
+        return min(1.0, math.exp(-total))
+
+    def _shuffle(self, times: int, rng: np.random.Generator) -> None:
+        rows = rng.permuted(np.tile(self._failed, (times, 1)), axis=1).astype(np.float32)
+        greatest = np.full((times, 3), _NONE)
+        # Matrices as small as these are slowed down tenfold by BLAS threads on a busy machine.
+        with threadpool_limits(limits=1):
+            for block in self._blocks:
+                score = self._scores(block, rows).max(axis=0)
+                np.maximum(greatest[:, block.family], score, out=greatest[:, block.family])
+        self._shuffled = np.concatenate([self._shuffled, greatest])
+
+    def _scores(self, block: _Block, rows: Floats32) -> Floats32:
+        """Of each candidate, for each row of outcomes: (candidates, rows)."""
+        failures = block.failures(rows)
+        if not len(self._score_of):
+            return self._score(failures, block.inside[:, None])
+        places = failures.astype(np.int32)
+        places += self._first_score[block.inside.astype(np.int32)][:, None]
+        return self._score_of.take(places)
+
+    def _tabulate(self) -> None:
+        """Put down every score that there can be, by runs inside and failures among them."""
+        runs, all_failures = len(self._failed), int(self._failed.sum())
+        sizes = np.unique(np.concatenate([block.inside for block in self._blocks]))
+        self._first_score = np.full(runs + 1, 0, dtype=np.int32)
+        self._first_score[sizes.astype(np.int32)] = np.arange(len(sizes)) * (all_failures + 1)
+        failures = np.minimum(np.arange(all_failures + 1)[None, :], sizes[:, None])
+        self._score_of = self._score(failures, sizes[:, None]).ravel()
+
+    def _score(self, failures: npt.NDArray[Any], inside: Floats32) -> Floats32:
+        """Root of twice the ratio, less what chance makes of it; never of too few runs."""
+        runs = len(self._failed)
+        ratio = likelihood_ratio(failures, inside, int(self._failed.sum()), runs)
+        penalty = size_penalty(inside, runs)
+        penalty[np.minimum(inside, runs - inside) < least_runs(runs)] = np.inf
+        scores: Floats = np.sqrt(2 * np.maximum(ratio, 0.0)) - penalty
+        return scores.astype(np.float32)
+
+_OF_ONE_RATE = 1.92
+"""Half the 95 % quantile of chi-square with one degree of freedom: for the rate of all runs."""
+
+
+def p_of_search(frame: pd.DataFrame) -> float:
+    """P value of a cause somewhere, where outcomes may have chosen the scenes after them.
+
+    Args:
+        frame: runs with features and ``failed``, in the order in which they were asked for.
+    """
+    first = max(1, round(_LEARNING * len(frame)))
+    return Scan(frame.iloc[first:], frame.iloc[:first]).p_of_search()
+
+
+def least_runs(runs: int) -> int:
+    """Fewest runs that a candidate may have."""
+    return max(8, runs // 200)
+
+
+def goes_round(feature: str, values: Floats) -> bool:
+    """Whether an interval of a feature may go over its end, as a night does."""
+    if feature not in PERIODS:
+        return False
+    period = PERIODS[feature]
+    return bool(period * (1 - _WRAPS) <= values.max() - values.min() <= period)
+
+
+def _blocks(frame: pd.DataFrame, basis: pd.DataFrame) -> Iterator[_Block]:
+    runs = len(frame)
+    fine, coarse = int(np.clip(runs // 10, 10, 40)), int(np.clip(runs**0.5 / 2.5, 4, 8))
+    features = varied(basis)
+    for feature in features:
+        if (axis := _axis(feature, frame, basis, fine, subsets)) is not None:
+            yield _block(_ONE, (axis,), runs)
+    for axis in _slants(frame, basis, max(10, fine // 2)):
+        yield _block(_SLANT, (axis,), runs)
+    crossed = {
+        feature: axis for feature in features
+        if (axis := _axis(feature, frame, basis, coarse, neighbours)) is not None
+    }
+    for one, other in itertools.combinations(crossed, 2):
+        if one.source != other.source:
+            yield _block(_TWO, (crossed[one], crossed[other]), runs)
+
+
+def _axis(
+    feature: Feature, frame: pd.DataFrame, basis: pd.DataFrame, most: int,
+    sets: Callable[[int], Floats32],
+) -> _Axis | None:
+    """The feature in cells of runs, or None where it has too many words, or one cell."""
+    if feature.numeric:
+        part = Interval(feature=feature.name, low=None, high=None)
+        values, cut_by = (one[feature.name].to_numpy(dtype=np.float64) for one in (frame, basis))
+        return _numeric(part, values, cut_by, most)
+    kinds = kinds_present(feature, basis)
+    if not 2 <= len(kinds) <= _MOST_KINDS:
+        return None
+    codes = pd.Index(kinds).get_indexer(pd.Index(frame[feature.name])).astype(np.int64)
+    empty = np.zeros(0)
+    # A word that only came up later is with the last one.
+    return _Axis(Kinds(feature=feature.name, kinds=kinds), empty, empty,
+                 np.where(codes < 0, len(kinds) - 1, codes), sets(len(kinds)))
+
+
+def _numeric(
+    part: Interval | Slant, values: Floats, cut_by: Floats, most: int
+) -> _Axis | None:
+    firsts, lasts, places = interval_cells(cut_by, most)
+    if len(firsts) < 2:
+        return None
+    if values is not cut_by:
+        places = np.maximum(np.searchsorted(firsts, values, side='right') - 1, 0)
+    round_about = isinstance(part, Interval) and goes_round(part.feature, cut_by)
+    members = around_the_clock(len(firsts)) if round_about else neighbours(len(firsts))
+    return _Axis(part, firsts, lasts, places, members)
+
+
+def _slants(frame: pd.DataFrame, basis: pd.DataFrame, most: int) -> Iterator[_Axis]:
+    """Sums of two features, on scales on which both vary about as much."""
+    for one, other in itertools.combinations(varied(basis, _SLANTED), 2):
+        ranges = [float(np.ptp(basis[feature.name])) for feature in (one, other)]
+        for slope, sign in itertools.product(_SLOPES, (1, -1)):
+            factor = float(f'{sign * slope * ranges[0] / ranges[1]:.2g}')
+            part = Slant(feature=one.name, other=other.name, factor=factor, low=None, high=None)
+            axis = _numeric(part, part.values(frame), part.values(basis), most)
+            if axis is not None:
+                yield axis
+
+
+def _block(family: int, axes: tuple[_Axis, ...], runs: int) -> _Block:
+    cells, places = 1, np.zeros(runs, dtype=np.int64)
+    for axis in axes:
+        cells *= axis.members.shape[1]
+        places = places * axis.members.shape[1] + axis.places
+    runs_of_cell = csr_array(
+        (np.ones(runs, dtype=np.float32), (places, np.arange(runs))), shape=(cells, runs))
+    counts = np.bincount(places, minlength=cells).astype(np.float32)
+    return _Block(family, axes, runs_of_cell, _counts(axes, counts[:, None])[:, 0])
+
+
+def _counts(axes: Sequence[_Axis], of_cells: Floats32) -> Floats32:
+    """Sums over the cells of each candidate, of sums of each cell: (candidates, rows)."""
+    if len(axes) == 1:
+        return np.asarray(axes[0].members @ of_cells)
+    one, other = axes
+    shape = (one.members.shape[1], other.members.shape[1], -1)
+    joint = of_cells.reshape(shape)
+    rows = joint.shape[2]
+    both = _crossed(one.members, other.members, joint)
+    first, second = (beginnings(axis.members.shape[1]) for axis in axes)
+    alone = np.tensordot(first, joint.sum(axis=1), 1)[:, None, :]
+    beside = np.tensordot(second, joint.sum(axis=0), 1)[None, :, :]
+    either = alone + beside - 2 * _crossed(first, second, joint)
+    whole = joint.sum(axis=(0, 1))
+    return np.concatenate([
+        both.reshape(-1, rows), either.reshape(-1, rows), (whole - either).reshape(-1, rows),
+    ])
+
+
+def _crossed(one: Floats32, other: Floats32, joint: Floats32) -> Floats32:
+    first = np.tensordot(one, joint, 1)
+    return np.matmul(other, first)

@@ -1,0 +1,176 @@
+"""The arms of a confirmation experiment, compared run by run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from taxinet_ros.analysis.experiment.pairs import (
+    PairedRates,
+    PairedShift,
+    paired_rates,
+    paired_shift,
+)
+from taxinet_ros.campaign.experiment import Experiment
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import HUMAN_KEYS
+
+Rows = Mapping[str, Sequence[RunRow]]
+"""Runs of an experiment, by the name of their arm."""
+
+_NUMBERS = ('time_of_day', 'distance', 'cross_track', 'heading', 'rain')
+"""What a picture may be drawn over, in the order in which it is tried."""
+
+_SIGNIFICANT = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmComparison:
+    """One arm against the arm that it is compared to.
+
+    Attributes:
+        base, arm: their names.
+        pairs: rows of scenes that were judged in both, base first.
+        unpaired: scenes that were not.
+        satisfied: of the formulas.
+        off_runway: of leaving the runway.
+        rho: of the headline [m, or as its predicate].
+        max_cross_track_m: greatest |cross-track error| [m].
+        settle_time_s: of runs that settle in both arms [s].
+        settled: whether runs settle on the centreline at all.
+    """
+
+    base: str
+    arm: str
+    pairs: tuple[tuple[RunRow, RunRow], ...]
+    unpaired: int
+    satisfied: PairedRates
+    off_runway: PairedRates
+    rho: PairedShift
+    max_cross_track_m: PairedShift
+    settle_time_s: PairedShift
+    settled: PairedRates
+
+    @property
+    def clear(self) -> bool:
+        """Whether the arms differ in how often they satisfy, beyond doubt."""
+        return self.satisfied.p_value < _SIGNIFICANT
+
+    @property
+    def rho_clear(self) -> bool:
+        """Whether rho differs, beyond doubt."""
+        return self.rho.p_value < _SIGNIFICANT
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairedArms:
+    """What an experiment has shown.
+
+    Attributes:
+        experiment: what was done.
+        rows: runs of every arm.
+        comparisons: every other arm with the one that they are compared to.
+        over: key of the scenario to draw over.
+        alone: whether nothing else varies, so that neighbours in it may be joined by a line.
+    """
+
+    experiment: Experiment
+    rows: Rows
+    comparisons: tuple[ArmComparison, ...]
+    over: str
+    alone: bool
+
+
+def paired_arms(experiment: Experiment, rows: Rows) -> PairedArms:
+    """Compare the arms of an experiment whose scenes were found to be paired."""
+    base = rows[experiment.compare_to]
+    varied = varied_keys(base)
+    numbers = [key for key in _NUMBERS if key in varied]
+    return PairedArms(
+        experiment=experiment, rows=rows,
+        comparisons=tuple(
+            compare_arms(experiment.compare_to, base, arm.name, rows[arm.name])
+            for arm in experiment.others
+        ),
+        over=experiment.over or next(iter(numbers), 'time_of_day'), alone=len(varied) <= 1,
+    )
+
+
+def compare_arms(
+    base: str, base_rows: Sequence[RunRow], arm: str, rows: Sequence[RunRow]
+) -> ArmComparison:
+    """Compare two arms over the scenes that were judged in both."""
+    by_index = {row.index: row for row in rows if row.outcome.judged}
+    pairs = tuple(
+        (row, by_index[row.index])
+        for row in sorted(base_rows, key=lambda row: row.index)
+        if row.outcome.judged and row.index in by_index
+    )
+    numbers = {row.index for row in (*base_rows, *rows)}
+    firsts, seconds = [one for one, _ in pairs], [other for _, other in pairs]
+
+    def shift(name: str) -> PairedShift:
+        return paired_shift([_number(row, name) for row in firsts],
+                            [_number(row, name) for row in seconds])
+
+    return ArmComparison(
+        base=base, arm=arm, pairs=pairs, unpaired=len(numbers) - len(pairs),
+        satisfied=paired_rates([row.outcome is Outcome.PASS for row in firsts],
+                               [row.outcome is Outcome.PASS for row in seconds]),
+        off_runway=paired_rates([bool(row.left_runway) for row in firsts],
+                                [bool(row.left_runway) for row in seconds]),
+        rho=shift('rho'), max_cross_track_m=shift('max_cross_track_m'),
+        settle_time_s=shift('settle_time_s'),
+        settled=paired_rates([row.settle_time_s is not None for row in firsts],
+                             [row.settle_time_s is not None for row in seconds]),
+    )
+
+
+def varied_keys(rows: Sequence[RunRow]) -> tuple[str, ...]:
+    """Keys of the scenario that are not the same in all runs."""
+    drawn = [row for row in rows if row.clouds]
+    return tuple(key for key in HUMAN_KEYS if len({getattr(row, key) for row in drawn}) > 1)
+
+
+def pairs_frame(found: PairedArms) -> pd.DataFrame:
+    """One line for each scene: its values in the arm compared to, and each arm's figures."""
+    experiment = found.experiment
+    names = [experiment.compare_to, *(arm.name for arm in experiment.others)]
+    by_arm = {name: {row.index: row for row in found.rows[name]} for name in names}
+    indices = sorted({index for rows in by_arm.values() for index in rows})
+    return pd.DataFrame([_line(index, names, by_arm) for index in indices]).convert_dtypes()
+
+
+def rho_of(row: RunRow) -> float:
+    """Robustness of the headline, NaN where a run has none."""
+    return row.headline[0] if row.headline else math.nan
+
+
+def _line(
+    index: int, names: Sequence[str], by_arm: Mapping[str, Mapping[int, RunRow]]
+) -> dict[str, object]:
+    base = by_arm[names[0]].get(index)
+    values: dict[str, object] = {'index': index}
+    values |= {key: getattr(base, key) if base else None for key in HUMAN_KEYS}
+    for name in names:
+        row = by_arm[name].get(index)
+        values |= {
+            f'run_{name}': row.run_id if row else None,
+            f'outcome_{name}': row.outcome.value if row else None,
+            f'rho_{name}': row.headline[0] if row and row.headline else None,
+            f'left_runway_{name}': row.left_runway if row else None,
+            f'max_cross_track_m_{name}': row.max_cross_track_m if row else None,
+            f'settle_time_s_{name}': row.settle_time_s if row else None,
+        }
+    return values
+
+
+def _number(row: RunRow, name: str) -> float:
+    if name == 'rho':
+        return rho_of(row)
+    value = getattr(row, name)
+    return math.nan if value is None else float(value)

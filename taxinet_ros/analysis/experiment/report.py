@@ -1,0 +1,450 @@
+"""The report on a confirmation experiment: pictures, sentences, tables, JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from taxinet_ros.analysis.experiment.arms import ArmComparison, PairedArms, rho_of
+from taxinet_ros.analysis.experiment.pairs import ConfidenceInterval, PairedRates, PairedShift
+from taxinet_ros.analysis.report.parts import (
+    Cell,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    Theme,
+    style_axes,
+)
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.campaign.experiment import Experiment
+from taxinet_ros.campaign.rates import count_outcomes
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.provenance import provenance
+
+_NAMES = {
+    'time_of_day': ('time of day', 'h'), 'distance': ('distance past the threshold', 'm'),
+    'cross_track': ('cross-track error at the start', 'm'),
+    'heading': ('heading error at the start', '°'), 'rain': ('rain', '%'),
+}
+"""Keys of the scenario for people, with their units."""
+_LOWEST_SHOWN = -6.0
+"""Runs that leave the centreline for good are shown at the picture's lower edge."""
+_MOST_CHANGE = 8.0
+_BINS, LEAST_IN_BIN = 12, 3
+"""Parts of what is drawn over, and the least number of runs in one that say something."""
+
+
+def title_of(key: str) -> str:
+    """A key of the scenario for people, with its unit."""
+    name, unit = _NAMES.get(key, (key, ''))
+    return f'{name} [{unit}]' if unit else name
+
+
+def range_words(key: str, low: float, high: float) -> str:
+    """From where to where a key goes, for people."""
+    name, unit = _NAMES.get(key, (key, ''))
+    digits = 0 if abs(high) >= 100 else 1
+    return f'{name} {low:.{digits}f} to {high:.{digits}f} {unit}'.strip()
+
+
+def arms_picture(found: PairedArms) -> Picture:
+    """Every arm's runs, in a colour of its own."""
+    names = ' and '.join(found.rows)
+    lines = (
+        'neighbours are joined' if found.alone
+        else 'lines are medians, and pairs with another verdict are joined'
+    )
+    return Picture(
+        name='experiment', title=f'ρ with {names}',
+        caption=f'A dot is a run; {lines}. Above 0 the formula is satisfied; what is below '
+                f'{_LOWEST_SHOWN:g} would be a triangle at the edge.',
+        draw=partial(_draw, found), size_in=(7.6, 4.0),
+    )
+
+
+def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    experiment = found.experiment
+    places = {row.index: getattr(row, found.over) for row in found.rows[experiment.compare_to]}
+    if not found.alone:
+        for one in found.comparisons:
+            _join_flips(axes, one, places, theme)
+    others = iter(theme.others * len(experiment.arms))
+    for arm in experiment.arms:
+        # The suspect in the colour of failure; two arms are told apart by anybody.
+        base = arm.name == experiment.compare_to
+        colour = theme.failed if base else theme.passed if len(experiment.arms) == 2 \
+            else next(others)
+        _draw_arm(axes, found, arm.name, places, colour, above=not base)
+    axes.axhline(0, color=theme.ink, linewidth=0.8)
+    axes.set(
+        xlabel=title_of(found.over),
+        ylabel=f'ρ of {experiment.specs[0].partition("=")[0]} [m]', ylim=(_lowest(found), None),
+    )
+    # Upright lines join pairs there, and would be lost among those of a grid.
+    style_axes(axes, grid='both' if found.alone else 'y')
+    axes.legend(frameon=False, loc='lower center', bbox_to_anchor=(0.5, 1.0),
+                ncols=len(experiment.arms))
+
+
+def _lowest(found: PairedArms) -> float:
+    rhos = [rho_of(row) for rows in found.rows.values() for row in rows if row.outcome.judged]
+    return max(min([0.0, *rhos]) - 0.2, _LOWEST_SHOWN)
+
+
+def _draw_arm(
+    axes: Axes, found: PairedArms, name: str, places: dict[int, float], colour: str, *,
+    above: bool,
+) -> None:
+    points = sorted(
+        (float(places[row.index]), rho_of(row)) for row in found.rows[name]
+        if row.outcome.judged and places.get(row.index) is not None
+    )
+    x, rho = (np.array(values, dtype=np.float64) for values in zip(*points, strict=True)) \
+        if points else (np.empty(0), np.empty(0))
+    shown = np.maximum(rho, _LOWEST_SHOWN)
+    order = 4 if above else 3
+    inside = rho > _LOWEST_SHOWN
+    axes.plot(x[inside], rho[inside], 'o', color=colour, markersize=4 if found.alone else 3,
+              alpha=1.0 if found.alone else 0.6, zorder=order, label=name, markeredgewidth=0)
+    axes.plot(x[~inside], shown[~inside], 'v', color=colour, markersize=5, zorder=order,
+              clip_on=False, markeredgewidth=0)
+    if found.alone:
+        axes.plot(x, shown, color=colour, linewidth=1.0, alpha=0.7, zorder=order - 2)
+    elif len(x):
+        axes.plot(*_medians(x, shown), color=colour, linewidth=2.0, zorder=order + 2)
+
+
+def _join_flips(
+    axes: Axes, one: ArmComparison, places: dict[int, float], theme: Theme
+) -> None:
+    for a, b in one.pairs:
+        if a.outcome is not b.outcome and places.get(a.index) is not None:
+            ends = [max(rho_of(row), _LOWEST_SHOWN) for row in (a, b)]
+            axes.plot([places[a.index]] * 2, ends, color=theme.faint, linewidth=0.8, zorder=1)
+
+
+def change_picture(found: PairedArms, one: ArmComparison) -> Picture:
+    """How much rho changes from the arm compared to."""
+    return Picture(
+        name=f'change_{one.arm}', title=f'Change of ρ from {one.base} to {one.arm}',
+        caption='A dot is a scene: how much greater its ρ is in one arm than in the other; the '
+                f'line is the median. Beyond {_MOST_CHANGE:g} m dots are drawn at the edge.',
+        draw=partial(_draw_change, found, one), size_in=(7.6, 3.2),
+    )
+
+
+def _draw_change(found: PairedArms, one: ArmComparison, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    x, change = changes(found, one)
+    shown = np.clip(change, -_MOST_CHANGE, _MOST_CHANGE)
+    axes.axhline(0, color=theme.ink, linewidth=0.8)
+    axes.plot(x, shown, 'o', color=theme.passed, markersize=4, alpha=0.7, markeredgewidth=0,
+              clip_on=False)
+    if len(x):
+        axes.plot(*_medians(x, shown), color=theme.failed, linewidth=2.0)
+    axes.set(xlabel=title_of(found.over), ylabel='change of ρ [m]')
+    style_axes(axes)
+
+
+def changes(found: PairedArms, one: ArmComparison) -> tuple[np.ndarray, np.ndarray]:
+    """Where each pair is, and how much its rho changes."""
+    known = [
+        (float(getattr(a, found.over)), rho_of(b) - rho_of(a)) for a, b in one.pairs
+        if getattr(a, found.over) is not None
+    ]
+    points = np.array(known, dtype=np.float64).reshape(-1, 2)
+    points = points[np.isfinite(points).all(axis=1)]
+    return points[:, 0], points[:, 1]
+
+
+def bins(x: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
+    """Equal parts of the range: ends, and who is within."""
+    edges = np.linspace(x.min(), x.max(), _BINS + 1)
+    part = np.clip(np.searchsorted(edges, x, side='right') - 1, 0, _BINS - 1)
+    return [(float(edges[n]), float(edges[n + 1]), part == n) for n in range(_BINS)]
+
+
+def _medians(x: np.ndarray, y: np.ndarray) -> tuple[list[float], list[float]]:
+    """Medians in equal parts of the range, without those that have too few runs."""
+    full = [part for part in bins(x) if part[2].sum() >= LEAST_IN_BIN]
+    return (
+        [(low + high) / 2 for low, high, _ in full],
+        [float(np.median(y[inside])) for _, _, inside in full],
+    )
+
+
+_MOST_FLIPS = 30
+
+
+def experiment_report(found: PairedArms) -> Report:
+    """The whole, as a page."""
+    experiment = found.experiment
+    return Report(
+        title=f'Experiment {experiment.name}: {" / ".join(arm.name for arm in experiment.arms)}',
+        facts=_facts(experiment), summary=tuple(experiment_sentences(found, details=False)),
+        sections=(_section(found), *(_pair_section(found, one) for one in found.comparisons)),
+    )
+
+
+def experiment_sentences(found: PairedArms, *, details: bool = True) -> Iterator[str]:
+    """The findings, one arm after the other; without ``details`` what matters most."""
+    for comparison in found.comparisons:
+        yield from _headlines(found, comparison)
+        if details:
+            yield from _comparison_sentences(found, comparison)
+    for name, rows in found.rows.items():
+        unjudged = [row for row in rows if not row.outcome.judged]
+        if unjudged:
+            how = count_outcomes(unjudged)
+            yield f'Runs of {name} without verdict, whose scenes are in no pair: {how}.'
+
+
+def experiment_json(found: PairedArms) -> dict[str, Any]:
+    """The findings as plain values, without NaN."""
+    experiment = found.experiment
+    return plain_values({
+        'experiment': experiment.name, 'facts': _facts(experiment),
+        'compare_to': experiment.compare_to, 'over': found.over,
+        'made_on': dict(provenance()),
+        'arms': {
+            name: {
+                outcome.value: sum(row.outcome is outcome for row in rows) for outcome in Outcome
+            }
+            for name, rows in found.rows.items()
+        },
+        'comparisons': [_comparison_json(one) for one in found.comparisons],
+        'sentences': list(experiment_sentences(found)),
+    })
+
+# Sentences ---------------------------------------------------------------------------------------
+
+
+def _headlines(found: PairedArms, one: ArmComparison) -> Iterator[str]:
+    """What matters most: satisfied or not, rho, and where."""
+    if not one.pairs:
+        yield f'{one.arm}: no scene was judged in both arms, so nothing can be said.'
+        return
+    what = _formula(found.experiment)
+    rates = one.satisfied
+    yield (
+        f'{_verdict(one)} Of {rates.pairs} scenes {rates.first} satisfy {what} in {one.base} '
+        f'({100 * rates.first / rates.pairs:.0f} %) and {rates.second} in {one.arm} '
+        f'({100 * rates.second / rates.pairs:.0f} %): {_points(rates.difference)}.'
+    )
+    yield _shift_words(one, 'rho', one.rho, 'm', 2)
+    yield from _where_words(found, one)
+
+
+def _comparison_sentences(found: PairedArms, one: ArmComparison) -> Iterator[str]:
+    """What else there is to say."""
+    if not one.pairs:
+        return
+    rates = one.satisfied
+    yield (
+        f'{rates.only_second} are satisfied in {one.arm} only, {rates.only_first} in {one.base} '
+        f"only (McNemar's exact test: p = {_p(rates.p_value)})."
+    )
+    yield _shift_words(one, 'the greatest deviation', one.max_cross_track_m, 'm', 2)
+    if one.settle_time_s.pairs:
+        yield (
+            _shift_words(one, 'the time to settle', one.settle_time_s, 's', 1)
+            + f' {one.settled.first} settle at all in {one.base}, {one.settled.second} in '
+            f'{one.arm}.'
+        )
+    off = one.off_runway
+    if off.first or off.second:
+        yield (
+            f'{off.first} leave the runway in {one.base}, {off.second} in {one.arm} '
+            f'(p = {_p(off.p_value)}).'
+        )
+
+
+def _verdict(one: ArmComparison) -> str:
+    if one.clear:
+        more = 'more' if one.satisfied.second > one.satisfied.first else 'fewer'
+        return f'Clearly {more} runs are satisfied in {one.arm} than in {one.base}.'
+    if one.rho_clear:
+        way = 'greater' if one.rho.change.value > 0 else 'less'
+        return (
+            f'Rho is {way} in {one.arm} than in {one.base}, but how many runs are satisfied does '
+            'not clearly differ.'
+        )
+    return f'No difference between {one.base} and {one.arm} is proven.'
+
+
+def _shift_words(one: ArmComparison, name: str, shift: PairedShift, unit: str, digits: int) -> str:
+    if not shift.pairs:
+        return f'No pair has {name} in both arms.'
+    if not shift.more + shift.less:
+        return f'In none of {shift.pairs} pairs {name} differs.'
+    value, low, high = shift.change
+    span = (
+        '' if math.isnan(low) else f' (95 % interval {low:+.{digits}f} to {high:+.{digits}f})'
+    )
+    return (
+        f'From {one.base} to {one.arm} {name} typically changes by {value:+.{digits}f} {unit}'
+        f'{span}; it grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs '
+        f'(Wilcoxon signed-rank test: p = {_p(shift.p_value)}).'
+    )
+
+
+def _where_words(found: PairedArms, one: ArmComparison) -> Iterator[str]:
+    """Where the change is greatest, of what the picture is drawn over."""
+    x, change = changes(found, one)
+    if len(x) < 2 * LEAST_IN_BIN or x.min() == x.max():
+        return
+    parts = [part for part in bins(x) if part[2].sum() >= LEAST_IN_BIN]
+    medians = [float(np.median(change[part[2]])) for part in parts]
+    if not medians:
+        return
+    greatest = int(np.argmax(np.abs(medians)))
+    low, high, inside = parts[greatest]
+    yield (
+        f'The change of rho is greatest at {range_words(found.over, low, high)}: '
+        f'{medians[greatest]:+.2f} m in the median of {int(inside.sum())} pairs.'
+    )
+
+
+def _formula(experiment: Experiment) -> str:
+    name = experiment.specs[0].partition('=')[0]
+    return name if len(experiment.specs) == 1 else f'all {len(experiment.specs)} formulas'
+
+
+def _points(difference: ConfidenceInterval) -> str:
+    value, low, high = (100 * part for part in difference)
+    return f'{value:+.1f} points (95 % interval {low:+.1f} to {high:+.1f})'
+
+
+def _p(value: float) -> str:
+    return f'{value:.3f}' if value >= 0.001 else f'{value:.0e}'
+
+
+def _facts(experiment: Experiment) -> dict[str, str]:
+    arms = {
+        f'arm {arm.name}': ', '.join([
+            *(f'{key}={value}' for key, value in arm.laid_over.items()),
+            *(f'steering.{key}={value:g}' for key, value in arm.gains.items()),
+            f'perception {arm.perception}',
+            *([f'controller {arm.controller}'] if arm.controller != STEERING else []),
+        ])
+        for arm in experiment.arms
+    }
+    fixed = ', '.join(f'{key}={value}' for key, value in experiment.overrides.items())
+    return {
+        'program': experiment.program, 'scenes': f'{experiment.runs}, the same in every arm',
+        'seed': str(experiment.seed), 'sampler': experiment.sampler,
+        'formulas': ', '.join(experiment.specs), **({'fixed': fixed} if fixed else {}), **arms,
+    }
+
+# Sections ----------------------------------------------------------------------------------------
+
+
+def _section(found: PairedArms) -> Section:
+    return Section(
+        name='arms', heading='The arms',
+        sentences=(
+            'Every scene was run once in each arm; only what an arm sets is different. So runs are '
+            'compared in pairs, and what else makes a scene hard or easy drops out.',
+        ),
+        pictures=(arms_picture(found),), tables=(_arms_table(found),),
+    )
+
+
+def _pair_section(found: PairedArms, one: ArmComparison) -> Section:
+    return Section(
+        name=f'pairs-{one.arm}', heading=f'{one.arm} against {one.base}',
+        sentences=tuple(_comparison_sentences(found, one)),
+        pictures=(change_picture(found, one),), tables=_flips_tables(found, one),
+    )
+
+
+def _arms_table(found: PairedArms) -> Table:
+    return Table(
+        name='arms', title='What became of the scenes', caption='Over all judged runs of an arm.',
+        columns=(
+            Column(name='arm', title='arm'), Column(name='judged', title='judged'),
+            Column(name='satisfied', title='satisfied'),
+            Column(name='satisfied_percent', title='satisfied [%]', decimals=1),
+            Column(name='off_runway', title='off the runway'),
+            Column(name='median_rho', title='median ρ', decimals=2),
+            Column(name='infra_errors', title='broken by the bench'),
+        ),
+        rows=tuple(_arm_line(name, rows) for name, rows in found.rows.items()),
+    )
+
+
+def _arm_line(name: str, rows: Sequence[RunRow]) -> tuple[Cell, ...]:
+    judged = [row for row in rows if row.outcome.judged]
+    passed = sum(row.outcome is Outcome.PASS for row in judged)
+    return (
+        name, len(judged), passed, 100 * passed / len(judged) if judged else None,
+        sum(bool(row.left_runway) for row in judged),
+        float(np.median([rho_of(row) for row in judged])) if judged else None,
+        sum(row.outcome is Outcome.INFRA_ERROR for row in rows),
+    )
+
+
+def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
+    flips = [pair for pair in one.pairs if pair[0].outcome is not pair[1].outcome]
+    if not flips:
+        return ()
+    flips.sort(key=lambda pair: -abs(rho_of(pair[1]) - rho_of(pair[0])))
+    return (Table(
+        name=f'flips_{one.arm}', title='Scenes with another verdict',
+        caption=f'{len(flips)} of {len(one.pairs)} pairs, the greatest change of ρ first'
+                f'{f"; {_MOST_FLIPS} are shown" if len(flips) > _MOST_FLIPS else ""}.',
+        columns=(
+            Column(name='index', title='scene'),
+            Column(name=found.over, title=title_of(found.over), decimals=2),
+            Column(name=f'outcome_{one.base}', title=one.base),
+            Column(name=f'outcome_{one.arm}', title=one.arm),
+            Column(name=f'rho_{one.base}', title=f'ρ, {one.base}', decimals=2),
+            Column(name=f'rho_{one.arm}', title=f'ρ, {one.arm}', decimals=2),
+        ),
+        rows=tuple(
+            (a.index, getattr(a, found.over), a.outcome, b.outcome, rho_of(a), rho_of(b))
+            for a, b in flips[:_MOST_FLIPS]
+        ),
+    ),)
+
+# JSON --------------------------------------------------------------------------------------------
+
+
+def _comparison_json(one: ArmComparison) -> dict[str, Any]:
+    return {
+        'arm': one.arm, 'base': one.base, 'pairs': len(one.pairs), 'unpaired': one.unpaired,
+        'satisfied': _rates_json(one.satisfied), 'off_runway': _rates_json(one.off_runway),
+        'settled': _rates_json(one.settled), 'rho': _shift_json(one.rho),
+        'max_cross_track_m': _shift_json(one.max_cross_track_m),
+        'settle_time_s': _shift_json(one.settle_time_s),
+    }
+
+
+def _rates_json(rates: PairedRates) -> dict[str, Any]:
+    return {
+        'base': rates.first, 'arm': rates.second, 'both': rates.both,
+        'base_only': rates.only_first, 'arm_only': rates.only_second, 'neither': rates.neither,
+        'mcnemar_p': rates.p_value, **_interval_json('difference', rates.difference),
+    }
+
+
+def _shift_json(shift: PairedShift) -> dict[str, Any]:
+    return {
+        'pairs': shift.pairs, 'more': shift.more, 'less': shift.less, 'wilcoxon_p': shift.p_value,
+        **_interval_json('change', shift.change),
+    }
+
+
+def _interval_json(name: str, interval: ConfidenceInterval) -> dict[str, Any]:
+    return {name: interval[0], 'low': interval[1], 'high': interval[2]}

@@ -1,0 +1,1 @@
+"""Why one run failed: track, counterfactuals, occlusion and nearest training images."""

@@ -1,0 +1,177 @@
+"""The same moment in another world: what the network would have seen without a shadow, or dry.
+
+The camera is deterministic, so one property of the scene can be changed and nothing else. If the
+error goes with the property, the property causes it; no gradient is needed, and it holds for any
+network. It holds for the picture: what the whole run would have been, a run tells.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.analysis.explain.occlusion import changed_pixels
+from taxinet_ros.analysis.explain.track import Estimator, Frame, Moment, misled_rad
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+
+SHADOW, CROSSING, RAIN = 'shadow', 'crossing', 'rain'
+
+LEAST_SHARE = 0.25
+"""A factor that takes away less of the error than this is not named as its cause."""
+
+_CLOSE = 0.85
+"""A narrow factor is named before a wide one if it does so much of what that does."""
+
+_TEN = 10 * 3600.0
+_EASY: dict[str, Any] = {
+    'clouds': 'clear', 'rain': 0.0, 'time_of_day_s': _TEN, 'shadows': False, 'crossing': False,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Factor:
+    """A property of the scene that is changed.
+
+    Attributes:
+        name: in JSON.
+        words: how the scene then is, such as ``without its shadow``.
+        cause: what then is to blame, such as ``the aircraft's own shadow``.
+        rank: the narrower, the lower; factors of equal effect are named in this order.
+        scenario: with the property changed.
+    """
+
+    name: str
+    words: str
+    cause: str
+    rank: int
+    scenario: Scenario
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChangedView:
+    """What the network answers at one moment with one factor changed.
+
+    Attributes:
+        image: the frame then.
+        estimate: its answer.
+        misled_rad: as :attr:`.Moment.misled_rad`.
+        changed: share of the picture's pixels that look different, 0..1.
+    """
+
+    image: Frame
+    estimate: TrackingError
+    misled_rad: float
+    changed: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Effect:
+    """What a factor does at all moments.
+
+    Attributes:
+        factor: the factor.
+        outcomes: one for each moment.
+        removed: share of the moments' error that goes with it; negative where it grows.
+        changed: whether it changes any of the pictures.
+    """
+
+    factor: Factor
+    outcomes: tuple[ChangedView, ...]
+    removed: float
+    changed: bool
+
+
+def factors(scenario: Scenario) -> tuple[Factor, ...]:
+    """What can be changed of a scene; left out is what is so already."""
+    rain = scenario.rain > 0
+    wanted: list[tuple[str, str, str, dict[str, Any]]] = [
+        (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
+        (CROSSING, 'without the crossing', 'the crossing runway', {'crossing': False}),
+        (RAIN, 'dry', 'the rain', {'rain': 0.0}),
+        ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
+        ('clear', 'dry under a clear sky' if rain else 'under a clear sky',
+         f'the {scenario.clouds} sky with its rain' if rain else f'the {scenario.clouds} sky',
+         {'clouds': 'clear', 'rain': 0.0}),
+        ('ten', 'at 10:00', 'the hour', {'time_of_day_s': _TEN}),
+        ('easy', 'all at once, under a clear sky', 'all of it together', _EASY),
+    ]
+    return tuple(
+        Factor(name=name, words=words, cause=cause, rank=rank,
+               scenario=dataclasses.replace(scenario, **changes))
+        for rank, (name, words, cause, changes) in enumerate(wanted)
+        if any(getattr(scenario, field) != value for field, value in changes.items())
+    )
+
+
+def effects(
+    scenario: Scenario, moments: Sequence[Moment], look: Estimator, gains: SteeringGains,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Effect, ...]:
+    """Change each factor at each moment, and let the network look.
+
+    Args:
+        scenario: of the run.
+        moments: with a state each.
+        look: the network.
+        gains: of the run's steering law.
+        on_progress: is told how many factors are done, of how many.
+    """
+    found = []
+    wanted = factors(scenario)
+    for number, factor in enumerate(wanted, 1):
+        camera = Camera(factor.scenario)
+        outcomes = tuple(_outcome(camera, moment, look, gains) for moment in moments)
+        found.append(Effect(
+            factor=factor, outcomes=outcomes, removed=_removed(moments, outcomes),
+            changed=any(outcome.changed > 0 for outcome in outcomes),
+        ))
+        on_progress(number, len(wanted))
+    return tuple(found)
+
+
+def effect_to_blame(found: Sequence[Effect]) -> Effect | None:
+    """The narrowest factor that takes about as much of the error away as any does."""
+    best = max((effect.removed for effect in found), default=0.0)
+    if best < LEAST_SHARE:
+        return None
+    enough = [
+        effect for effect in found
+        if effect.removed >= LEAST_SHARE and effect.removed >= _CLOSE * _best_single(found)
+    ]
+    single = [effect for effect in enough if effect.factor.name != 'easy']
+    return min(single or enough, key=lambda effect: effect.factor.rank)
+
+
+def _best_single(found: Sequence[Effect]) -> float:
+    return max((e.removed for e in found if e.factor.name != 'easy'), default=0.0)
+
+
+def _outcome(camera: Camera, moment: Moment, look: Estimator, gains: SteeringGains) -> ChangedView:
+    if moment.state is None:
+        raise ValueError(f'step {moment.seq}: its state is not known')
+    image = camera.render(moment.state, moment.seq * CONTROL_PERIOD_NS)
+    estimate = look(image)
+    return ChangedView(
+        image=image, estimate=estimate, misled_rad=misled_rad(estimate, moment.truth, gains),
+        changed=float(changed_pixels(image, moment.image).mean()),
+    )
+
+
+def _removed(moments: Sequence[Moment], outcomes: Sequence[ChangedView]) -> float:
+    """Share of the summed error that is gone; where there is no answer, none is."""
+    before, after = 0.0, 0.0
+    for moment, outcome in zip(moments, outcomes, strict=True):
+        if math.isfinite(moment.misled_rad):
+            was = abs(moment.misled_rad)
+            before += was
+            after += abs(outcome.misled_rad) if np.isfinite(outcome.misled_rad) else was
+    return 1 - after / before if before > 0 else 0.0

@@ -1,0 +1,342 @@
+"""Why a network failed in a run: where its estimates are wrong, and what makes them so.
+
+The explanation, and the sentences that state it, the most important first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from taxinet_ros.analysis.explain.counterfactual import (
+    CROSSING,
+    LEAST_SHARE,
+    SHADOW,
+    Effect,
+    effect_to_blame,
+    effects,
+)
+from taxinet_ros.analysis.explain.nearest_images import NearestImages, Nearness
+from taxinet_ros.analysis.explain.occlusion import OcclusionMap, changed_pixels, occlusion_map
+from taxinet_ros.analysis.explain.track import (
+    Estimator,
+    Frame,
+    Moment,
+    Track,
+    choose_rows,
+    moments,
+    read_track,
+)
+from taxinet_ros.bag.errors import BagEmpty
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.types import TrackingError
+
+Progress = Callable[[str, int, int], None]
+"""Is told stage, done and total."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Insight:
+    """What was found out about one moment.
+
+    Attributes:
+        moment: the moment.
+        occlusion: which part of its frame the network goes by.
+        parts: shares of the frame and of what the network goes by (0..1 each) that the aircraft's
+            shadow and the crossing take up, by the factor's name; only what is in the frame.
+        nearness: where it stands to the training images; None where none were given.
+    """
+
+    moment: Moment
+    occlusion: OcclusionMap
+    parts: dict[str, tuple[float, float]]
+    nearness: Nearness | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explanation:
+    """What was found out about a run.
+
+    Attributes:
+        bag: where the run is.
+        run: what it was.
+        perception: word of the network that looked now.
+        fingerprint: of its weights.
+        track: its estimates along the run.
+        insights: the moments that were looked into, in time's order; one at least.
+        effects: what changing the scene does to the estimates then, in the factors' order; empty
+            where the run cannot be driven again.
+        training: the training images, or None.
+    """
+
+    bag: Path
+    run: RecordedRun
+    perception: str
+    fingerprint: str
+    track: Track
+    insights: tuple[Insight, ...]
+    effects: tuple[Effect, ...]
+    training: NearestImages | None
+
+    @property
+    def own(self) -> bool:
+        """Whether the network is the one that took part in the run."""
+        return self.fingerprint == self.run.fingerprint
+
+    @property
+    def worst(self) -> int:
+        """Number of the insight at which the network misleads the aircraft most."""
+        misled = [abs(insight.moment.misled_rad) for insight in self.insights]
+        return int(np.argmax(np.nan_to_num(misled, nan=-1.0)))
+
+    @property
+    def blamed(self) -> Effect | None:
+        """What of the scene takes most of the error away, if it takes much."""
+        return effect_to_blame(self.effects)
+
+
+def explain(
+    bag: Path, run: RecordedRun, perception: Perception, *, frames: int,
+    training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
+) -> Explanation:
+    """Look into a run.
+
+    Args:
+        bag: a run folder or an ``.mcap`` file.
+        run: what :func:`.recorded_run.read_run` says of it.
+        perception: a network, which looks at frames.
+        frames: most moments to look into, at least 1.
+        training: images to hold the frames against.
+        on_progress: is told what is done.
+
+    Raises:
+        WorldDiffers: frames are missing and cannot be rendered as they were.
+        BagError, UsageError: the bag cannot be read.
+    """
+    def look(image: Frame) -> TrackingError:
+        return perception.estimate(image, None)
+
+    track = read_track(bag, run, look, lambda done, all_: on_progress('frames', done, all_))
+    chosen = tuple(moments(bag, run, track, choose_rows(track, frames)))
+    if not chosen:
+        raise BagEmpty(f'{bag}: no camera frame of it can be looked into', path=bag)
+    found: tuple[Effect, ...] = ()
+    if not track.differs and all(moment.state is not None for moment in chosen):
+        found = effects(
+            run.request.scenario, chosen, look, track.gains,
+            lambda done, all_: on_progress('scenes', done, all_),
+        )
+    insights = []
+    for number, moment in enumerate(chosen):
+        insights.append(_insight(number, moment, look, track, found, run, training))
+        on_progress('maps', number + 1, len(chosen))
+    return Explanation(
+        bag=bag, run=run, perception=perception.word, fingerprint=perception.fingerprint,
+        track=track, insights=tuple(insights), effects=found, training=training,
+    )
+
+
+def _insight(
+    number: int, moment: Moment, look: Estimator, track: Track, found: tuple[Effect, ...],
+    run: RecordedRun, training: NearestImages | None,
+) -> Insight:
+    occlusion = occlusion_map(look, moment.image, track.gains)
+    parts = {}
+    for effect in found:
+        if effect.factor.name in (SHADOW, CROSSING) and effect.outcomes[number].changed > 0:
+            mask = changed_pixels(moment.image, effect.outcomes[number].image)
+            parts[effect.factor.name] = (float(mask.mean()), occlusion.share(mask))
+    nearness = None if training is None else training.near(moment.image, _scene(moment, run))
+    return Insight(moment=moment, occlusion=occlusion, parts=parts, nearness=nearness)
+
+
+def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
+    """Values by the names that training sets use."""
+    human = run.request.scenario.to_human()
+    return {
+        'cte_m': moment.truth.cte_m,
+        'heading_error_deg': float(np.degrees(moment.truth.he_rad)),
+        **{name: human[name] for name in ('time_of_day', 'rain', 'clouds')},
+    }
+
+
+_HARDLY_RAD = math.radians(2.0)
+"""Half a metre of cross-track error, as the steering law sees it."""
+_NOT_IN_VIEW = 0.002
+PARTS = {SHADOW: "the aircraft's own shadow", 'crossing': 'the crossing'}
+
+
+def explain_sentences(found: Explanation) -> Iterator[str]:
+    """The findings."""
+    worst = found.insights[found.worst]
+    yield from _cause(found)
+    yield f'Most wrong at {moment_words(worst.moment)}.'
+    yield from attention_sentences(worst)
+    yield from _nearness(found)
+    yield recomputed_sentence(found)
+    if found.run.controller:
+        yield (
+            f'Another controller than the steering law drove this run: {found.run.controller}. '
+            'What an estimate does is told as the law would follow it.'
+        )
+
+
+def moment_words(moment: Moment) -> str:
+    """Where and when it was, what the network saw, and what that does."""
+    where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m past the threshold: '
+    if not moment.estimate.usable:
+        return f'{where}truth {error_words(moment.truth)}; the network had no answer'
+    return (
+        f'{where}truth {error_words(moment.truth)}; seen {error_words(moment.estimate)}; '
+        f'{misled_words(moment.misled_rad)}'
+    )
+
+
+def error_words(error: TrackingError) -> str:
+    """A tracking error, as ``1.2 m left, nose 3° right``."""
+    if not error.usable:
+        return 'no answer'
+    return f'{_side(error.cte_m, " m", 1)}, nose {_side(math.degrees(error.he_rad), "°", 0)}'
+
+
+def misled_words(misled_rad: float) -> str:
+    """How far the steering law is misled."""
+    if not math.isfinite(misled_rad):
+        return 'no answer, so the aircraft brakes'
+    degrees = math.degrees(misled_rad)
+    if round(abs(degrees)) == 0:
+        return 'headed as the truth asks'
+    # An aircraft that is thought to be, or to point, too far left is turned to the right.
+    return f'headed {abs(degrees):.0f}° too far {"right" if degrees > 0 else "left"}'
+
+
+def attention_sentences(insight: Insight) -> Iterator[str]:
+    """What part of a frame the network goes by."""
+    region, share = insight.occlusion.region
+    time = f'At {insight.moment.t_s:.1f} s'
+    if share == 0:
+        yield f'{time} no patch of the picture changes the estimate.'
+    else:
+        yield (
+            f'{time} the network goes by the {region} of the picture most: '
+            f'{100 * share:.0f} % of what covering a patch changes is there '
+            '(a ninth would be 11 %).'
+        )
+    for name, (area, weight) in insight.parts.items():
+        if area >= _NOT_IN_VIEW:
+            yield (
+                f'{_capital(PARTS[name])} takes up {100 * area:.0f} % of that picture, and '
+                f'{100 * weight:.0f} % of what the network goes by.'
+            )
+    if insight.occlusion.lost:
+        yield f'With {insight.occlusion.lost} of the patches covered the network had no answer.'
+
+
+def recomputed_sentence(found: Explanation) -> str:
+    """Whether the estimates of now are those of the run."""
+    cte_m, he_rad = found.track.greatest_change
+    if not found.own:
+        who = found.run.perception or 'an unnamed perception'
+        return f'The network in question did not drive this run: {who} did.'
+    if cte_m == he_rad == 0:
+        return 'All estimates came out as recorded, to the bit.'
+    if math.isinf(cte_m):
+        return 'Not every estimate that was recorded could be made again, or the other way round.'
+    return (
+        f'The estimates differ from those recorded by up to {cte_m:.2g} m and '
+        f'{math.degrees(he_rad):.2g}°.'
+    )
+
+
+def effect_words(effect: Effect) -> str:
+    """What a factor does to the error."""
+    percent = round(100 * effect.removed)
+    if not effect.changed:
+        return 'the pictures stay the same'
+    if percent == 0:
+        return 'the error stays'
+    return f'{abs(percent)} % {"less" if percent > 0 else "more"} error'
+
+
+def _cause(found: Explanation) -> Iterator[str]:
+    track, worst = found.track, found.insights[found.worst].moment
+    if not worst.estimate.usable:
+        yield 'The network had no answer to any of the frames that were looked into.'
+        return
+    if abs(worst.misled_rad) < _HARDLY_RAD:
+        yield (
+            f'While the aircraft was on the runway, its network misled the steering law by '
+            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, hardly for '
+            'its network.'
+        )
+        return
+    if not found.effects:
+        why = track.differs or 'a state is missing'
+        yield f'What of the scene causes the error cannot be told, for {why}.'
+        return
+    blamed = found.blamed
+    if blamed is None:
+        yield (
+            f'No change of the scene takes {100 * LEAST_SHARE:.0f} % of the error away: neither '
+            f'{_list([effect.factor.cause for effect in found.effects])}. What is left is the '
+            'pose, the ground and the network itself.'
+        )
+        return
+    yield (
+        f'{_capital(blamed.factor.cause)} makes the network err: in the same scene, '
+        f'{blamed.factor.words}, {100 * blamed.removed:.0f} % of the error in the '
+        f'{len(found.insights)} frames is gone.'
+    )
+    outcome = blamed.outcomes[found.worst]
+    yield (
+        f'At {worst.t_s:.1f} s it sees {error_words(outcome.estimate)} then, and '
+        f'{error_words(worst.estimate)} as it was; true is {error_words(worst.truth)}.'
+    )
+    yield from _others(found, blamed)
+
+
+def _others(found: Explanation, blamed: Effect) -> Iterator[str]:
+    others = [
+        f'{effect.factor.words}: {effect_words(effect)}' for effect in found.effects
+        if effect is not blamed
+    ]
+    if others:
+        yield f'Other changes: {"; ".join(others)}.'
+
+
+def _nearness(found: Explanation) -> Iterator[str]:
+    if found.training is None:
+        return
+    near = [insight.nearness for insight in found.insights if insight.nearness is not None]
+    foreign = [one for one in near if one.foreign]
+    worst = near[found.worst]
+    name = found.training.images.name
+    far = (
+        f'At the worst the nearest training image is {worst.by_picture[0].distance:.1f} grey '
+        f'levels away, farther than {100 * worst.farther_than:.1f} % of the images of data set '
+        f'{name} are from their nearest other one (usual: {worst.usual:.1f})'
+    )
+    if foreign:
+        yield f'{far}; {len(foreign)} of {len(near)} frames are out of distribution.'
+    else:
+        yield f'{far}; no frame is out of distribution.'
+
+
+def _list(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} nor {words[-1]}'
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
+
+
+def _side(value: float, unit: str, decimals: int) -> str:
+    size = f'{abs(value):.{decimals}f}'
+    if float(size) == 0:
+        return f'{size}{unit}'
+    return f'{size}{unit} {"left" if value > 0 else "right"}'

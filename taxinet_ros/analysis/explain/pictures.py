@@ -1,0 +1,302 @@
+"""Drawings of why a network failed: errors, frames in other scenes, maps of what it goes by.
+
+In frames a solid line is where the centreline is, a dashed one where the network believes it to be.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from taxinet_ros.analysis.explain.explain import (
+    Explanation,
+    Insight,
+    error_words,
+    misled_words,
+    moment_words,
+)
+from taxinet_ros.analysis.explain.nearest_images import Neighbour, TrainingImages
+from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
+from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
+from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
+from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
+from taxinet_ros.core.types import TrackingError
+
+_TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
+"""On frames, which are as bright on a dark page as on a light one."""
+
+_SHOWN_AFTER_S = 2.0
+_COLUMNS = 3
+_LEAST_CTE_M, _LEAST_HE_DEG = 0.1, 0.5
+
+
+def error_picture(found: Explanation) -> Picture:
+    """Both errors and what they do, over time."""
+    return Picture(
+        name='explain-errors', title='Estimates along the run',
+        caption='Cross-track and heading error, true and estimated, left positive; and how far '
+                'the estimate leads the steering law astray. Vertical lines: the moments that '
+                'are looked into.',
+        draw=partial(_draw_errors, found), size_in=(8.0, 6.0),
+    )
+
+
+def factor_picture(found: Explanation) -> Picture:
+    """How much of the error each factor takes away."""
+    return Picture(
+        name='explain-factors', title='Which change takes the error away',
+        caption='Share of the error, over all moments looked into, that goes with one change of '
+                'the scene. Bars to the left: the error grows.',
+        draw=partial(_draw_factors, found), size_in=(7.0, 0.9 + 0.34 * len(found.effects)),
+    )
+
+
+def scene_picture(found: Explanation, number: int) -> Picture:
+    """The frame of one moment, as it was and in other scenes."""
+    moment = found.insights[number].moment
+    rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
+    return Picture(
+        name=f'explain-scenes-{moment.seq:04d}', title=f'In other scenes, at {moment.t_s:.1f} s',
+        caption=f'{moment_words(moment)}. Blue: where the centreline is; orange, dashed: where '
+                'the network believes it to be.',
+        draw=partial(_draw_scenes, found, number), size_in=(9.0, 0.1 + 2.15 * rows),
+    )
+
+
+def occlusion_picture(insight: Insight) -> Picture:
+    """What the network goes by, on the frame."""
+    moment = insight.moment
+    return Picture(
+        name=f'explain-patches-{moment.seq:04d}', title=f'What matters, at {moment.t_s:.1f} s',
+        caption='How the estimate changes where the picture is covered: red, it moves to the '
+                'left; blue, to the right. What has no colour does not matter.',
+        draw=partial(_draw_occlusion, insight), size_in=(9.0, 2.35),
+    )
+
+
+def nearest_picture(insight: Insight, images: TrainingImages) -> Picture:
+    """A frame beside the training images that are nearest to it, as a network sees them."""
+    moment = insight.moment
+    return Picture(
+        name=f'explain-nearest-{moment.seq:04d}',
+        title=f'Nearest training images, at {moment.t_s:.1f} s',
+        caption='Left the frame; then the images nearest to it, above as pictures, below by '
+                'labels and weather. All are reduced to what the networks here see.',
+        draw=partial(_draw_nearest, insight, images), size_in=(9.0, 2.7),
+    )
+
+
+def _draw_errors(found: Explanation, figure: Figure, theme: Theme) -> None:
+    track = found.track
+    end = int(np.searchsorted(
+        track.t_s, track.t_s[max(track.steps_on_runway - 1, 0)] + _SHOWN_AFTER_S, side='right'))
+    shown = slice(0, max(end, 2))
+    time = track.t_s[shown]
+    pairs: list[tuple[str, Floats, Floats | None, Floats | None]] = [
+        ('CTE [m]', track.cte_m, track.est_cte_m, track.rec_cte_m),
+        ('HE [°]', np.degrees(track.he_rad), np.degrees(track.est_he_rad),
+         np.degrees(track.rec_he_rad)),
+        ('misled [°]', np.degrees(track.misled_rad), None, None),
+    ]
+    for axes, (label, first, seen, recorded) in zip(
+        figure.subplots(3, 1, sharex=True), pairs, strict=True
+    ):
+        alone = seen is None
+        axes.axhline(0, color=theme.ink, linewidth=0.6)
+        axes.plot(time, first[shown], color=theme.failed if alone else theme.ink,
+                  linewidth=1.4, label='' if alone else 'true')
+        if seen is not None:
+            axes.plot(time, seen[shown], color=theme.failed, linewidth=1.4, label='estimated')
+        if recorded is not None and not found.own:
+            axes.plot(time, recorded[shown], color=theme.passed, linewidth=1.0, linestyle=':',
+                      label=f'estimated in the run ({found.run.perception or "not told"})')
+        for insight in found.insights:
+            axes.axvline(insight.moment.t_s, color=theme.others[1], linewidth=0.9, linestyle='--')
+        _shade_after(axes, track.steps_on_runway, track.t_s, shown, theme, words=alone)
+        axes.set_ylabel(label)
+        style_axes(axes)
+        if not alone and label.startswith('CTE'):
+            axes.legend(loc='best', fontsize=8)
+    axes.set_xlabel('time [s]')
+    axes.set_xlim(float(time[0]), float(time[-1]))
+
+
+def _shade_after(
+    axes: Axes, steps: int, t_s: Floats, shown: slice, theme: Theme, *, words: bool
+) -> None:
+    """Grey where the aircraft has left the runway, or turned away on it."""
+    if steps < len(t_s):
+        axes.axvspan(float(t_s[steps]), float(t_s[shown][-1]), color=theme.faint, alpha=0.6,
+                     linewidth=0, zorder=0)
+        if words:
+            axes.text(float(t_s[steps]), 0.03, ' off the runway,\n or turned away', fontsize=7,
+                      va='bottom', transform=axes.get_xaxis_transform())
+
+
+def _draw_factors(found: Explanation, figure: Figure, theme: Theme) -> None:
+    axes = figure.subplots()
+    shares = [100 * effect.removed for effect in found.effects]
+    places = np.arange(len(shares))[::-1]
+    shown = np.clip(shares, -100, 100)
+    colours = [
+        theme.passed if effect is found.blamed else theme.faint for effect in found.effects
+    ]
+    axes.barh(places, shown, color=colours, height=0.7)
+    for place, share, length in zip(places, shares, shown, strict=True):
+        words = f'{round(share)} %'.replace('-', '−')  # round() knows no −0
+        axes.text(max(float(length), 0.0) + 1.5, place, words, va='center', fontsize=9)
+    axes.set_yticks(places, [effect.factor.words for effect in found.effects])
+    axes.axvline(0, color=theme.ink, linewidth=0.9)
+    axes.set_xlim(min(0.0, float(shown.min()) * 1.1), 112)
+    axes.set_xlabel('error that is gone [%]')
+    style_axes(axes, grid='x')
+
+
+def _draw_scenes(found: Explanation, number: int, figure: Figure, theme: Theme) -> None:
+    moment = found.insights[number].moment
+    tiles: list[tuple[str, Frame, TrackingError, float]] = [
+        ('as it was', moment.image, moment.estimate, moment.misled_rad)]
+    for effect in found.effects:
+        outcome = effect.outcomes[number]
+        words = effect.factor.words if outcome.changed else f'{effect.factor.words} (no change)'
+        tiles.append((words, outcome.image, outcome.estimate, outcome.misled_rad))
+    rows = math.ceil(len(tiles) / _COLUMNS)
+    # Places are known, so nothing is laid out, which takes longer than the drawing.
+    figure.set_layout_engine('none')
+    height = figure.get_figheight()
+    grid = figure.add_gridspec(
+        rows, _COLUMNS, left=0.005, right=0.995, wspace=0.03, top=1 - 0.23 / height,
+        bottom=0.36 / height, hspace=0.37,
+    )
+    for place, (words, image, estimate, misled) in enumerate(tiles):
+        axes = figure.add_subplot(grid[place // _COLUMNS, place % _COLUMNS])
+        _show(axes, image)
+        _lines(axes, moment, estimate)
+        axes.set_title(words, fontsize=9, fontweight='bold', loc='left', pad=3)
+        axes.set_xlabel(f'sees {error_words(estimate)}\n{misled_words(misled)}', fontsize=8,
+                        labelpad=3)
+        if place and found.blamed is found.effects[place - 1]:
+            for spine in axes.spines.values():
+                spine.set(visible=True, color=theme.passed, linewidth=2.5)
+
+
+def _draw_occlusion(insight: Insight, figure: Figure, theme: Theme) -> None:
+    moment, found = insight.moment, insight.occlusion
+    figure.set_layout_engine('none')
+    grid = figure.add_gridspec(
+        2, 3, left=0.005, right=0.995, wspace=0.04, top=0.9, bottom=0.12, hspace=0.08,
+        height_ratios=(16, 1),
+    )
+    frame, *maps = (figure.add_subplot(grid[0, column]) for column in range(3))
+    scales = [figure.add_subplot(grid[1, column]) for column in (1, 2)]
+    _show(frame, moment.image)
+    _lines(frame, moment, moment.estimate)
+    frame.set_title('frame', fontsize=9, loc='left')
+    frame.set_xlabel(f'true {error_words(moment.truth)}\nseen {error_words(moment.estimate)}',
+                     fontsize=8, labelpad=4)
+    for axes, scale, values, unit, least in (
+        (maps[0], scales[0], found.cte_m, 'CTE, change [m]', _LEAST_CTE_M),
+        (maps[1], scales[1], np.degrees(found.he_rad), 'HE, change [°]', _LEAST_HE_DEG),
+    ):
+        grey = moment.image.mean(axis=2)
+        axes.imshow(grey, cmap='gray', vmin=0, vmax=255, extent=_EXTENT)
+        greatest = max(float(np.abs(values).max()), least)
+        height, width = (side * STRIDE_PX for side in values.shape)
+        drawn = axes.imshow(
+            values, cmap='RdBu_r', norm=TwoSlopeNorm(0, -greatest, greatest),
+            interpolation='bilinear', extent=(-0.5, width - 0.5, height - 0.5, -0.5),
+            alpha=np.clip(np.abs(values) / greatest, 0, 1) ** 0.6 * 0.85,
+        )
+        _frame_axes(axes)
+        axes.set_title(unit, fontsize=9, loc='left')
+        # Of its own: the picture's opacity goes by the place, and a scale has none.
+        colours = ScalarMappable(norm=drawn.norm, cmap=drawn.cmap)
+        bar = figure.colorbar(
+            colours, cax=scale, orientation='horizontal', ticks=MaxNLocator(6, symmetric=True))
+        bar.ax.tick_params(labelsize=7)
+
+
+def _draw_nearest(insight: Insight, images: TrainingImages, figure: Figure, theme: Theme) -> None:
+    from taxinet_ros.core.perception.network import shrink
+
+    near, moment = insight.nearness, insight.moment
+    if near is None:
+        raise ValueError('no nearest images')
+    parts = figure.subplot_mosaic([['frame', 'p0', 'p1', 'p2'], ['frame', 's0', 's1', 's2']],
+                                  empty_sentinel='')
+    parts['frame'].imshow(shrink(moment.image), cmap='gray', vmin=0, vmax=255)
+    parts['frame'].set_title(f'the frame\n{_label(moment.truth)}', fontsize=8, loc='left')
+    parts['frame'].set_xlabel(
+        f'nearest at {near.by_picture[0].distance:.1f} grey levels,\nfarther than '
+        f'{100 * near.farther_than:.1f} % of them\nare from each other', fontsize=8)
+    for letter, neighbours, unit in (('p', near.by_picture, 'grey levels'),
+                                     ('s', near.by_scene, 'spreads')):
+        for place in range(3):
+            axes = parts[f'{letter}{place}']
+            if place < len(neighbours):
+                _neighbour(axes, neighbours[place], images, unit)
+            else:
+                axes.set_visible(False)
+    for axes in parts.values():
+        axes.set_xticks([])
+        axes.set_yticks([])
+
+
+def _neighbour(axes: Axes, near: Neighbour, images: TrainingImages, unit: str) -> None:
+    axes.imshow(images.pictures[near.row], cmap='gray', vmin=0, vmax=255)
+    row = images.scenes.iloc[near.row]
+    axes.set_title(f'{near.distance:.2g} {unit} away', fontsize=8, loc='left')
+    label = f'{row["cte_m"]:.1f} m, {row["heading_error_deg"]:.0f}°'.replace('-', '−')
+    if 'time_of_day' in row and 'clouds' in row:
+        hour, minute = divmod(round(60 * float(row['time_of_day'])), 60)
+        label += f'; {hour:02d}:{minute:02d}, {row["clouds"]}'
+        if float(row.get('rain', 0)) > 0:
+            label += f', rain {float(row["rain"]):.0f} %'
+    axes.set_xlabel(label, fontsize=7)
+
+
+def _label(error: TrackingError) -> str:
+    return f'{error.cte_m:.1f} m, {math.degrees(error.he_rad):.0f}°'.replace('-', '−')
+
+
+_EXTENT = (-0.5, IMAGE_WIDTH - 0.5, IMAGE_HEIGHT - 0.5, -0.5)
+
+
+def _show(axes: Axes, image: Frame) -> None:
+    axes.imshow(image, extent=_EXTENT)
+    _frame_axes(axes)
+
+
+def _frame_axes(axes: Axes) -> None:
+    """Limits of the frame, and no ticks: pixels mean nothing to the reader."""
+    axes.set(xlim=(-0.5, IMAGE_WIDTH - 0.5), ylim=(IMAGE_HEIGHT - 0.5, -0.5), xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _lines(axes: Axes, moment: Moment, estimate: TrackingError) -> None:
+    """Where the centreline is, and where an estimate puts it."""
+    for error, colour, style in ((moment.truth, _TRUE, '-'), (estimate, _BELIEVED, '--')):
+        if moment.state is not None and error.usable:
+            pixels = _centreline(moment, error)
+            axes.plot(pixels[:, 0], pixels[:, 1], color=colour, linestyle=style, linewidth=1.3)
+
+
+def _centreline(moment: Moment, error: TrackingError) -> Floats:
+    """Pixels of the centreline as it looks from a pose with that tracking error."""
+    if moment.state is None:
+        raise ValueError('no state')
+    state = dataclasses.replace(moment.state, y_m=error.cte_m, yaw_rad=error.he_rad)
+    ahead = np.geomspace(0.5, 600, 400)
+    points = np.stack([state.x_m + np.concatenate([-ahead[:200][::-1], ahead]),
+                       np.zeros(600), np.zeros(600)], axis=1)
+    pixels, depths = project(state, points)
+    return np.asarray(pixels[depths > 0.3], np.float64)

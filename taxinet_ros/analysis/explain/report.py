@@ -1,0 +1,259 @@
+"""What was found out about a run's network, as a report for people and as JSON for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from taxinet_ros.analysis.explain.explain import (
+    Explanation,
+    Insight,
+    attention_sentences,
+    explain_sentences,
+    moment_words,
+    recomputed_sentence,
+)
+from taxinet_ros.analysis.explain.pictures import (
+    error_picture,
+    factor_picture,
+    nearest_picture,
+    occlusion_picture,
+    scene_picture,
+)
+from taxinet_ros.analysis.explain.track import Moment
+from taxinet_ros.analysis.report.parts import Cell, Column, Report, Section, Table
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.types import TrackingError
+
+_ESTIMATE = (
+    Column(name='estimated_cte_m', title='sees CTE [m]', decimals=2),
+    Column(name='estimated_he_deg', title='sees HE [°]', decimals=1),
+    Column(name='cte_error_m', title='CTE error [m]', decimals=2),
+    Column(name='he_error_deg', title='HE error [°]', decimals=1),
+    Column(name='misled_deg', title='misled [°]', decimals=1),
+)
+
+
+def explain_report(found: Explanation) -> Report:
+    """The whole, as a page of its own."""
+    run_id = found.run.request.run_id
+    return Report(
+        title=f'Why the network errs: {run_id}',
+        facts=_facts(found), summary=tuple(explain_sentences(found)),
+        sections=tuple(_sections(found)), runs={run_id: found.bag},
+    )
+
+
+def explain_json(found: Explanation) -> dict[str, Any]:
+    """The findings as plain values, without NaN."""
+    cte_m, he_rad = found.track.greatest_change
+    blamed = found.blamed
+    return plain_values({
+        'run_id': found.run.request.run_id, 'perception': found.perception,
+        'fingerprint': found.fingerprint, 'recorded_perception': found.run.perception,
+        'made_on': dict(provenance()),
+        'recomputed': {
+            'cte_m': cte_m, 'he_rad': he_rad, 'equal': cte_m == he_rad == 0,
+        },
+        'steps_on_runway': found.track.steps_on_runway,
+        'blamed': None if blamed is None else blamed.factor.name,
+        'factors': [
+            {'name': effect.factor.name, 'words': effect.factor.words,
+             'removed': effect.removed, 'picture_changed': effect.changed}
+            for effect in found.effects
+        ],
+        'moments': [_moment_json(found, number) for number in range(len(found.insights))],
+        'sentences': list(explain_sentences(found)),
+    })
+
+
+def _sections(found: Explanation) -> Iterator[Section]:
+    insights = found.insights
+    yield Section(
+        name='errors', heading='Along the run',
+        sentences=(
+            recomputed_sentence(found),
+            'Looked into are the moments at which the estimate misleads the steering law most '
+            'while the aircraft is on the runway, and the start. Misled by 10° means: the law '
+            'wants a heading 10° away from the one that the truth asks for; 4° are a metre of '
+            'cross-track error with the usual gains.',
+            *(f'{moment_words(insight.moment)}.' for insight in insights),
+        ),
+        pictures=(error_picture(found),), tables=(_moment_table(found),),
+    )
+    if found.effects:
+        yield Section(
+            name='scenes', heading='The same moments in other scenes',
+            sentences=(
+                'Each change is made alone and nothing else changes, so what goes with it is '
+                'caused by it. This holds for the pictures; whether the whole run would have '
+                'passed, only a run tells.',
+            ),
+            pictures=(
+                factor_picture(found),
+                *(scene_picture(found, number) for number in range(len(insights))),
+            ),
+            tables=(_factor_table(found),),
+        )
+    elif found.track.differs:
+        yield Section(
+            name='scenes', heading='The same moments in other scenes',
+            sentences=(f'Not to be had: {found.track.differs}.',),
+        )
+    yield Section(
+        name='attention', heading='What the network goes by',
+        sentences=tuple(
+            sentence for insight in insights for sentence in attention_sentences(insight)),
+        pictures=tuple(occlusion_picture(insight) for insight in insights),
+    )
+    if found.training is not None:
+        yield _training_section(found)
+
+
+def _training_section(found: Explanation) -> Section:
+    images = found.training.images if found.training else None
+    if images is None:
+        raise ValueError('no training images')
+    held = f'{len(images.pictures):,} of its {images.total:,} images'
+    return Section(
+        name='training', heading='The nearest training images',
+        sentences=(
+            f'Held against {images.name}, {held}. The distance between pictures is the root '
+            'mean square of their differences of grey levels (0..255), in the reduced picture '
+            'that the networks here see. A frame is called out of distribution if it is farther '
+            'from every image than 99 % of the images are from their nearest other one.',
+        ),
+        pictures=tuple(
+            nearest_picture(insight, images) for insight in found.insights
+            if insight.nearness is not None
+        ),
+        tables=(_nearest_table(found),),
+    )
+
+
+def _facts(found: Explanation) -> dict[str, str]:
+    scene = found.run.request.scenario.to_human()
+    hour, minute = divmod(round(60 * scene['time_of_day']), 60)
+    network = f'{found.perception} ({found.fingerprint[:8]})'
+    recorded = found.run.perception or 'not told'
+    return {
+        'network': network if found.own else f'{network}; the run was driven by {recorded}',
+        'scene': (
+            f'{hour:02d}:{minute:02d}, {scene["clouds"]}, rain {scene["rain"]:.0f} %, start '
+            f'{scene["distance"]:,.0f} m past the threshold'
+        ),
+        'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were looked into',
+    }
+
+
+def _moment_table(found: Explanation) -> Table:
+    return Table(
+        name='explain-moments', title='The moments', caption='Left positive.',
+        columns=(
+            Column(name='t_s', title='time [s]', decimals=1),
+            Column(name='x_m', title='along the runway [m]', decimals=0),
+            Column(name='cte_m', title='true CTE [m]', decimals=2),
+            Column(name='he_deg', title='true HE [°]', decimals=1), *_ESTIMATE,
+        ),
+        rows=tuple(
+            (m.t_s, m.x_m, m.truth.cte_m, math.degrees(m.truth.he_rad),
+             *_cells(m, m.estimate, m.misled_rad))
+            for m in (insight.moment for insight in found.insights)
+        ),
+    )
+
+
+def _factor_table(found: Explanation) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for number, insight in enumerate(found.insights):
+        m = insight.moment
+        rows.append((m.t_s, 'as it was', *_cells(m, m.estimate, m.misled_rad), None, None))
+        for effect in found.effects:
+            outcome = effect.outcomes[number]
+            rows.append((
+                m.t_s, effect.factor.words, *_cells(m, outcome.estimate, outcome.misled_rad),
+                math.degrees(abs(outcome.misled_rad) - abs(m.misled_rad)), 100 * outcome.changed,
+            ))
+    return Table(
+        name='explain-factors', title='What the network sees in other scenes',
+        caption='Errors are estimate less truth; misled is what they do to the heading that the '
+                'steering law asks for.',
+        columns=(
+            Column(name='t_s', title='time [s]', decimals=1),
+            Column(name='scene', title='scene'), *_ESTIMATE,
+            Column(name='change_of_error_deg', title='change of |misled| [°]', decimals=1),
+            Column(name='picture_changed_percent', title='picture changed [%]', decimals=1),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def _nearest_table(found: Explanation) -> Table:
+    return Table(
+        name='explain-nearest', title='How far from the training images', caption='',
+        columns=(
+            Column(name='t_s', title='time [s]', decimals=1),
+            Column(name='distance', title='to the nearest [grey levels]', decimals=1),
+            Column(name='usual', title='usual there [grey levels]', decimals=1),
+            Column(name='farther_than_percent', title='farther than [% of images]', decimals=1),
+            Column(name='out_of_distribution', title='out of distribution'),
+        ),
+        rows=tuple(
+            (insight.moment.t_s, near.by_picture[0].distance, near.usual, 100 * near.farther_than,
+             near.foreign)
+            for insight in found.insights if (near := insight.nearness) is not None
+        ),
+    )
+
+
+def _cells(moment: Moment, estimate: TrackingError, misled_rad: float) -> tuple[Cell, ...]:
+    if not estimate.usable:
+        return (None,) * len(_ESTIMATE)
+    truth = moment.truth
+    return (
+        estimate.cte_m, math.degrees(estimate.he_rad), estimate.cte_m - truth.cte_m,
+        math.degrees(estimate.he_rad - truth.he_rad), math.degrees(misled_rad),
+    )
+
+
+def _moment_json(found: Explanation, number: int) -> dict[str, Any]:
+    insight = found.insights[number]
+    m = insight.moment
+    region, share = insight.occlusion.region
+    return {
+        't_s': m.t_s, 'seq': m.seq, 'x_m': m.x_m, 'truth': _error_json(m.truth),
+        'estimate': _error_json(m.estimate), 'misled_rad': m.misled_rad,
+        'scenes': {
+            effect.factor.name: {
+                'estimate': _error_json(effect.outcomes[number].estimate),
+                'misled_rad': effect.outcomes[number].misled_rad,
+                'picture_changed': effect.outcomes[number].changed,
+            } for effect in found.effects
+        },
+        'region': {'words': region, 'share': share},
+        'parts': {
+            name: {'picture': area, 'effect': weight}
+            for name, (area, weight) in insight.parts.items()
+        },
+        'nearest': _nearness_json(found, insight),
+    }
+
+
+def _nearness_json(found: Explanation, insight: Insight) -> dict[str, Any] | None:
+    near = insight.nearness
+    if near is None or found.training is None:
+        return None
+    names = found.training.images.scenes['image']
+    return {
+        'farther_than': near.farther_than, 'usual': near.usual,
+        'out_of_distribution': near.foreign,
+        'by_picture': [{'image': names.iloc[n.row], 'distance': n.distance}
+                       for n in near.by_picture],
+        'by_scene': [{'image': names.iloc[n.row], 'distance': n.distance} for n in near.by_scene],
+    }
+
+
+def _error_json(error: TrackingError) -> dict[str, float] | None:
+    return {'cte_m': error.cte_m, 'he_rad': error.he_rad} if error.usable else None

@@ -1,0 +1,196 @@
+"""How far a node's answers to a recorded run lie from the recorded ones: figures and a picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One number that a node answers every step.
+
+    Attributes:
+        column: its name in a trace.
+        label: for people.
+        unit: in which people read it.
+        scale: what makes that unit out of the trace's.
+        truth: column of what it should be, or ''.
+    """
+
+    column: str
+    label: str
+    unit: str
+    scale: float = 1.0
+    truth: str = ''
+
+_KNOWN = (
+    Quantity(column='est_cte_m', label='cross-track estimate', unit='m', truth='cte_m'),
+    Quantity(
+        column='est_he_rad', label='heading estimate', unit='deg', scale=180 / math.pi,
+        truth='he_rad',
+    ),
+    Quantity(column='steering_rad', label='steering angle', unit='deg', scale=180 / math.pi),
+    Quantity(column='speed_cmd_mps', label='speed command', unit='m/s'),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Difference:
+    """One quantity, recorded and replayed.
+
+    Attributes:
+        quantity: which.
+        recorded: its values as recorded, (N,), in the unit for people; NaN where there was none.
+        replayed: its values now, likewise.
+        equal_steps: steps at which both are the same to the bit.
+        first_seq: the first step at which they are not, or None.
+        mean: mean absolute difference, over the steps at which both have a value.
+        greatest: the greatest; infinite where only one of them has a value.
+    """
+
+    quantity: Quantity
+    recorded: Values
+    replayed: Values
+    equal_steps: int
+    first_seq: int | None
+    mean: float
+    greatest: float
+
+    @property
+    def delta(self) -> Values:
+        """Replayed minus recorded, (N,); 0 where both are the same infinity."""
+        with np.errstate(invalid='ignore'):
+            return np.where(self.replayed == self.recorded, 0.0, self.replayed - self.recorded)
+
+
+def quantities(names: Mapping[str, object], per_node: tuple[str, ...]) -> list[Quantity]:
+    """The quantities of a trace whose column begins with one of ``per_node``, in its order."""
+    known = {quantity.column: quantity for quantity in _KNOWN}
+    return [
+        known.get(name) or Quantity(column=name, label=name.replace('.', ', '), unit='')
+        for name in names
+        if name.startswith(per_node)
+    ]
+
+
+def difference(
+    quantity: Quantity, trace: Mapping[str, NDArray[np.generic]], answers: Mapping[str, Values]
+) -> Difference:
+    """Compare one quantity of a recorded trace with what was answered now, step by step."""
+    seqs = trace['seq'].astype(np.int64)
+    now = np.full(len(seqs), np.nan)
+    if quantity.column in answers:
+        place = {int(seq): number for number, seq in enumerate(answers['seq'])}
+        at = [place.get(int(seq), -1) for seq in seqs]
+        known = np.array(at) >= 0
+        now[known] = answers[quantity.column][[number for number in at if number >= 0]]
+    before = trace[quantity.column].astype(np.float64)
+    missing = np.isnan(before) & np.isnan(now)
+    same = missing | (before.view(np.int64) == now.view(np.int64))
+    with np.errstate(invalid='ignore'):
+        away = np.abs(before - now) * quantity.scale
+    away[same] = 0.0
+    away[np.isnan(away)] = np.inf
+    both = np.isfinite(away) & ~missing
+    first = np.flatnonzero(~same)
+    return Difference(
+        quantity=quantity, recorded=before * quantity.scale, replayed=now * quantity.scale,
+        equal_steps=int(same.sum()), first_seq=int(seqs[first[0]]) if len(first) else None,
+        mean=float(away[both].mean()) if both.any() else 0.0,
+        greatest=float(away.max(initial=0.0)),
+    )
+
+
+# Okabe and Ito's colours; the newer one is dashed as well, for print in grey.
+_TRUTH: dict[str, Any] = {'color': '0.15', 'linewidth': 1.0, 'linestyle': ':', 'label': 'truth'}
+_BEFORE: dict[str, Any] = {'color': '#0072B2', 'linewidth': 2.4, 'alpha': 0.55}
+_NOW: dict[str, Any] = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 1.5))}
+_FEW = 5
+
+
+def plot_replay(
+    differences: Sequence[Difference], trace: Mapping[str, NDArray[np.generic]], path: Path, *,
+    title: str, recorded: str, replayed: str,
+) -> None:
+    """Draw each quantity over time: recorded, replayed, and the truth where there is one.
+
+    Below each lies the difference of the two. The same values give the same bytes.
+
+    Args:
+        differences: what to draw, one row each.
+        trace: columns of the recorded run.
+        path: PNG file to write.
+        title: heads the picture.
+        recorded: what the recorded values are called in the legend.
+        replayed: what the replayed ones are called.
+
+    Raises:
+        ValueError: there is nothing to draw.
+    """
+    if not differences:
+        raise ValueError('no quantity to draw')
+    rows = 2 * len(differences)
+    figure = Figure(figsize=(9.5, 0.9 + 3.1 * len(differences)), dpi=110, layout='constrained')
+    FigureCanvasAgg(figure)
+    ratios = [3, 1] * len(differences)
+    grid = figure.subplots(rows, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+    t_s = trace['t_ns'].astype(np.float64) / 1e9
+    for number, one in enumerate(differences):
+        upper, lower = grid[2 * number], grid[2 * number + 1]
+        _draw(upper, one, t_s, trace, recorded, replayed)
+        _draw_difference(lower, one, t_s)
+    grid[-1].set_xlabel('time [s]')
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside lower center', ncols=3, frameon=False)
+    figure.suptitle(title, fontsize=12)
+    figure.savefig(path, format='png', metadata={'Software': None})
+
+
+def _draw(
+    axes: Axes, one: Difference, t_s: NDArray[np.float64],
+    trace: Mapping[str, NDArray[np.generic]], recorded: str, replayed: str,
+) -> None:
+    quantity = one.quantity
+    axes.plot(t_s, one.recorded, label=recorded, **_BEFORE, **_dots(one.recorded, 9))
+    axes.plot(t_s, one.replayed, label=replayed, **_NOW, **_dots(one.replayed, 5))
+    endless = int(np.isinf(one.recorded).sum())
+    if endless:
+        words = f'recorded: infinite at {endless} of {len(t_s)} steps'
+        axes.text(0.01, 0.04, words, transform=axes.transAxes, fontsize=8, color='0.35')
+    if quantity.truth:
+        axes.plot(t_s, trace[quantity.truth].astype(np.float64) * quantity.scale, **_TRUTH)
+    unit = f' [{quantity.unit}]' if quantity.unit else ''
+    axes.set_ylabel(f'{quantity.label}{unit}')
+    axes.grid(visible=True, color='0.92', linewidth=0.6)
+    axes.margins(x=0.01)
+
+
+def _draw_difference(axes: Axes, one: Difference, t_s: NDArray[np.float64]) -> None:
+    axes.set_ylabel('now −\nrecorded', fontsize=8)
+    if one.first_seq is None:
+        axes.text(
+            0.5, 0.5, 'the same at every step, to the bit', transform=axes.transAxes,
+            ha='center', va='center', fontsize=8, color='0.35',
+        )
+        axes.set_yticks([])
+        return
+    axes.plot(t_s, one.delta, color='0.25', linewidth=0.9)
+    axes.axhline(0.0, color='0.7', linewidth=0.7, zorder=0)
+    axes.grid(visible=True, color='0.92', linewidth=0.6)
+
+
+def _dots(values: NDArray[np.float64], size: int) -> dict[str, Any]:
+    """What makes values visible that have no neighbour to draw a line to."""
+    return {'marker': 'o', 'markersize': size} if np.isfinite(values).sum() < _FEW else {}

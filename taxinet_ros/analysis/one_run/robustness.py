@@ -1,0 +1,224 @@
+"""A picture of one run and its requirements: signals, bounds, and what was known of rho when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from taxinet_ros.bag.check.judge import BagVerdict, SpecVerdict
+from taxinet_ros.core.mtl import SIGNALS, Reading, ast, atoms, signal_names
+from taxinet_ros.core.mtl.margin import compile_margin
+from taxinet_ros.core.types import NS_PER_S
+
+# Okabe and Ito: told apart with every common colour blindness.
+_SIGNAL, _ALLOWED, _INTERVAL = '#0072B2', '#009E73', '#56B4E9'
+_BROKEN, _OPEN = '#D55E00', '0.35'
+_COLOURS = {BagVerdict.SATISFIED: _ALLOWED, BagVerdict.VIOLATED: _BROKEN,
+            BagVerdict.MARGINAL: _BROKEN}
+_HOLDS: dict[str, Any] = {'color': _ALLOWED, 'alpha': 0.13, 'linewidth': 0}
+_STILL_POSSIBLE: dict[str, Any] = {'color': _INTERVAL, 'alpha': 0.35, 'linewidth': 0}
+_MOMENT: dict[str, Any] = {'linewidth': 1.6, 'linestyle': (0, (4, 2))}
+_MOST_ATOMS = 4
+"""More predicates of one formula are not drawn; their signals would be too small to read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedSpec:
+    """What is drawn of one requirement: its verdict, and the reading after each sample."""
+
+    verdict: SpecVerdict
+    readings: Sequence[Reading]
+
+
+def robustness_picture(
+    stamps_ns: Sequence[int], samples: Sequence[Mapping[str, float]],
+    judged: Sequence[JudgedSpec], path: Path, *, title: str, end_s: float,
+) -> None:
+    """Draw a row for each requirement: its signals with their bounds, and the interval of rho.
+
+    Args:
+        stamps_ns: of the samples [ns].
+        samples: signals by name.
+        judged: the requirements.
+        path: PNG file to write; the same values give the same bytes.
+        title: heads the picture.
+        end_s: when the run was to end [s].
+
+    Raises:
+        ValueError: there is nothing to draw.
+    """
+    if not judged or not samples:
+        raise ValueError('no samples to draw, or no requirement')
+    t_s = np.array(stamps_ns) / NS_PER_S
+    heights = [max(1, min(len(atoms(one.verdict.spec.formula)), _MOST_ATOMS)) for one in judged]
+    figure = Figure(
+        figsize=(12.5, 0.7 + 0.9 * len(judged) + 2.3 * sum(heights)), dpi=110, layout='constrained'
+    )
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=12)
+    ratios = [height + 0.4 for height in heights]
+    rows = figure.subfigures(len(judged), 1, height_ratios=ratios, squeeze=False)
+    for place, one in zip(rows[:, 0], judged, strict=True):
+        _draw(place, one, t_s, samples, end_s)
+    figure.legend(handles=_legend(), loc='outside lower center', ncols=5, frameon=False)
+    figure.savefig(path, format='png', metadata={'Software': None})
+
+
+def _draw(
+    place: SubFigure, one: JudgedSpec, t_s: NDArray[np.float64],
+    samples: Sequence[Mapping[str, float]], end_s: float,
+) -> None:
+    spec = one.verdict.spec
+    shown = atoms(spec.formula)[:_MOST_ATOMS]
+    place.suptitle(f'{spec.name}:  {_short(spec.text)}', fontsize=10, x=0.01, ha='left',
+                   family='monospace')
+    left, right = place.subfigures(1, 2, squeeze=False)[0]
+    panels = left.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    panels[0].set_title(' ', fontsize=10)  # as high as its neighbour, which has a title
+    for axes, atom in zip(panels, shown, strict=True):
+        _draw_atom(axes, atom, t_s, samples)
+        axes.set_xlim(0, max(end_s, float(t_s[-1])))
+    panels[-1].set_xlabel('time [s]')
+    axes = right.subplots()
+    _draw_interval(axes, one, t_s)
+    axes.set_xlim(0, max(end_s, float(t_s[-1])))
+    for each in (*panels, axes):
+        each.grid(visible=True, color='0.92', linewidth=0.6)
+        each.set_axisbelow(True)
+        if t_s[-1] < end_s:
+            each.axvspan(float(t_s[-1]), end_s, facecolor='0.93', hatch='//', edgecolor='0.85',
+                         linewidth=0, zorder=0)
+
+
+def _draw_atom(
+    axes: Axes, atom: ast.Compare, t_s: NDArray[np.float64],
+    samples: Sequence[Mapping[str, float]],
+) -> None:
+    """The side of a predicate that varies, and the values that the other side allows it."""
+    value, low, high = _sides(atom, samples)
+    name, unit = _label(value)
+    curve = _curve(value, samples)
+    fits = np.array([_margin(atom, sample) >= 0 for sample in samples])
+    span = [curve, *(bound for bound in (low, high) if bound is not None)]
+    known = [float(value) for each in span for value in np.ravel(each) if np.isfinite(value)]
+    least, most = min(known, default=0.0), max(known, default=0.0)
+    pad = 0.12 * (most - least) or 1.0
+    floor, ceiling = least - pad, most + pad
+    axes.fill_between(
+        t_s, floor if low is None else low, ceiling if high is None else high,
+        **_HOLDS,
+    )
+    for bound in (low, high):
+        if bound is not None:
+            axes.plot(t_s, bound, color=_ALLOWED, linewidth=1.2, linestyle='--')
+    axes.plot(t_s, curve, color=_SIGNAL, linewidth=1.5)
+    axes.plot(t_s, np.where(fits, np.nan, curve), color=_BROKEN, linewidth=1.9)
+    axes.set_ylim(floor, ceiling)
+    axes.set_ylabel(f'{name}{unit}', fontsize=9)
+
+
+def _draw_interval(axes: Axes, one: JudgedSpec, t_s: NDArray[np.float64]) -> None:
+    lower = np.array([reading.lower for reading in one.readings])
+    upper = np.array([reading.upper for reading in one.readings])
+    finite = np.concatenate([[0.0], lower[np.isfinite(lower)], upper[np.isfinite(upper)]])
+    pad = 0.22 * float(np.ptp(finite)) or 1.0
+    floor, ceiling = float(finite.min()) - pad, float(finite.max()) + pad
+    axes.fill_between(
+        t_s, np.clip(lower, floor, None), np.clip(upper, None, ceiling), step='post',
+        **_STILL_POSSIBLE,
+    )
+    for ends in (lower, upper):
+        axes.step(t_s, np.where(np.isfinite(ends), ends, np.nan), where='post', color=_SIGNAL,
+                  linewidth=1.3)
+    if not np.isfinite(lower[0]):
+        axes.text(0.985, 0.03, 'no lower end before the run ends', transform=axes.transAxes,
+                  fontsize=8, color=_OPEN, ha='right', zorder=4)
+    axes.axhline(0, color='0.25', linewidth=1)
+    axes.set_ylim(floor, ceiling)
+    axes.set_ylabel('robustness', fontsize=9)
+    axes.set_xlabel('time [s]')
+    _mark(axes, one.verdict, float(t_s[-1]))
+
+
+def _mark(axes: Axes, verdict: SpecVerdict, last_s: float) -> None:
+    """The moment of the decision, and what was decided."""
+    colour = _COLOURS.get(verdict.verdict, _OPEN)
+    if verdict.decided_s is not None:
+        axes.axvline(verdict.decided_s, color=colour, clip_on=False, **_MOMENT)
+    if verdict.lower == verdict.upper:
+        axes.plot([last_s], [verdict.upper], marker='o', color=colour, markersize=6,
+                  clip_on=False, zorder=5)
+    axes.set_title(_words(verdict), fontsize=10, color=colour, loc='right', weight='bold')
+
+
+def _words(verdict: SpecVerdict) -> str:
+    when = '' if verdict.decided_s is None else f', decided at {verdict.decided_s:.1f} s'
+    if verdict.lower == verdict.upper:
+        return f'{verdict.verdict}, rho {verdict.upper:+.3f}{when}'
+    return f'{verdict.verdict}, rho within [{verdict.lower:+.3f}, {verdict.upper:+.3f}]{when}'
+
+
+def _legend() -> list[Artist]:
+    return [
+        Patch(label='the predicate holds', **_HOLDS),
+        Line2D([], [], color=_SIGNAL, label='signal, where it does'),
+        Line2D([], [], color=_BROKEN, label='signal, where it does not'),
+        Patch(label='robustness that is still possible', **_STILL_POSSIBLE),
+        Line2D([], [], color=_OPEN, label='moment of decision', **_MOMENT),
+    ]
+
+
+def _sides(
+    atom: ast.Compare, samples: Sequence[Mapping[str, float]]
+) -> tuple[ast.Expr, NDArray[np.float64] | None, NDArray[np.float64] | None]:
+    """What a predicate is about, and the least and greatest value that satisfies it."""
+    small, large = (atom.left, atom.right) if atom.op in ('<=', '<') else (atom.right, atom.left)
+    if not _names(small):
+        return large, _curve(small, samples), None
+    bound = _curve(large, samples)
+    match small:
+        case ast.Function('abs', (inner,)):
+            return inner, -bound, bound
+    return small, None, bound
+
+
+def _names(expr: ast.Expr) -> tuple[str, ...]:
+    return signal_names(_as_atom(expr))
+
+
+def _as_atom(expr: ast.Expr) -> ast.Compare:
+    """A predicate whose margin is the expression itself."""
+    return ast.Compare('<=', ast.Number(0.0), expr)
+
+
+def _curve(expr: ast.Expr, samples: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    return np.array([_margin(_as_atom(expr), sample) for sample in samples])
+
+
+def _margin(atom: ast.Compare, sample: Mapping[str, float]) -> float:
+    names = signal_names(atom)
+    margin = compile_margin(atom, names)([sample[name] for name in names])
+    return margin if math.isfinite(margin) else math.nan
+
+
+def _label(expr: ast.Expr) -> tuple[str, str]:
+    match expr:
+        case ast.Signal(name):
+            return name, f' [{SIGNALS[name]}]'
+    return _short(str(expr), 34), ''
+
+
+def _short(text: str, most: int = 110) -> str:
+    return text if len(text) <= most else f'{text[:most - 1]}…'

@@ -1,0 +1,138 @@
+"""A report as one HTML file that needs no network and nothing beside it.
+
+Nothing foreign can run in it: words are escaped, data are JSON that no browser executes, and a
+content security policy admits only our own style and script, by their digests.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from taxinet_ros.analysis.report.parts import Report, Section
+from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
+from taxinet_ros.analysis.report.table import run_link, view_table
+from taxinet_ros.analysis.report.values import clean, cleaned, data_block
+from taxinet_ros.analysis.report.viewer import RunView, ground_name, ground_shapes, read_run_view
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.core.provenance import provenance, words
+from taxinet_ros.errors import InfraError, UsageError
+
+_ASSETS = Path(__file__).parent / 'assets'
+_STYLES = ('page.css', 'table.css', 'viewer.css')
+_SCRIPTS = (
+    'values.js', 'theme.js', 'table.js', 'player.js', 'camera.js', 'runway_map.js', 'plots.js',
+    'viewer.js', 'page.js',
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Runs:
+    """The runs that can be looked at, and why others cannot."""
+
+    views: Mapping[str, RunView]
+    troubles: Mapping[str, str]
+
+
+def write_report_page(
+    report: Report, path: Path, *, on_progress: Callable[[str], None] = lambda words: None
+) -> None:
+    """Write a report as a page; the same report gives the same bytes.
+
+    A run whose bag cannot be read has no viewer, and the page says why.
+
+    Args:
+        report: what to show.
+        path: HTML file to write, in an existing folder.
+        on_progress: is told in words what is done next.
+
+    Raises:
+        BagWriteError: the operating system refuses to store it.
+        ValueError: a table contradicts itself.
+    """
+    html = _html(report, on_progress)
+    on_progress(f'writing {path.name}')
+    write_whole(path, lambda draft: draft.write_text(html, encoding='utf-8', newline='\n'))
+
+
+def _html(report: Report, on_progress: Callable[[str], None]) -> str:
+    runs = _read_runs(report, on_progress)
+    style = _theme_style() + _joined(_STYLES)
+    script = f"(() => {{\n'use strict';\n{_joined(_SCRIPTS)}}})();\n"
+    return _environment().get_template('page.html').render(
+        report=report, runs=runs, run_link=run_link, made_on=words(provenance()),
+        sections=[_section(section, runs, on_progress) for section in report.sections],
+        policy=_policy(style, script), style=Markup(style), script=Markup(script),
+        run_data=[data_block(view.data()) for view in runs.views.values()],
+        ground_data=data_block(_grounds(runs)), run_ids=data_block(list(runs.views)),
+    )
+
+
+def _environment() -> Environment:
+    return Environment(
+        loader=FileSystemLoader(_ASSETS), autoescape=True, undefined=StrictUndefined,
+        finalize=cleaned, trim_blocks=True, lstrip_blocks=True,
+    )
+
+
+def _read_runs(report: Report, on_progress: Callable[[str], None]) -> _Runs:
+    views: dict[str, RunView] = {}
+    troubles: dict[str, str] = {}
+    for number, (name, bag) in enumerate(report.runs.items(), start=1):
+        run_id = clean(name)
+        on_progress(f'run {number} of {len(report.runs)}: {run_id}')
+        try:
+            views.setdefault(run_id, read_run_view(run_id, bag))
+        except (BagError, UsageError, InfraError, OSError) as error:
+            troubles[run_id] = ' '.join(str(error).split())
+    return _Runs(views=views, troubles=troubles)
+
+
+def _section(
+    section: Section, runs: _Runs, on_progress: Callable[[str], None]
+) -> dict[str, Any]:
+    pictures = []
+    for picture in section.pictures:
+        on_progress(f'picture {picture.name}')
+        pictures.append(view_picture(picture))
+    tables = [view_table(table, runs.views.keys()) for table in section.tables]
+    return {'section': section, 'pictures': pictures, 'tables': tables}
+
+
+def _grounds(runs: _Runs) -> dict[str, Any]:
+    """The runway as each run found it, once for all that found it so."""
+    kinds = sorted({view.crossing for view in runs.views.values()})
+    return {ground_name(crossing=kind): ground_shapes(crossing=kind) for kind in kinds}
+
+
+def _joined(names: tuple[str, ...]) -> str:
+    return '\n'.join((_ASSETS / name).read_text(encoding='utf-8') for name in names)
+
+
+def _theme_style() -> str:
+    """The colours that page and pictures share, as properties of the page."""
+    pairs = {
+        name: (getattr(LIGHT, name), getattr(DARK, name))
+        for name in ('ink', 'faint', 'paper', 'passed', 'failed')
+    }
+    lines = [f'  --{name}: light-dark({light}, {dark});' for name, (light, dark) in pairs.items()]
+    return '\n'.join([':root {', *lines, '}', ''])
+
+
+def _policy(style: str, script: str) -> str:
+    return '; '.join([
+        "default-src 'none'", 'img-src data:', f"style-src '{_digest(style)}'",
+        f"script-src '{_digest(script)}'", "base-uri 'none'", "form-action 'none'",
+    ])
+
+
+def _digest(text: str) -> str:
+    return 'sha256-' + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')

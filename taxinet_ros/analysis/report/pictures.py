@@ -1,0 +1,121 @@
+"""Pictures of a report as PNG and inside its page, for light and dark.
+
+The same picture and theme give the same bytes each time they are drawn.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
+from matplotlib.style import context as style_context
+from PIL import Image
+
+from taxinet_ros.analysis.report.parts import Picture, Theme
+from taxinet_ros.bag.layout import write_whole
+
+# Blue and vermilion are Okabe and Ito's, as in the other pictures; on a dark ground lighter ones
+# of the same hues, for each must stand out from the paper by 3 : 1 (WCAG 2.2, 1.4.11).
+LIGHT = Theme(
+    ink='#1f2328', faint='#d5d9de', paper='#ffffff', passed='#0072B2', failed='#D55E00',
+    others=('#007a5a', '#7A4D9E', '#8a6d00', '#b0487a'),
+)
+DARK = Theme(
+    ink='#e6e8eb', faint='#3d444d', paper='#16191d', passed='#56B4E9', failed='#F28C38',
+    others=('#3fc79a', '#b794e0', '#F0E442', '#e58fb6'),
+)
+DOTS_PER_INCH = 144
+"""Of all pictures: sharp on a screen with two dots to a CSS pixel, and small."""
+
+
+def png_bytes(picture: Picture, theme: Theme) -> bytes:
+    """Draw a picture as PNG; the same picture and theme give the same bytes.
+
+    The figure comes to ``picture.draw`` with a constrained layout and with the theme's colours as
+    defaults of text, axes, ticks, grid, legend and ground, whatever a ``matplotlibrc`` says.
+    """
+    buffer = io.BytesIO()
+    # Ticks and legends that are made only while it is saved take their colours then.
+    with style_context(['default', _defaults(theme)]):
+        figure = Figure(
+            figsize=picture.size_in, dpi=DOTS_PER_INCH, layout='constrained',
+            facecolor=theme.paper,
+        )
+        FigureCanvasAgg(figure)
+        picture.draw(figure, theme)
+        figure.savefig(buffer, format='png', metadata={'Software': None})
+    return buffer.getvalue()
+
+
+def write_png(picture: Picture, folder: Path, theme: Theme) -> Path:
+    """Write ``<name>.png`` into an existing folder and return its path.
+
+    Raises:
+        BagWriteError: it cannot be written.
+    """
+    path = folder / f'{picture.name}.png'
+    data = png_bytes(picture, theme)
+    write_whole(path, lambda draft: draft.write_bytes(data))
+    return path
+
+
+def _defaults(theme: Theme) -> dict[str, Any]:
+    ink = ('text.color', 'axes.labelcolor', 'axes.titlecolor', 'axes.edgecolor', 'xtick.color',
+           'ytick.color', 'lines.color', 'patch.edgecolor', 'hatch.color')
+    paper = ('figure.facecolor', 'axes.facecolor', 'savefig.facecolor', 'legend.facecolor')
+    cycle = (theme.passed, theme.failed, *theme.others)
+    return {
+        **dict.fromkeys(ink, theme.ink), **dict.fromkeys(paper, theme.paper),
+        'grid.color': theme.faint, 'legend.edgecolor': theme.faint,
+        'axes.prop_cycle': cycler(color=cycle),
+    }
+
+
+_CSS_PIXELS_PER_INCH = 96
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PictureView:
+    """A picture, ready for the template.
+
+    Attributes:
+        name, title, caption: as in the report.
+        light, dark: addresses that hold the whole file.
+        width, height: size on the page [CSS px].
+    """
+
+    name: str
+    title: str
+    caption: str
+    light: str
+    dark: str
+    width: int
+    height: int
+
+
+def view_picture(picture: Picture) -> PictureView:
+    """Draw a picture for light and for dark pages."""
+    width, height = (round(inches * _CSS_PIXELS_PER_INCH) for inches in picture.size_in)
+    return PictureView(
+        name=picture.name, title=picture.title, caption=picture.caption,
+        light=_address(picture, LIGHT), dark=_address(picture, DARK), width=width, height=height,
+    )
+
+
+def data_address(data: bytes) -> str:
+    """The ``data:`` address of a WebP file."""
+    return 'data:image/webp;base64,' + base64.b64encode(data).decode('ascii')
+
+
+def _address(picture: Picture, theme: Theme) -> str:
+    """Lossless WebP: a third of the PNG's size."""
+    buffer = io.BytesIO()
+    with Image.open(io.BytesIO(png_bytes(picture, theme))) as image:
+        image.convert('RGB').save(buffer, format='webp', lossless=True, quality=60, method=4)
+    return data_address(buffer.getvalue())

@@ -1,0 +1,165 @@
+"""A table of a report as a page shows it: the first rows as HTML, all of them as data."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from markupsafe import Markup
+
+from taxinet_ros.analysis.report.parts import Cell, Column, Table
+from taxinet_ros.analysis.report.values import clean, data_block, plain_number
+
+ROWS_AT_ONCE = 25
+"""Rows of one page of a long table."""
+
+_EXACT = 2**53
+"""Larger whole numbers are no longer told apart by JavaScript."""
+
+_LONG = 40
+"""Characters of a cell that may stand on one line."""
+
+_DIGITS = 6
+"""Significant digits of fractions in columns without a number of decimals."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CellView:
+    """What stands in a cell.
+
+    Attributes:
+        text: the words.
+        kind: how it is set: ``number``, ``long`` for words in several lines, or ''.
+        link: address of a run's viewer, or ''.
+    """
+
+    text: str
+    kind: str
+    link: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TableView:
+    """A table, ready for the template.
+
+    Attributes:
+        name, title, caption: as in the report.
+        columns: title of each, and whether it holds numbers.
+        rows: the first :data:`ROWS_AT_ONCE`.
+        count: number of all rows.
+        data: everything, as JSON.
+    """
+
+    name: str
+    title: str
+    caption: str
+    columns: tuple[tuple[str, bool], ...]
+    rows: tuple[tuple[CellView, ...], ...]
+    count: int
+    data: Markup
+
+    @property
+    def long(self) -> bool:
+        """Whether there are more rows than are shown at once."""
+        return self.count > ROWS_AT_ONCE
+
+    @property
+    def state(self) -> str:
+        """Which rows are shown, in words."""
+        part = f'1–{ROWS_AT_ONCE} of ' if self.long else ''
+        return f'{part}{self.count:,} {"row" if self.count == 1 else "rows"}'
+
+
+def view_table(table: Table, viewers: Collection[str]) -> TableView:
+    """Prepare a table.
+
+    Args:
+        table: the table.
+        viewers: ids of the runs that have a viewer, as :func:`.report_text.clean` leaves them.
+
+    Raises:
+        ValueError: a row has another length than the columns, or there is no ``run_id_column``.
+    """
+    names = [column.name for column in table.columns]
+    if table.run_id_column is not None and table.run_id_column not in names:
+        raise ValueError(f'table {table.name}: no column {table.run_id_column!r} for run ids')
+    run_column = names.index(table.run_id_column) if table.run_id_column is not None else -1
+    rows = [_values(table, row) for row in table.rows]
+    numeric = [_is_numeric([row[place] for row in rows]) for place in range(len(names))]
+    shown = tuple(
+        tuple(
+            _view(value, column, viewers if place == run_column else (), numeric[place])
+            for place, (value, column) in enumerate(zip(row, table.columns, strict=True))
+        )
+        for row in rows[:ROWS_AT_ONCE]
+    )
+    return TableView(
+        name=table.name, title=table.title, caption=table.caption, rows=shown, count=len(rows),
+        columns=tuple(zip((column.title for column in table.columns), numeric, strict=True)),
+        data=_data(table, rows, numeric, run_column),
+    )
+
+
+def run_link(run_id: str) -> str:
+    """Address of a run's viewer within the page."""
+    return f'#run={quote(clean(run_id), safe="")}'
+
+
+def _values(table: Table, row: tuple[Cell, ...]) -> list[Cell]:
+    if len(row) != len(table.columns):
+        raise ValueError(f'table {table.name}: {len(row)} cells for {len(table.columns)} columns')
+    return [_plain(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+
+
+def _plain(cell: Cell, column: Column) -> Cell:
+    """The value that the page knows: rounded as shown, so that both sides write the same digits."""
+    value = cell.item() if isinstance(cell, np.generic) else cell
+    if isinstance(value, str):
+        return clean(value)
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int):
+        return value if abs(value) <= _EXACT else str(value)
+    if column.decimals is None and np.isfinite(value):
+        value = float(f'{value:.{_DIGITS}g}')
+    return plain_number(value, 15 if column.decimals is None else column.decimals)
+
+
+def _is_numeric(values: list[Cell]) -> bool:
+    told = [value for value in values if value is not None]
+    return bool(told) and all(
+        value in ('∞', '-∞') or (isinstance(value, int | float) and not isinstance(value, bool))
+        for value in told
+    )
+
+
+def _view(value: Cell, column: Column, viewers: Collection[str], numeric: bool) -> CellView:
+    text = _words(value, column)
+    kind = 'number' if numeric else 'long' if len(text) > _LONG else ''
+    return CellView(text=text, kind=kind, link=run_link(text) if text in viewers else '')
+
+
+def _words(value: Cell, column: Column) -> str:
+    if value is None:
+        return '–'
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
+    if isinstance(value, str) or column.decimals is None:
+        return str(value)
+    return f'{value:.{column.decimals}f}'
+
+
+def _data(
+    table: Table, rows: list[list[Cell]], numeric: list[bool], run_column: int
+) -> Markup:
+    columns: list[dict[str, Any]] = [
+        {'name': column.name, 'title': column.title, 'decimals': column.decimals,
+         'numeric': is_numeric}
+        for column, is_numeric in zip(table.columns, numeric, strict=True)
+    ]
+    return data_block({
+        'columns': columns, 'rows': rows, 'runColumn': run_column, 'rowsAtOnce': ROWS_AT_ONCE,
+    })

@@ -1,0 +1,82 @@
+"""Values and text on their way into JSON or a page.
+
+JSON has no NaN and no infinity; and nothing in a page's text can become markup or code.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+
+def plain_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same in JSON's own types; None where a number is not finite."""
+    return {str(key): _plain(one) for key, one in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return plain_values(value)
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+# What HTML cannot hold: control characters other than tab and line ends, lone surrogates, and the
+# two non-characters that end the first plane.
+_UNFIT = re.compile('[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]')
+_IN_SCRIPT = str.maketrans({'<': r'\u003c', '>': r'\u003e', '&': r'\u0026'})
+
+
+def clean(text: str) -> str:
+    """``text`` with U+FFFD, the replacement character, for each character that HTML cannot hold."""
+    return _UNFIT.sub('\ufffd', text)
+
+
+def cleaned(value: Any) -> Any:
+    """As :func:`clean` for whatever a template shows; what is known to be HTML stays as it is."""
+    return clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def data_block(value: Any) -> Markup:
+    """JSON for the inside of a ``<script type="application/json">``.
+
+    Signs that could end the element, or open a comment in it, are written as escapes, and so is
+    everything beyond ASCII.
+
+    Raises:
+        ValueError: a number is not finite; see :func:`plain_number`.
+    """
+    text = json.dumps(_all_clean(value), separators=(',', ':'), allow_nan=False)
+    # It holds no sign of HTML any more.
+    return Markup(text.translate(_IN_SCRIPT))
+
+
+def plain_number(value: float, decimals: int) -> float | int | str | None:
+    """A number for JSON, rounded; NaN is null, and infinities are words that the page knows."""
+    if math.isnan(value):
+        return None
+    if math.isinf(value):
+        return '∞' if value > 0 else '-∞'
+    rounded = round(float(value), decimals)
+    return int(rounded) if rounded == int(rounded) else rounded
+
+
+def _all_clean(value: Any) -> Any:
+    if isinstance(value, str):
+        return clean(value)
+    if isinstance(value, dict):
+        return {clean(name): _all_clean(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_all_clean(inner) for inner in value]
+    return value

@@ -1,0 +1,258 @@
+"""A recorded run as plain data for the page's viewer: facts, curves, camera frames, the ground."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.analysis.report.values import plain_number
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.facts import RunFacts, read_facts
+from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.bag.run.trace import Column, read_images, read_trace
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
+from taxinet_ros.core.place.runway import (
+    CROSSING_WIDTH_M,
+    CROSSING_X_M,
+    CROSSING_YAW_RAD,
+    HALF_WIDTH_M,
+    LENGTH_M,
+    Polygon,
+    markings,
+)
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import InfraError, UsageError
+
+_CROSSING_REACH_M = 400.0
+"""How far to each side the crossing runway is drawn; runs stay nearer."""
+
+
+def ground_name(*, crossing: bool) -> str:
+    """What runs call the ground that they took place on."""
+    return 'crossed' if crossing else 'plain'
+
+
+def ground_shapes(*, crossing: bool) -> dict[str, Any]:
+    """Polygons in ``map`` [m] as JSON values: pavement and paint, and the tolerated band's half."""
+    runway = ((0.0, -HALF_WIDTH_M), (LENGTH_M, -HALF_WIDTH_M), (LENGTH_M, HALF_WIDTH_M),
+              (0.0, HALF_WIDTH_M))
+    pavement = (runway, _crossing()) if crossing else (runway,)
+    return {
+        'pavement': [_corners(polygon) for polygon in pavement],
+        'paint': [_corners(marking.polygon) for marking in markings(crossing=crossing)],
+        'tolerance': CENTRELINE_TOLERANCE_M,
+        'length': LENGTH_M,
+        'halfWidth': HALF_WIDTH_M,
+    }
+
+
+def _crossing() -> Polygon:
+    cos, sin = math.cos(CROSSING_YAW_RAD), math.sin(CROSSING_YAW_RAD)
+    half = CROSSING_WIDTH_M / 2
+    return tuple(
+        (CROSSING_X_M + along * cos - across * sin, along * sin + across * cos)
+        for along, across in (
+            (-_CROSSING_REACH_M, -half), (_CROSSING_REACH_M, -half),
+            (_CROSSING_REACH_M, half), (-_CROSSING_REACH_M, half),
+        )
+    )
+
+
+def _corners(polygon: Polygon) -> list[list[Any]]:
+    return [[plain_number(x, 2), plain_number(y, 2)] for x, y in polygon]
+
+
+STEPS_APART = 5
+"""Every fifth control step has a frame on the page: two to a second."""
+MOST_FRAMES = 120
+"""Longer runs than a minute have theirs farther apart, to keep the page small."""
+_QUALITY = 70
+"""Of WebP: stripes stay sharp, and a frame has about 4 kB."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Frames:
+    """What the camera saw.
+
+    Attributes:
+        steps: row of the trace that each frame belongs to, ascending.
+        files: a WebP file for each.
+        missing: why there are fewer than wanted, or ''.
+    """
+
+    steps: tuple[int, ...]
+    files: tuple[bytes, ...]
+    missing: str
+
+    def data(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return {
+            'steps': list(self.steps), 'missing': self.missing,
+            'webp': [base64.b64encode(file).decode('ascii') for file in self.files],
+        }
+
+
+def read_frames(bag: Path, stamps_ns: Sequence[int]) -> Frames:
+    """Frames of some of a run's control steps, as recorded, else rendered now.
+
+    Args:
+        bag: a run folder or an ``.mcap`` file.
+        stamps_ns: simulated time of each row of the trace.
+
+    Raises:
+        BagError: a recorded frame is damaged.
+    """
+    apart = max(STEPS_APART, math.ceil(len(stamps_ns) / MOST_FRAMES))
+    wanted = {stamp: row for row, stamp in enumerate(stamps_ns) if row % apart == 0}
+    files = {
+        wanted[stamp]: _webp(pixels) for stamp, pixels in read_images(bag) if stamp in wanted
+    }
+    lacking = {stamp: row for stamp, row in wanted.items() if row not in files}
+    missing = ''
+    if lacking:
+        try:
+            for stamp, pixels in _rendered(bag, lacking):
+                files[lacking[stamp]] = _webp(pixels)
+        except (BagError, UsageError, InfraError) as error:
+            missing = str(error)
+    steps = tuple(sorted(files))
+    return Frames(steps=steps, files=tuple(files[step] for step in steps), missing=missing)
+
+
+def _rendered(bag: Path, stamps_ns: Container[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Stamp and pixels of some control steps; the camera is not asked for the others."""
+    for now in observations(bag, lambda seq: seq * CONTROL_PERIOD_NS in stamps_ns):
+        if now.image is not None:
+            yield now.stamp_ns, now.image
+
+
+def _webp(pixels: NDArray[np.uint8]) -> bytes:
+    """One frame, (H, W, 3) uint8 RGB, as a file."""
+    parameters = [cv2.IMWRITE_WEBP_QUALITY, _QUALITY]
+    _, data = cv2.imencode('.webp', cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), parameters)
+    return data.tobytes()
+
+
+_UNITS = {
+    'cross_track': ' m', 'distance': ' m', 'heading': '°', 'rain': ' %', 'time_of_day': ' h',
+    'duration': ' s',
+}
+"""Units in which people read a scenario's values."""
+_COLUMNS = {
+    'x': ('x_m', 1.0), 'y': ('y_m', 1.0), 'speed': ('speed_mps', 1.0), 'cte': ('cte_m', 1.0),
+    'cteEstimate': ('est_cte_m', 1.0), 'he': ('he_rad', 180 / math.pi),
+    'heEstimate': ('est_he_rad', 180 / math.pi), 'steering': ('steering_rad', 180 / math.pi),
+}
+"""Curves by their name on the page: column of the trace, and factor to metres and degrees."""
+_DECIMALS = 3
+_TELLING = ('cross track', 'heading', 'distance', 'clouds', 'rain', 'time of day')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunView:
+    """What the viewer of one run needs.
+
+    Attributes:
+        run_id: names it.
+        outcome: one of the five words, or ''.
+        crossing: whether the crossing runway was there.
+        facts: what was asked and what came of it, for people.
+        t_s: time of each control step since the start [s].
+        curves: by name, a value for each step: metres, m/s, degrees; left positive.
+        intervals: robust satisfaction interval by formula: lower and upper end for each step.
+        frames: what the camera saw, thinned out.
+    """
+
+    run_id: str
+    outcome: str
+    crossing: bool
+    facts: Mapping[str, str]
+    t_s: Column
+    curves: Mapping[str, Column]
+    intervals: Mapping[str, tuple[Column, Column]]
+    frames: Frames
+
+    @property
+    def summary(self) -> str:
+        """Where and in what weather it was, on one line."""
+        return ', '.join(f'{name} {self.facts[name]}' for name in _TELLING if name in self.facts)
+
+    def data(self) -> dict[str, Any]:
+        """All of it as JSON values, rounded."""
+        return {
+            'id': self.run_id,
+            'outcome': self.outcome,
+            'ground': ground_name(crossing=self.crossing),
+            'facts': list(self.facts.items()),
+            't': _rounded(self.t_s),
+            **{name: _rounded(values) for name, values in self.curves.items()},
+            'formulas': [
+                {'name': name, 'lower': _rounded(lower), 'upper': _rounded(upper)}
+                for name, (lower, upper) in self.intervals.items()
+            ],
+            'frames': self.frames.data(),
+        }
+
+
+def read_run_view(run_id: str, bag: Path) -> RunView:
+    """Read a run for its viewer.
+
+    Args:
+        run_id: what the page calls it.
+        bag: a run folder or an ``.mcap`` file.
+
+    Raises:
+        BagError, UsageError: the bag cannot be read; that frames cannot be had again is no error.
+    """
+    trace = read_trace(bag)
+    facts = read_facts(bag)
+    specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
+    return RunView(
+        run_id=run_id, outcome='' if facts is None else facts.outcome,
+        crossing=facts is None or bool(facts.scene.get('crossing', True)),
+        facts={} if facts is None else _words(facts),
+        t_s=np.asarray(trace['t_ns'], dtype=np.int64) / NS_PER_S,
+        curves={
+            name: np.asarray(trace[column], dtype=np.float64) * factor
+            for name, (column, factor) in _COLUMNS.items()
+        },
+        intervals={
+            spec: (trace[f'rho_lower.{spec}'], trace[f'rho_upper.{spec}']) for spec in specs
+        },
+        frames=read_frames(bag, [int(stamp) for stamp in trace['t_ns']]),
+    )
+
+
+def _rounded(values: Column) -> list[float | int | str | None]:
+    return [plain_number(float(value), _DECIMALS) for value in values]
+
+
+def _words(facts: RunFacts) -> dict[str, str]:
+    """What a person wants to know of a run, in the order in which they ask."""
+    words = {'outcome': ' '.join(w for w in (facts.outcome, facts.kind, facts.detail) if w)}
+    for name, judged in facts.judged.items():
+        ends = f'{judged.lower:.2f} … {judged.upper:.2f}'
+        words[f'ρ of {name}'] = f'{judged.lower:.2f}' if judged.final else ends
+    if (perception := facts.nodes.get('perception')) is not None:
+        words['perception'] = perception.implementation
+    words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'
+    for name, value in facts.scene.items():
+        words[name.replace('_', ' ')] = _scene_words(value) + _UNITS.get(name, '')
+    return {name: word for name, word in words.items() if word}
+
+
+def _scene_words(value: Any) -> str:
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
+    if isinstance(value, float):
+        return f'{value:.1f}'.rstrip('0').rstrip('.')
+    return str(value)

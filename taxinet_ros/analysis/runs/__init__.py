@@ -1,0 +1,1 @@
+"""The runs of a campaign as tables: features, groups, bins."""

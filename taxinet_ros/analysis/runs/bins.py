@@ -1,0 +1,123 @@
+"""Bins of a feature that people would choose, and what the runs in each did."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
+from taxinet_ros.analysis.runs.features import RAIN, Feature, Floats, Mask, kinds_present
+
+MOST_BINS = 12
+_RUNS_PER_BIN = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bin:
+    """Some values of a feature.
+
+    Attributes:
+        label: for people.
+        low, high: ends of numbers; equal for a single value, NaN for a word.
+        mask: which runs have them.
+    """
+
+    label: str
+    low: float
+    high: float
+    mask: Mask
+
+    @property
+    def middle(self) -> float:
+        """Halfway between the ends."""
+        return (self.low + self.high) / 2
+
+
+def bins(feature: Feature, frame: pd.DataFrame, most: int = MOST_BINS) -> list[Bin]:
+    """Cut a feature into bins: as many as there are runs for, none without runs for words.
+
+    Args:
+        feature: any.
+        frame: the runs.
+        most: bins at most.
+    """
+    if not feature.numeric:
+        return [
+            Bin(label=kind, low=math.nan, high=math.nan,
+                mask=(frame[feature.name] == kind).to_numpy(dtype=bool))
+            for kind in kinds_present(feature, frame)
+        ]
+    values = frame[feature.name].to_numpy(dtype=np.float64)
+    found = []
+    dry = values == 0
+    if feature.name == RAIN.name and dry.any():
+        # Two runs in three have none: that is a group of its own.
+        found.append(Bin(label='0', low=0.0, high=0.0, mask=dry))
+        if dry.all():
+            return found
+        return [*found, *_numbered(feature, values, ~dry, most - 1)]
+    return _numbered(feature, values, np.ones(len(values), dtype=bool), most)
+
+
+def bin_rates(runs: CampaignRuns, feature: Feature) -> list[tuple[Bin, GroupRate]]:
+    """The failure rate of each bin of a feature."""
+    return [(one, runs.rate(one.mask)) for one in bins(feature, runs.frame)]
+
+
+def medians(
+    x: Floats, y: Floats, width: float, least: int | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Median of ``y`` in bins of ``x``.
+
+    Args:
+        x: of the runs.
+        y: of the runs; NaN is left out.
+        width: of a bin; their ends are multiples of it.
+        least: runs that a bin must have; None for 5, or 1 where there are few runs in all.
+
+    Returns:
+        Middles of the bins, their medians (NaN for a gap) and numbers of runs.
+    """
+    known = ~np.isnan(y)
+    x, y = x[known], y[known]
+    if not len(x):
+        return np.empty(0), np.empty(0), np.empty(0)
+    if least is None:
+        least = 5 if len(x) >= 10 * _RUNS_PER_BIN else 1
+    # The last value of a range belongs to the bin below it.
+    place = np.floor(x / width + 1e-9).astype(int)
+    place[(x == x.max()) & (place > place.min()) & (place * width == x)] -= 1
+    numbers = np.arange(place.min(), place.max() + 1)
+    counts = np.array([(place == number).sum() for number in numbers])
+    middle = np.array([
+        np.median(y[place == number]) if count >= least else math.nan
+        for number, count in zip(numbers, counts, strict=True)
+    ])
+    return (numbers + 0.5) * width, middle, counts.astype(np.float64)
+
+
+def _numbered(feature: Feature, values: Floats, among: Mask, most: int) -> list[Bin]:
+    least, greatest = float(values[among].min()), float(values[among].max())
+    if least == greatest:
+        return [Bin(label=feature.value_words(least), low=least, high=greatest, mask=among)]
+    edges = _edges(feature, least, greatest, min(most, max(1, int(among.sum()) // _RUNS_PER_BIN)))
+    found = []
+    for number, (low, high) in enumerate(itertools.pairwise(edges), 1):
+        last = number == len(edges) - 1
+        within = among & (values >= low) & ((values <= high) if last else (values < high))
+        label = f'{feature.value_words(low)} to {feature.value_words(high)}'
+        found.append(Bin(label=label, low=low, high=high, mask=within))
+    return found
+
+
+def _edges(feature: Feature, least: float, most: float, bins_at_most: int) -> Sequence[float]:
+    for width in feature.widths:
+        first, last = math.floor(least / width + 1e-9), math.ceil(most / width - 1e-9)
+        if last - first <= bins_at_most:
+            break
+    return [number * width for number in range(first, max(last, first + 1) + 1)]

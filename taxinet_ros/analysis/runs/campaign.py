@@ -1,0 +1,389 @@
+"""The runs of a campaign, ready for analysis, and the failure rates of groups of them.
+
+Judged runs have features; the others are counted. A rate is of drawn runs: those that the
+scenario program itself drew, not a sampler.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES, Floats, Mask, feature_columns
+from taxinet_ros.campaign.rates import as_planned, count_kinds, count_words, rate, without_gaps
+from taxinet_ros.campaign.record.facts import read_facts, recorded_stacks
+from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
+from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.pacing.timing import timing_words
+from taxinet_ros.core.provenance import Provenance
+from taxinet_ros.errors import UsageError
+
+
+class GroupRate(NamedTuple):
+    """How often runs of a group fail.
+
+    Attributes:
+        runs, failures: as they were made.
+        rate, low, high: share of failures under the program's own distribution with its 95 %
+            interval, of the runs that the program itself drew. Where none was, the share of the
+            runs as they were made, and NaN for the ends.
+        effective: number of runs that the interval is of; NaN where there is none.
+    """
+
+    runs: int
+    failures: int
+    rate: float
+    low: float
+    high: float
+    effective: float
+
+    def words(self) -> str:
+        """Rate and interval, such as ``49.9 % (48.3–51.5 %)``."""
+        return rate_words(self.runs, self.rate, self.low, self.high)
+
+
+def rate_words(runs: int, rate: float, low: float, high: float) -> str:
+    """Rate and interval of so many runs; ``low`` is NaN where there is no interval."""
+    if not runs:
+        return 'no run'
+    if math.isnan(low):
+        return f'{rate:.1%} of the runs made'.replace('%', ' %')
+    return f'{rate:.1%} ({100 * low:.1f}–{high:.1%})'.replace('%', ' %')
+
+
+def group_rate(failed: Mask, weight: Floats, *, anytime: bool = False) -> GroupRate:
+    """Rate of the runs in a group that was chosen without a look at who failed.
+
+    Args:
+        failed: of each run.
+        weight: 1 where the program itself drew the run, else 0, or NaN where that is not known.
+        anytime: the number of runs was not settled beforehand (:mod:`taxinet_ros.campaign.rates`).
+    """
+    runs, failures = len(failed), int(np.count_nonzero(failed))
+    drawn = weight == 1
+    number = int(np.count_nonzero(drawn))
+    if not runs:
+        return GroupRate(0, 0, *rate(0, 0), 0.0)
+    if not number:
+        return GroupRate(runs, failures, failures / runs, math.nan, math.nan, math.nan)
+    found = rate(int(np.count_nonzero(failed & drawn)), number, anytime=anytime)
+    return GroupRate(runs, failures, *found, float(number))
+
+
+class Difference(NamedTuple):
+    """A rate less another, with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the interval leaves no doubt of the sign."""
+        return self.low > 0 or self.high < 0
+
+
+def difference(one: GroupRate, other: GroupRate) -> Difference:
+    """How much higher the rate of ``one`` is than that of another, independent group.
+
+    The interval is put together from those of the two rates (Newcombe, Statistics in Medicine 17,
+    1998, method 10; for any intervals Zou and Donner, Statistics in Medicine 27, 2008).
+    """
+    value = one.rate - other.rate
+    below = math.hypot(one.rate - one.low, other.high - other.rate)
+    above = math.hypot(one.high - one.rate, other.rate - other.low)
+    return Difference(value, value - below, value + above)
+
+
+_SCENE = [feature.source for feature in PAPER_FEATURES]
+_NEEDED = ['run_id', 'index', 'program', 'perception', 'outcome', 'weight', *_SCENE]
+_JUDGED = [Outcome.PASS.value, Outcome.FAIL.value]
+_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
+
+
+class Weighting(Enum):
+    """What a share of runs says of the program's own distribution."""
+
+    DRAWN = 'drawn'
+    """The runs were drawn from it: shares are its rates."""
+    WEIGHTED = 'partly drawn'
+    """A sampler chose most runs, the program itself drew some: rates are of those alone."""
+    UNKNOWN = 'unknown'
+    """A sampler chose all runs: there is no rate, shares are of these runs only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignRuns:
+    """A campaign's runs.
+
+    Attributes:
+        label: names it beside others: its network, and the folder where that is not enough.
+        path: folder or file that it was read from.
+        program, perception, sampler: what was run, with what, who chose the scenes.
+        spec: name of the formula that says which runs failed.
+        facts: of ``campaign.json``, where there is one.
+        stacks: machines, libraries and code that made the runs; empty where nothing tells.
+        frame: judged runs, by index: ``run_id``, ``index``, ``bag``, ``weight``, ``failed``,
+            ``rho`` (NaN where nothing is known of its size), ``rho_exact`` (False where the run was
+            stopped before and ``rho`` is the bound known then), ``left_runway`` (1, 0 or NaN), and
+            the features.
+        others: number of runs by outcome, of those without a verdict.
+        kinds: number of runs that the bench broke, by how.
+        undecided: judged runs that were stopped before this formula was decided.
+        weighting: what shares of these runs say.
+        anytime: whether the number of runs was not settled before the first of them.
+        blind: number of runs that passed though more of their frames had no usable estimate than
+            the requirement ``usable`` allows.
+    """
+
+    label: str
+    path: Path
+    program: str
+    perception: str
+    sampler: str
+    spec: str
+    facts: Mapping[str, Any]
+    stacks: tuple[Provenance, ...]
+    frame: pd.DataFrame
+    others: Mapping[str, int]
+    kinds: Mapping[str, int]
+    undecided: int
+    weighting: Weighting
+    anytime: bool = False
+    blind: int = 0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be known before the rates are believed, a line each."""
+        told = self.facts.get('warnings')
+        lines = [str(line) for line in told] if isinstance(told, list) else []
+        if self.blind:
+            lines.append(
+                f'{self.blind:,} {"run" if self.blind == 1 else "runs"} passed with more than '
+                f'{100 * MOST_UNUSABLE_SHARE:g} % of their frames without a usable estimate'
+            )
+        return tuple(lines)
+
+    @property
+    def folder(self) -> Path:
+        """Where the bags are, if they are anywhere."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    @property
+    def failed(self) -> Mask:
+        """Which runs failed."""
+        return self.frame['failed'].to_numpy(dtype=bool)
+
+    @property
+    def weight(self) -> Floats:
+        """1 for each run that the program itself drew, else 0; NaN if it drew none."""
+        return self.frame['weight'].to_numpy(dtype=np.float64)
+
+    @property
+    def stopped(self) -> int:
+        """Number of runs that were stopped early, whose rho is a bound."""
+        return int((~self.frame['rho_exact']).sum())
+
+    def rate(self, among: Mask | None = None) -> GroupRate:
+        """How often the runs fail, or those of them that are named."""
+        among = np.ones(len(self.frame), dtype=bool) if among is None else among
+        return group_rate(self.failed[among], self.weight[among], anytime=self.anytime)
+
+    def off_runway(self) -> GroupRate | None:
+        """How often the aircraft leaves the runway; None if a run was stopped before one knew."""
+        left = self.frame['left_runway']
+        if left.isna().any():
+            return None
+        return group_rate(left.to_numpy() > 0, self.weight, anytime=self.anytime)
+
+
+def read_runs(path: Path, spec: str | None = None) -> CampaignRuns:
+    """The runs of a campaign's folder, or of a table of one.
+
+    Args:
+        path: folder, or ``.parquet`` file.
+        spec: formula that says which runs failed; None for the headline.
+
+    Raises:
+        UsageError: there is no such table or formula, or no run was judged.
+    """
+    return runs_of(read_table(path), path, spec)
+
+
+def runs_of(table: pd.DataFrame, path: Path, spec: str | None = None) -> CampaignRuns:
+    """The judged runs of a table that was read from ``path``; as :func:`read_runs`."""
+    missing = [name for name in _NEEDED if name not in table.columns]
+    if missing:
+        raise UsageError(f'{path}: the table has no column {missing[0]}; of an older version?')
+    name = _spec_name(table, path, spec)
+    facts = facts_beside(path)
+    anytime, counted = _plan(table, facts)
+    counts = table.loc[~table['outcome'].isin(_JUDGED), 'outcome'].value_counts()
+    others = {str(outcome): int(count) for outcome, count in sorted(counts.items())}
+    broken = table[table['outcome'] == Outcome.INFRA_ERROR]
+    kinds = count_kinds(broken['kind'].astype(str)) if 'kind' in table.columns else {}
+    judged = table[table['outcome'].isin(_JUDGED)].sort_values('index', ignore_index=True)
+    frame = _frame(judged, name, counted)
+    decided = ~frame['failed'].isna()
+    _check(judged, decided, count_words(others, kinds), path, name)
+    frame = frame[decided].astype({'failed': bool}).reset_index(drop=True)
+    perception, timing = _common(table['perception']), _timing(judged, path)
+    return CampaignRuns(
+        label=', '.join(filter(None, (_network(perception), timing))), path=path,
+        program=_common(table['program']),
+        perception=perception,
+        sampler=_common(table['sampler']) if 'sampler' in table.columns else '',
+        spec=name, facts=facts, stacks=_stacks(table, path), frame=frame, anytime=anytime,
+        others=others, kinds=kinds,
+        undecided=int((~decided).sum()), weighting=_weighting(frame['weight']),
+        blind=_blind(judged),
+    )
+
+
+def _timing(judged: pd.DataFrame, path: Path) -> str:
+    """When answers took effect in the runs; '' where each did at once.
+
+    Raises:
+        UsageError: not the same in all of them, so no rate is one of all.
+    """
+    found = judged['timing'].fillna('').unique().tolist() if 'timing' in judged.columns else []
+    if len(found) > 1:
+        raise UsageError(
+            f'{path}: mixes runs with {" and with ".join(map(timing_words, found))}, which are not '
+            'counted together; make a table of each'
+        )
+    return str(found[0]) if found else ''
+
+
+def distinct_labels(campaigns: Sequence[CampaignRuns]) -> list[CampaignRuns]:
+    """The campaigns with labels of which no two are equal."""
+    labels = [one.label for one in campaigns]
+    named = [
+        replace(one, label=f'{one.label} ({one.path.stem})') if labels.count(one.label) > 1
+        else one for one in campaigns
+    ]
+    again = [one.label for one in named]
+    return [
+        replace(one, label=f'{one.label} {number}') if again.count(one.label) > 1 else one
+        for number, one in enumerate(named, 1)
+    ]
+
+
+def _spec_name(table: pd.DataFrame, path: Path, spec: str | None) -> str:
+    names = [str(name).removeprefix(_RHO) for name in table.columns
+             if str(name).startswith(_RHO) and '.' not in str(name)]
+    if not names:
+        raise UsageError(f'{path}: the table has no robustness')
+    if spec is not None and spec not in names:
+        raise UsageError(f'--spec {spec}: not judged in {path}; known: {", ".join(names)}')
+    return spec or names[0]
+
+
+def _frame(judged: pd.DataFrame, spec: str, counted: float) -> pd.DataFrame:
+    """Features and outcome of judged runs; ``failed`` is missing where the sign is not known."""
+    rho = judged[_RHO + spec].to_numpy(dtype=np.float64)
+    empty = np.full(len(rho), np.nan)
+    lower, upper = (
+        judged[start + spec].to_numpy(dtype=np.float64) if start + spec in judged.columns else empty
+        for start in (_LOWER, _UPPER)
+    )
+    exact = ~np.isnan(rho)
+    bound = np.where(upper <= 0, upper, np.where(lower > 0, lower, np.nan))
+    rho = np.where(exact, rho, bound)
+    failed = pd.Series(rho <= 0, dtype='boolean').mask(pd.Series(np.isnan(rho)))
+    left = judged['left_runway'].astype('Float64') if 'left_runway' in judged.columns else None
+    facts = pd.DataFrame({
+        'run_id': judged['run_id'].astype(str), 'index': judged['index'],
+        'bag': judged['bag'].fillna('').astype(str) if 'bag' in judged.columns else '',
+        'weight': _weights(judged, counted),
+        'rho': rho, 'rho_exact': exact, 'failed': failed,
+        'left_runway': empty if left is None else left.to_numpy(dtype=np.float64, na_value=np.nan),
+    })
+    return pd.concat([facts, feature_columns(judged)], axis=1)
+
+
+def _weights(judged: pd.DataFrame, counted: float) -> pd.Series[float]:
+    """1 for a run below an index that the program itself drew, else 0; all NaN if there is none."""
+    drawn = pd.Series(True, judged.index)
+    if 'sampler' in judged.columns:
+        drawn = judged['sampler'].fillna('').isin(SIMPLY_DRAWN)
+    if 'drawn' in judged.columns:
+        drawn = judged['drawn'].fillna(drawn).astype(bool)
+    drawn &= judged['index'] < counted
+    return drawn.astype(np.float64) if drawn.any() else pd.Series(math.nan, judged.index)
+
+
+def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
+    """Whether the number of runs was not settled beforehand, and below which index runs count."""
+    planned = facts.get('first_runs', facts.get('runs'))
+    if planned is None:
+        return False, math.inf
+    outcomes = dict(zip(table['index'].tolist(), table['outcome'].tolist(), strict=True))
+    if as_planned(outcomes, int(planned)):
+        return False, math.inf
+    return True, without_gaps(outcomes)
+
+
+def _check(
+    judged: pd.DataFrame, decided: pd.Series[bool], others: str, path: Path, spec: str
+) -> None:
+    if not decided.any():
+        why = f' ({others})' if others else ''
+        if len(judged):
+            why = f' by {spec}: all {len(judged)} were stopped before'
+        raise UsageError(f'{path}: no run was judged{why}, so there is nothing to analyse')
+    for name in _SCENE:
+        if judged[name].isna().any():
+            run = judged.loc[judged[name].isna(), 'run_id'].iloc[0]
+            raise UsageError(f'{path}: run {run} was judged, but has no {name}; a damaged table?')
+
+
+def _weighting(weight: pd.Series[float]) -> Weighting:
+    if weight.isna().any():
+        return Weighting.UNKNOWN
+    return Weighting.DRAWN if bool((weight == 1).all()) else Weighting.WEIGHTED
+
+
+def _blind(judged: pd.DataFrame) -> int:
+    if not {'unusable_estimates', 'steps'} <= set(judged.columns):
+        return 0
+    share = judged['unusable_estimates'].astype('Float64') / judged['steps']
+    passed = judged['outcome'] == Outcome.PASS.value
+    return int((passed & (share > MOST_UNUSABLE_SHARE).fillna(value=False)).sum())
+
+
+def _stacks(table: pd.DataFrame, path: Path) -> tuple[Provenance, ...]:
+    """The records that came with the table, or with its campaign."""
+    with_table = {str(name): value for name, value in table.attrs.items()}
+    told = recorded_stacks(with_table) or recorded_stacks(facts_beside(path))
+    return tuple(told.values())
+
+
+def _common(column: pd.Series[str]) -> str:
+    """The values of a column, each once."""
+    return ', '.join(dict.fromkeys(str(value) for value in column.dropna() if str(value)))
+
+
+def _network(perception: str) -> str:
+    return Path(perception).stem if perception.endswith(('.safetensors', '.onnx')) else perception
+
+
+def facts_beside(path: Path) -> dict[str, Any]:
+    """What ``campaign.json`` beside a campaign's table says; empty where there is none.
+
+    Raises:
+        UsageError: it is damaged.
+    """
+    if path.is_file() and path.name != PARQUET_NAME:
+        return {}
+    found = read_facts(path if path.is_dir() else path.parent)
+    return found.values if found else {}

@@ -1,0 +1,194 @@
+"""Features of a run's scene that it may have failed of, and how their values read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+
+Mask = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
+
+
+_MINUTES_PER_HOUR = 60
+
+
+class Form(Enum):
+    """How a feature's values are said."""
+
+    CLOCK = 'clock'
+    NUMBER = 'number'
+    KIND = 'kind'
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Feature:
+    """A feature of a scene.
+
+    Attributes:
+        name: column of the table of runs; of an offset without its sign, ``abs_`` and the column.
+        title: for people, without its unit.
+        unit: of its values, '' for words and for the time of day.
+        form: how its values are said.
+        step: to which the limits of intervals are rounded, so that they can be said.
+        words: of an interval with both ends, from below, and from above; ``{}`` for the ends.
+        source: column that it is made from.
+        kinds: all values in their order, of words.
+        widths: of bins that people would choose, from narrow to wide.
+    """
+
+    name: str
+    title: str
+    unit: str = ''
+    form: Form = Form.NUMBER
+    step: float = 1.0
+    words: tuple[str, str, str] = ('', '', '')
+    source: str = ''
+    kinds: tuple[str, ...] = ()
+    widths: tuple[float, ...] = ()
+
+    @property
+    def axis(self) -> str:
+        """Title with the unit, for an axis or a column."""
+        return f'{self.title} [{self.unit}]' if self.unit else self.title
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values are numbers."""
+        return self.form is not Form.KIND
+
+    def value_words(self, value: float) -> str:
+        """One value for people, without its unit."""
+        if self.form is Form.CLOCK:
+            return clock_words(value)
+        digits = max(0, -math.floor(math.log10(self.step)))
+        return f'{value:,.{digits}f}'.replace('-', '−')
+
+    def rounded(self, low: float, high: float) -> tuple[float, float]:
+        """The interval with its ends on whole steps, that holds the given one."""
+        steps_per_unit = round(1 / self.step, 9)
+        return (math.floor(low * steps_per_unit + 1e-9) / steps_per_unit,
+                math.ceil(high * steps_per_unit - 1e-9) / steps_per_unit)
+
+    def interval_words(self, low: float | None, high: float | None) -> str:
+        """The interval for people; None for an end that no run lies beyond."""
+        both, below, above = self.words
+        if self.name == 'rain_percent' and low is None and high == 0:
+            return 'no rain'
+        if low is None:
+            return 'any ' + self.title if high is None else below.format(self.value_words(high))
+        if high is None:
+            return above.format(self.value_words(low))
+        return both.format(self.value_words(low), self.value_words(high))
+
+
+def clock_words(hours: float) -> str:
+    """Hours after midnight as ``13:20``."""
+    whole, minutes = divmod(round(hours * _MINUTES_PER_HOUR), _MINUTES_PER_HOUR)
+    return f'{whole:02d}:{minutes:02d}'
+
+TIME_OF_DAY = Feature(
+    name='time_of_day_h', title='time of day', form=Form.CLOCK, step=1 / 12,
+    words=('between {} and {}', 'before {}', 'after {}'), source='time_of_day_h',
+    widths=(0.5, 1.0, 2.0, 3.0, 6.0, 12.0),
+)
+CLOUDS_KIND = Feature(name='clouds', title='clouds', form=Form.KIND, source='clouds', kinds=CLOUDS)
+RAIN = Feature(
+    name='rain_percent', title='rain', unit='%', source='rain_percent',
+    widths=(5.0, 10.0, 20.0, 50.0, 100.0),
+    words=('rain of {} to {} %', 'rain of at most {} %', 'rain of {} % or more'),
+)
+CROSS_TRACK = Feature(
+    name='cross_track_m', title='start offset, left of the centreline', unit='m', step=0.1,
+    words=('start at {} to {} m (left positive)', 'start below {} m (left positive)',
+           'start above {} m (left positive)'), source='cross_track_m',
+    widths=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+)
+DISTANCE = Feature(
+    name='distance_m', title='start distance along the runway', unit='m', step=10.0,
+    words=('start {} to {} m along the runway', 'start on the first {} m of the runway',
+           'start beyond {} m along the runway'), source='distance_m',
+    widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
+)
+HEADING = Feature(
+    name='heading_deg', title='start heading, nose left', unit='°',
+    words=('start heading {} to {}° (nose left positive)',
+           'start heading below {}° (nose left positive)',
+           'start heading above {}° (nose left positive)'), source='heading_deg',
+    widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
+)
+ABS_CROSS_TRACK = Feature(
+    name='abs_cross_track_m', title='start offset, to either side', unit='m', step=0.1,
+    words=('start {} to {} m beside the centreline, to either side',
+           'start within {} m of the centreline',
+           'start {} m or more beside the centreline, to either side'), source='cross_track_m',
+    widths=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+)
+ABS_HEADING = Feature(
+    name='abs_heading_deg', title='start heading, to either side', unit='°',
+    words=('start heading {} to {}° off, to either side', 'start heading within {}°',
+           'start heading {}° or more off, to either side'), source='heading_deg',
+    widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
+)
+_SWITCHES = (
+    Feature(name='shadows', title='shadow of the aircraft', form=Form.KIND, source='shadows',
+            kinds=('off', 'on')),
+    Feature(name='crossing', title='crossing runway', form=Form.KIND, source='crossing',
+            kinds=('off', 'on')),
+)
+_OTHER_KINDS = (
+    Feature(name='aircraft', title='aircraft', form=Form.KIND, source='aircraft', kinds=AIRCRAFT),
+    Feature(name='date', title='date', form=Form.KIND, source='date'),
+)
+PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
+"""The paper's six, as they stand in the table."""
+ALL_FEATURES = (*PAPER_FEATURES, ABS_CROSS_TRACK, ABS_HEADING, *_SWITCHES, *_OTHER_KINDS)
+BY_NAME = {feature.name: feature for feature in ALL_FEATURES}
+
+
+def feature_columns(table: pd.DataFrame) -> pd.DataFrame:
+    """A column for each feature of :data:`ALL`, of a campaign's table."""
+    columns = {feature.name: _values(feature, table) for feature in ALL_FEATURES}
+    return pd.DataFrame(columns, dtype=None)
+
+
+def varied(
+    frame: pd.DataFrame, features: tuple[Feature, ...] = ALL_FEATURES
+) -> tuple[Feature, ...]:
+    """The features that have more than one value here."""
+    return tuple(feature for feature in features if frame[feature.name].nunique() > 1)
+
+
+def kinds_present(feature: Feature, frame: pd.DataFrame) -> tuple[str, ...]:
+    """The words of a feature that occur, in their order; unknown ones last."""
+    present = set(frame[feature.name])
+    known = tuple(kind for kind in feature.kinds if kind in present)
+    return known + tuple(sorted(present - set(known)))
+
+
+def ordered_values(feature: Feature, frame: pd.DataFrame) -> npt.NDArray[np.float64]:
+    """A feature as numbers; of words their place among the feature's, -1 for unknown ones."""
+    if feature.numeric:
+        return frame[feature.name].to_numpy(dtype=np.float64)
+    codes = pd.Categorical(frame[feature.name], categories=feature.kinds).codes
+    return codes.astype(np.float64)
+
+
+def _values(feature: Feature, table: pd.DataFrame) -> npt.NDArray[Any]:
+    if feature.source not in table.columns:
+        return np.full(len(table), '', dtype=object)  # a table of before it could be varied
+    column = table[feature.source]
+    if feature in _SWITCHES:
+        words = np.where(column.fillna(True).astype(bool), 'on', 'off')
+        return words.astype(object)
+    if feature.form is Form.KIND:
+        return column.astype(str).to_numpy(dtype=object)
+    numbers = column.to_numpy(dtype=np.float64)
+    return np.abs(numbers) if feature in (ABS_CROSS_TRACK, ABS_HEADING) else numbers

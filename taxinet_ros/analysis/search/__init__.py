@@ -1,0 +1,1 @@
+"""What a search has learned, and how a failure was shrunk."""

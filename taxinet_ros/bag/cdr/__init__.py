@@ -1,0 +1,1 @@
+"""Bytes of messages: decoded, compared, and filled into templates."""

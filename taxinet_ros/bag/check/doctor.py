@@ -1,0 +1,357 @@
+"""Everything that can be checked about a bag, whoever recorded it.
+
+Bytes, indexes, description and types are checked of every bag; stamps, steps and verdict of
+each run in it; and, if asked for, the camera frames against those rendered anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxinet_ros.bag.cdr.decode import definition_hash
+from taxinet_ros.bag.check.findings import RECOVER, Check, Finding
+from taxinet_ros.bag.check.lockstep import (
+    RunRecord,
+    check_stamps,
+    check_steps,
+    check_verdict,
+    read_record,
+    read_records,
+)
+from taxinet_ros.bag.description import VERSION, read_description, words_beside
+from taxinet_ros.bag.errors import BagEmpty, BagError, BagTruncated
+from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
+from taxinet_ros.bag.run.trace import Frame, read_images
+from taxinet_ros.bag.storage.summary import index_troubles
+from taxinet_ros.bag.topics import TopicInfo, qos_profiles
+from taxinet_ros.bag.writer import RUN_METADATA
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.yaml_text import load_yaml
+
+
+def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:
+    """Whether every checksum holds and the file has its end."""
+    count = sum(info.counts.values())
+    return Check(
+        name='bytes', looked_at=f'{count} messages; {info.unchecked}' if info.unchecked else
+        f'{count} messages under the checksums of chunks, data and summary',
+        findings=tuple(
+            Finding(where=_place(error), what=_without_place(error), mend=RECOVER)
+            for error in damage
+        ),
+    )
+
+
+def check_index(path: Path, *, sound: bool) -> Check:
+    """Whether the indexes lead to every message; only asked where the bytes are sound."""
+    if not sound:
+        return Check(name='index', looked_at='the bytes are not sound', skipped=True)
+    files = storage_files(path)
+    found: list[Finding] = []
+    for file in files:
+        try:
+            troubles = index_troubles(file)
+        except BagError as error:
+            found.append(Finding(where=file.name, what=str(error), mend=RECOVER))
+            continue
+        found += [
+            Finding(where=f'{file.name}, byte {offset}', what=what, mend=RECOVER)
+            for offset, what in troubles
+        ]
+    return Check(
+        name='index', looked_at='chunks, messages, attachments and counts are where it says',
+        findings=tuple(found),
+    )
+
+
+def check_description(info: BagInfo) -> Check:
+    """Whether ``metadata.yaml`` says what the storage files hold."""
+    if info.path.is_file():
+        why = f'a file without its folder has no {METADATA_FILE}'
+        return Check(name='description', looked_at=why, skipped=True)
+    try:
+        description = read_description(info.path)
+    except BagError as error:
+        missing = 'missing, so the recording was not finished'
+        what = missing if isinstance(error, BagTruncated) else _without_path(error)
+        found = (Finding(where=METADATA_FILE, what=what, mend=RECOVER),)
+        return Check(name='description', looked_at=METADATA_FILE, findings=found)
+    wrong = [
+        Finding(where=METADATA_FILE, what=what, mend=RECOVER)
+        for what in _contradictions(info, description)
+    ]
+    return Check(
+        name='description', looked_at=f'{METADATA_FILE} says what the file holds',
+        findings=tuple(wrong),
+    )
+
+
+def check_types(info: BagInfo) -> Check:
+    """Whether definitions can be used, hash to the type hashes, and QoS profiles can be read."""
+    found = [
+        Finding(where=topic.name, what=what)
+        for topic in info.topics for what in _topic_troubles(topic)
+    ]
+    return Check(
+        name='types', looked_at=f'definition, type hash and QoS of {len(info.topics)} topics',
+        findings=tuple(found),
+    )
+
+
+def _topic_troubles(topic: TopicInfo) -> Iterator[str]:
+    try:
+        found = definition_hash(topic)
+        if topic.type_hash and topic.type_hash != found:
+            yield f'type hash {topic.type_hash} is not that of the definition, {found}'
+    except BagError as error:
+        yield str(error)
+    try:
+        qos_profiles(topic.qos)
+    except ValueError as error:
+        yield f'QoS: {error}'
+
+
+def _contradictions(info: BagInfo, told: Mapping[str, Any]) -> Iterator[str]:
+    version = told.get('version')
+    if not isinstance(version, int) or not 0 < version <= VERSION:
+        yield f'version is {_short(version)}; known up to {VERSION}'
+    there: dict[str, object] = {
+        'storage_identifier': 'mcap',
+        'message_count': sum(info.counts.values()),
+        'relative_file_paths': [file.name for file in storage_files(info.path)],
+        'duration': {'nanoseconds': info.end_ns - info.start_ns},
+    }
+    if any(info.counts.values()):
+        there['starting_time'] = {'nanoseconds_since_epoch': info.start_ns}
+    for key, value in there.items():
+        if told.get(key) != value:
+            yield f'{key} is {_short(told.get(key))}, in the bag {_short(value)}'
+    yield from _topic_contradictions(info, told.get('topics_with_message_count'))
+    words = info.metadata.get(RUN_METADATA)
+    if words is not None and _inner(info) != _without(told, words_beside(info.path, words)):
+        yield 'is not the same as the description within the file'
+
+
+def _without(told: Mapping[str, Any], beside: Mapping[str, str]) -> dict[str, Any]:
+    """The description without the words that stand in it alone."""
+    custom = told.get('custom_data')
+    if not isinstance(custom, Mapping):
+        return dict(told)
+    return {**told, 'custom_data': {k: v for k, v in custom.items() if k not in beside}}
+
+
+def _topic_contradictions(info: BagInfo, told: object) -> Iterator[str]:
+    try:
+        claimed = {str(entry['topic_metadata']['name']): entry for entry in _list(told)}
+    except (TypeError, KeyError, AttributeError):
+        yield 'topics_with_message_count is no list of topics'
+        return
+    for topic in info.topics:
+        entry = claimed.pop(topic.name, None)
+        if entry is None:
+            yield f'does not know topic {topic.name}'
+            continue
+        told_of, there = entry['topic_metadata'], _topic_fields(topic)
+        wrong = [key for key, value in there.items() if told_of.get(key, value) != value]
+        if entry.get('message_count') != info.counts[topic.name]:
+            wrong.append('message_count')
+        if wrong:
+            yield f'topic {topic.name}: {", ".join(wrong)} not as in the bag'
+    for name in claimed:
+        yield f'tells of topic {_short(name)}, which is not in the bag'
+
+
+def _topic_fields(topic: TopicInfo) -> dict[str, object]:
+    fields: dict[str, object] = {'name': topic.name, 'type': topic.type}
+    if topic.type_hash:
+        fields['type_description_hash'] = topic.type_hash
+    with suppress(ValueError):
+        # rosbags and rosbag2 pair the two by them: a topic that differs here yields no messages.
+        fields['offered_qos_profiles'] = list(qos_profiles(topic.qos))
+    return fields
+
+
+def _inner(info: BagInfo) -> object:
+    """The description within the storage file, or None where there is none of use."""
+    try:
+        return load_yaml(info.metadata['rosbag2']['serialized_metadata'])
+    except (KeyError, ValueError):
+        return None
+
+
+def _list(value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f'{value!r} is no list')
+    return value
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f'{text[:57]}...'
+
+
+def _place(error: BagError) -> str:
+    file = error.path.name if error.path is not None else ''
+    return f'{file}, byte {error.offset}' if error.offset >= 0 else file
+
+
+def _without_path(error: BagError) -> str:
+    return str(error).removeprefix(f'{error.path}: ')
+
+
+def _without_place(error: BagError) -> str:
+    return _without_path(error).removeprefix(f'at byte {error.offset}: ')
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameComparison:
+    """Recorded frames held against frames rendered anew.
+
+    Attributes:
+        recorded: frames in the bag.
+        equal: those whose every byte is the same.
+        first_seq: control step of the first other one, or None.
+        first_pixels: how many of its pixels are others.
+        first_difference: greatest difference of a colour value in it, 0..255.
+        trouble: why frames could not be rendered, or ''.
+    """
+
+    recorded: int
+    equal: int
+    first_seq: int | None = None
+    first_pixels: int = 0
+    first_difference: int = 0
+    trouble: str = ''
+
+    @property
+    def ok(self) -> bool:
+        """Whether every recorded frame is the right one."""
+        return self.equal == self.recorded and not self.trouble
+
+
+def check_recorded_frames(path: Path) -> Check:
+    """:func:`check_frames` as one of the questions of a checkup; it is only read."""
+    try:
+        found = compare_recorded_frames(path)
+    except (BagError, UsageError) as error:
+        return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
+    words = f'{found.equal} of {found.recorded} equal those rendered anew'
+    if not found.recorded:
+        return Check(name='frames', looked_at='none in it to compare', skipped=True)
+    if found.ok:
+        return Check(name='frames', looked_at=f'{words}, bit for bit')
+    finding = Finding(where='/camera/image_raw', what=found.trouble)
+    if found.first_seq is not None:
+        finding = Finding(
+            where=f'step {found.first_seq}',
+            what=f'the first other frame: {found.first_pixels} pixels differ, by up to '
+            f'{found.first_difference} of 255',
+        )
+    return Check(name='frames', looked_at=words, findings=(finding,))
+
+
+def compare_recorded_frames(path: Path) -> FrameComparison:
+    """Render every recorded frame of a bag once more, and compare.
+
+    Raises:
+        BagError, UsageError: the bag cannot be read.
+    """
+    recorded = equal = 0
+    first: dict[str, int] = {}
+    trouble = ''
+    states = observations(path)
+    for stamp_ns, image in read_images(path):
+        recorded += 1
+        seq = stamp_ns // CONTROL_PERIOD_NS
+        try:
+            now = None if trouble else next((s.image for s in states if s.seq == seq), None)
+        except WorldDiffers as error:
+            trouble, now = str(error), None
+        if now is None:
+            trouble = trouble or f'step {seq} has a frame and no recorded state'
+        elif now.shape == image.shape and now.tobytes() == image.tobytes():
+            equal += 1
+        elif not first:
+            first = _difference(seq, image, now)
+    return FrameComparison(recorded=recorded, equal=equal, trouble=trouble, **first)
+
+
+def _difference(seq: int, recorded: Frame, rendered: Frame) -> dict[str, int]:
+    if recorded.shape != rendered.shape:
+        return {'first_seq': seq, 'first_pixels': rendered[..., 0].size, 'first_difference': 255}
+    away = np.abs(recorded.astype(np.int16) - rendered.astype(np.int16)).max(axis=2)
+    return {
+        'first_seq': seq, 'first_pixels': int(np.count_nonzero(away)),
+        'first_difference': int(away.max()),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkup:
+    """A bag and all answers.
+
+    Attributes:
+        info: its table of contents.
+        checks: in the order in which they were made.
+    """
+
+    info: BagInfo
+    checks: tuple[Check, ...]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All that is wrong."""
+        return tuple(finding for check in self.checks for finding in check.findings)
+
+
+def check_bag(path: Path) -> Checkup:
+    """Check a bag; it is only read.
+
+    Raises:
+        BagEmpty: not one message of it can be read, and it is not whole either.
+        BagForeign, UsageError: as ``reader.read_messages``.
+    """
+    damage: list[BagError] = []
+    info = read_info(path, damage.append)
+    if damage and not any(info.counts.values()):
+        raise BagEmpty(str(damage[0]), path=path)
+    return Checkup(
+        info=info,
+        checks=(
+            check_bytes(info, damage),
+            check_index(path, sound=not damage),
+            check_description(info),
+            check_types(info),
+            *_run_checks(path, info),
+        ),
+    )
+
+
+def _run_checks(path: Path, info: BagInfo) -> Iterator[Check]:
+    recording = read_recording(path)
+    if recording.plain or not recording.runs:
+        yield from _checks_of(read_record(path), [topic.name for topic in info.topics], '')
+        return
+    yield Check(
+        name='messages', looked_at='every message is what its topic says',
+        findings=tuple(Finding(where=path.name, what=str(error)) for error in recording.broken),
+    )
+    # What the topics of others hold, and that some hold nothing, is their affair.
+    for run, record in zip(recording.runs, read_records(recording), strict=True):
+        if not run.absent:
+            yield from _checks_of(record, list(record.counts), f'{run.name}: ')
+
+
+def _checks_of(record: RunRecord, topics: Sequence[str], of: str) -> Iterator[Check]:
+    for check in (check_stamps(record), check_steps(record, topics), check_verdict(record)):
+        yield replace(check, looked_at=f'{of}{check.looked_at}')

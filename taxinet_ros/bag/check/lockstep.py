@@ -1,0 +1,404 @@
+"""Checks of a bag as a run of the lockstep: stamps, whole steps, and the verdict.
+
+The verdict is made once more from the truth in the bag, and must be the recorded one bit for
+bit.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.check.findings import Check, Finding, ranges
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, scenario_of
+from taxinet_ros.bag.run.recording import Recording, run_messages
+from taxinet_ros.bag.run.samples import same_bits
+from taxinet_ros.bag.run.topics import (
+    COMMAND,
+    ESTIMATE,
+    NODE_STATUS,
+    ODOMETRY,
+    ONCE,
+    ROBUSTNESS,
+    RUN_STATUS,
+    SCENARIO,
+    TF,
+    TRUTH,
+    VERDICT,
+    is_topic,
+)
+from taxinet_ros.core.loop import MAX_GAP_NS
+from taxinet_ros.core.mtl import Monitor, parse_spec
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.run_statistics import EstimateWatch
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.core.world import last_step
+from taxinet_ros.errors import UsageError
+
+PERIOD_NS = NS_PER_S // 10
+"""Control period of the lockstep, as :data:`taxinet_ros.core.aircraft.CONTROL_PERIOD_NS`."""
+MOST_STEPS = 100_000
+"""Steps beyond are not looked at: no run is nearly as long."""
+SIMULATOR = 'simulator'
+"""It reports too, of a run whose answers do not take effect at once."""
+_KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
+_ENDED = 2
+
+
+class Interval(NamedTuple):
+    """Robust satisfaction interval of one formula after one step."""
+
+    lower: float
+    upper: float
+
+
+@dataclass
+class RunRecord:
+    """The numbers of a run, step by step, and what is wrong with its messages.
+
+    Attributes:
+        once: messages of the topics that speak once, by relative name, in order.
+        counts: messages by relative topic name and step.
+        values: messages that the verdict depends on, by relative topic name and step.
+        robustness: by step and name of the formula.
+        stamps: findings on stamps and contents.
+    """
+
+    once: dict[str, list[Any]] = field(default_factory=dict)
+    counts: dict[str, dict[int, int]] = field(default_factory=dict)
+    values: dict[str, dict[int, Any]] = field(default_factory=dict)
+    robustness: dict[int, dict[str, Interval]] = field(default_factory=dict)
+    stamps: list[Finding] = field(default_factory=list)
+    latest: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def scenario(self) -> Any:
+        """The scenario message, or None: then it is no run of ours."""
+        return next(iter(self.once.get(SCENARIO, ())), None)
+
+    @property
+    def free(self) -> bool:
+        """Whether it is a free run, of which frames may have no answer."""
+        told = self.once.get(NODE_STATUS, ())
+        return any(str(m.node) == SIMULATOR and is_free(str(m.implementation)) for m in told)
+
+    @property
+    def ending(self) -> Any:
+        """The message that told how the run ended, or None."""
+        told = self.once.get(RUN_STATUS, ())
+        return next((m for m in told if m.state == _ENDED), None)
+
+    def note(self, stored: StoredMessage) -> None:
+        """Take in a message; what is wrong with it alone becomes a finding."""
+        name, stamp = stored.topic.name, stored.stamp_ns
+        if stamp < self.latest.get(name, 0):
+            self._wrong(name, stamp, f'{name}: stamp goes back from {self.latest[name]} ns')
+        self.latest[name] = max(stamp, self.latest.get(name, 0))
+        try:
+            message = decode(stored.topic, stored.cdr)
+        except BagError as error:
+            self._wrong(name, stamp, str(error))
+            return
+        try:
+            self._keep(name, stamp, message)
+        except (AttributeError, TypeError, ValueError, struct.error) as error:
+            self._wrong(name, stamp, f'{name}: {error}')
+
+    def _keep(self, name: str, stamp: int, message: Any) -> None:
+        once = next((topic for topic in ONCE if is_topic(name, topic)), None)
+        if once is not None:
+            _check_fields(once, message)
+            if len(told := self.once.setdefault(once, [])) < MOST_STEPS:
+                told.append(message)
+            return
+        step = stamp // PERIOD_NS
+        if step > MOST_STEPS:
+            return
+        steps = self.counts.setdefault(name, {})
+        steps[step] = steps.get(step, 0) + 1
+        header = getattr(message, 'header', None)
+        if header is not None and _stamp(header.stamp) != stamp:
+            self._wrong(name, stamp, f'{name}: header says {_stamp(header.stamp)} ns')
+        if is_topic(name, ROBUSTNESS):
+            reading = Interval(float(message.rho_lower), float(message.rho_upper))
+            self.robustness.setdefault(step, {})[str(message.spec)] = reading
+        kept = next((topic for topic in _KEPT if is_topic(name, topic)), None)
+        if kept is not None:
+            self.values.setdefault(kept, {}).setdefault(step, message)
+        # It is written behind the odometry of its step, and made of that.
+        odometry = self.values.get(ODOMETRY, {}).get(step)
+        if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
+            self._wrong(name, stamp, f'{name}: is not where {ODOMETRY} says')
+
+    def _wrong(self, name: str, stamp: int, what: str) -> None:
+        if len(self.stamps) < MOST_STEPS:
+            where = f'{name} at {stamp / NS_PER_S:.3f} s'
+            self.stamps.append(Finding(where=where, what=what.removeprefix(f'{name}: ')))
+
+
+def read_record(path: Path) -> RunRecord:
+    """Read the numbers of a run, passing over damage.
+
+    Raises:
+        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
+    """
+    record = RunRecord()
+    for stored in stored_messages(path, on_damage=lambda error: None):
+        record.note(stored)
+    return record
+
+
+def read_records(recording: Recording) -> list[RunRecord]:
+    """The same of every run in a recording, each message under the stamp in its header."""
+    records = [RunRecord() for _ in recording.runs]
+    for number, stored in run_messages(recording):
+        records[number].note(stored)
+    return records
+
+
+def check_stamps(record: RunRecord) -> Check:
+    """Whether time never goes back, and messages carry the stamp that they are filed under."""
+    found = record.stamps
+    more = Finding(where=f'and {len(found) - 5} more', what='as these')
+    return Check(
+        name='stamps', looked_at='every message decodes, and time never goes back',
+        findings=tuple(found) if len(found) <= 6 else (*found[:5], more),
+    )
+
+
+def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
+    """Whether every control step is whole: each topic spoke, exactly as often as it should.
+
+    Args:
+        record: of the run.
+        topics: names of those that speak.
+    """
+    if record.scenario is None:
+        return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
+    last = last_seq(record)
+    if last < 0 and record.ending is None and TRUTH not in record.values:
+        found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='not one control step')]
+        return Check(name='steps', looked_at='no truth', findings=tuple(found))
+    found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
+    return Check(
+        name='steps', looked_at=f'{last + 1} control steps, every topic in each'
+        + (_unanswered(record, last) if record.free else ''),
+        findings=tuple(found),
+    )
+
+
+def _unanswered(record: RunRecord, last: int) -> str:
+    answered = {step for name, steps in record.counts.items() if is_topic(name, COMMAND)
+                for step in steps}
+    return f'; a free run: {last + 1 - len(answered)} without an answer'
+
+
+def last_seq(record: RunRecord) -> int:
+    """The last control step that is to be whole: the run's, or of an aborted run the one before.
+
+    Of a free run those count that were judged: which frames have no answer is settled later.
+    -1 where the bag does not tell of any.
+    """
+    if record.free and (record.ending is None or record.ending.outcome not in ('PASS', 'FAIL')):
+        return max(record.robustness, default=-1)
+    if record.ending is None:
+        return max((step for steps in record.counts.values() for step in steps), default=0) - 1
+    seq = int(record.ending.seq)
+    return min(seq if record.ending.outcome in ('PASS', 'FAIL') else seq - 1, MOST_STEPS)
+
+
+def _once_troubles(record: RunRecord) -> Iterator[Finding]:
+    ending = record.ending
+    judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
+    expected = {SCENARIO: 1, RUN_STATUS: 1}
+    if judged:
+        told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
+        nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
+        expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
+    for topic, number in expected.items():
+        there = len(record.once.get(topic, ()))
+        if there != number:
+            why = 'the bag ends before the run does' if topic == RUN_STATUS else ''
+            yield Finding(where=topic, what=f'{there} messages, not {number}; {why}'.rstrip('; '))
+
+
+def _step_troubles(
+    record: RunRecord, topics: Collection[str], last: int
+) -> Iterator[Finding]:
+    lacking: dict[str, list[str]] = {}
+    for topic, each in _stepped(record, topics):
+        steps = record.counts.get(topic, {})
+        missing = ranges(step for step in range(last + 1) if steps.get(step, 0) < each)
+        twice = ranges(step for step, count in steps.items() if count > each)
+        may_lack = record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND))
+        if missing and not may_lack:
+            lacking.setdefault(missing, []).append(topic)
+        if twice:
+            yield Finding(where=f'step {twice}', what=f'{topic} more than {each} x')
+    for steps_without, names in lacking.items():
+        yield Finding(where=f'step {steps_without}', what=f'without {", ".join(names)}')
+
+
+def _stepped(record: RunRecord, topics: Collection[str]) -> Iterator[tuple[str, int]]:
+    """Topics that speak in every step, and how often."""
+    for topic in topics:
+        if not any(is_topic(topic, once) for once in ONCE):
+            number = len(record.scenario.specs) if is_topic(topic, ROBUSTNESS) else 1
+            yield topic, number
+
+
+def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
+    """How many control steps of a run have all their messages."""
+    counts = [
+        (record.counts.get(topic, {}), each) for topic, each in _stepped(record, topics)
+        if not (record.free and any(is_topic(topic, name) for name in (ESTIMATE, COMMAND)))
+    ]
+    numbers = {step for steps, _ in counts for step in steps}
+    return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
+
+
+def check_verdict(record: RunRecord) -> Check:
+    """Whether judging the recorded truth once more gives the recorded robustness, bit for bit."""
+    if record.scenario is None:
+        return Check(name='verdict', looked_at='no scenario of ours in it', skipped=True)
+    # Only here, for it brings in the whole world: a second of imports.
+
+    steps, found = verdict_findings(record)
+    if not steps and not found:
+        return Check(name='verdict', looked_at='not one step to judge', skipped=True)
+    return Check(
+        name='verdict', looked_at=f'robustness from the recorded truth of {steps} steps, '
+        'bit for bit', findings=tuple(found),
+    )
+
+
+def _check_fields(once: str, message: Any) -> None:
+    """Raise AttributeError, TypeError or ValueError where a message of a run lacks what it tells.
+
+    The definition, too, comes from the bag.
+    """
+    if once == SCENARIO:
+        _ = len(message.participants), [str(spec) for spec in message.specs]
+    elif once == NODE_STATUS:
+        _ = str(message.node), str(message.implementation)
+    elif once == RUN_STATUS:
+        _ = int(message.state), str(message.outcome), int(message.seq)
+    elif once == VERDICT:
+        for spec in message.specs:
+            _ = str(spec.spec), float(spec.rho_lower), float(spec.rho_upper)
+
+
+def _follows(transforms: Any, odometry: Any) -> bool:
+    """Whether a message of transforms tells the pose of odometry, and nothing else."""
+    told = [
+        (one.header.frame_id, one.child_frame_id, _stamp(one.header.stamp),
+         _bits(one.transform.translation, one.transform.rotation))
+        for one in transforms.transforms
+    ]
+    at = odometry.pose.pose
+    header = odometry.header
+    return told == [(
+        header.frame_id, odometry.child_frame_id, _stamp(header.stamp),
+        _bits(at.position, at.orientation),
+    )]
+
+
+def _bits(place: Any, turned: Any) -> bytes:
+    return struct.pack('<7d', place.x, place.y, place.z, turned.x, turned.y, turned.z, turned.w)
+
+
+def _stamp(time: Any) -> int:
+    return int(time.sec) * NS_PER_S + int(time.nanosec)
+
+
+def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
+    """Judge the recorded samples and compare.
+
+    Returns:
+        Number of steps judged, and what differs from what was recorded.
+    """
+    try:
+        monitors = _monitors(record.scenario)
+    except (UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
+        return 0, [Finding(where='/scenario', what=f'cannot be judged: {error}')]
+    readings: dict[str, Interval] = {}
+    differing: dict[str, list[int]] = {name: [] for name in monitors}
+    steps = 0
+    watch = EstimateWatch(last_seq(record) * PERIOD_NS, PERIOD_NS)
+    commands = HeldCommand(free=record.free)
+    while steps <= last_seq(record) and (
+        sample := _sample(record, steps, commands)
+    ) is not None:
+        sample |= watch.signals(steps * PERIOD_NS, sample)
+        for name, monitor in monitors.items():
+            reading = monitor.push(steps * PERIOD_NS, sample)
+            readings[name] = Interval(reading.lower, reading.upper)
+            told = record.robustness.get(steps, {}).get(name)
+            if told is not None and not same_bits(told, readings[name]):
+                differing[name].append(steps)
+        steps += 1
+    found = [
+        Finding(where=f'step {ranges(wrong)}', what=f'{name}: another interval was recorded')
+        for name, wrong in differing.items() if wrong
+    ]
+    if steps == last_seq(record) + 1:
+        found += _verdict_troubles(record, readings)
+    else:
+        found.append(Finding(where=f'step {steps}', what='no samples from here on'))
+    return steps, found
+
+
+def _monitors(scenario: Any) -> dict[str, Monitor]:
+    horizon_ns = last_step(scenario_of(scenario)) * PERIOD_NS
+    specs = [parse_spec(text) for text in scenario.specs]
+    vouched = assumptions_of(scenario)
+    return {
+        spec.name: Monitor(
+            spec, horizon_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
+        ) for spec in specs
+    }
+
+
+def _sample(record: RunRecord, step: int, commands: HeldCommand) -> dict[str, float] | None:
+    odometry, truth, estimate, command = (
+        record.values.get(topic, {}).get(step) for topic in (ODOMETRY, TRUTH, ESTIMATE, COMMAND)
+    )
+    if odometry is None or truth is None:
+        return None
+    command = commands.at(command)
+    if not record.free and (estimate is None or command is None):
+        return None
+    try:
+        return sample_of(truth, odometry, estimate, command)
+    except (AttributeError, TypeError, ValueError):
+        return None
+
+
+def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[Finding]:
+    """What the run's judgement says against the one made here."""
+    verdict = next(iter(record.once.get(VERDICT, ())), None)
+    if verdict is None:
+        return []
+    found = []
+    for spec in verdict.specs:
+        here = readings.get(str(spec.spec))
+        told = Interval(float(spec.rho_lower), float(spec.rho_upper))
+        if here is None or not same_bits(told, here):
+            text = f'{spec.spec}: recorded {_words(told)}, from the truth {_words(here)}'
+            found.append(Finding(where=VERDICT, what=text))
+    outcome = record.ending.outcome if record.ending is not None else ''
+    satisfied = all(interval.lower > 0 for interval in readings.values())
+    if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
+        found.append(Finding(where='run_status', what=f'{outcome}, but the truth says otherwise'))
+    return found
+
+
+def _words(interval: Interval | None) -> str:
+    return 'nothing' if interval is None else f'[{interval.lower:g}, {interval.upper:g}]'

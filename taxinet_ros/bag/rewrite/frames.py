@@ -1,0 +1,175 @@
+"""Camera frames of a bag that was recorded without them, put back bit for bit.
+
+The camera is deterministic, so a frame follows from scenario and commands, which are recorded
+(:mod:`.resimulate`). The bag that comes out has the bytes of one that was recorded with frames.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.cdr.image import image_cdr
+from taxinet_ros.bag.description import words_beside
+from taxinet_ros.bag.errors import BagForeign, BagWriteError
+from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
+from taxinet_ros.bag.reader import (
+    BagInfo,
+    StoredMessage,
+    read_attachment,
+    read_info,
+    stored_messages,
+)
+from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.bag.run.topics import ONCE
+from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import sync_folder
+
+IMAGE, CAMERA_INFO = '/camera/image_raw', '/camera/camera_info'
+_IMAGE_TYPE = 'sensor_msgs/msg/Image'
+_PER_RUN = frozenset(f'/{name}' for name in ONCE)
+_DRAFT = '.with-frames'
+
+
+def missing_frames(info: BagInfo) -> int:
+    """How many control steps of a bag have no camera frame.
+
+    Raises:
+        BagForeign: the bag was not recorded by this package.
+    """
+    if CAMERA_INFO not in info.counts:
+        raise BagForeign(
+            f'{info.path}: no topic {CAMERA_INFO}, so it is no run of ours', path=info.path
+        )
+    return info.counts[CAMERA_INFO] - info.counts.get(IMAGE, 0)
+
+
+def frame_messages(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield control step and serialised frame: as recorded, else rendered now.
+
+    Raises:
+        WorldDiffers: a frame is missing, and cannot be had again.
+        BagError, UsageError: the bag cannot be read.
+    """
+    frames = _Frames(path)
+    for message in stored_messages(path, (IMAGE, CAMERA_INFO).__contains__):
+        seq = message.stamp_ns // CONTROL_PERIOD_NS
+        cdr = message.cdr if message.topic.name == IMAGE else frames.missing(message)
+        if cdr is not None:
+            yield seq, cdr
+
+
+def restore_frames(source: Path, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
+    """Write ``source`` into the new run ``folder`` with a frame in every control step.
+
+    Recorded frames stay, missing ones are rendered. A generator, so that a node can do other
+    things meanwhile: it yields the number of each control step that is done.
+
+    Args:
+        source: a run folder or an ``.mcap`` file.
+        folder: the new run folder; the bytes are those of a recording only under the same name.
+        min_free_bytes: free space to ask of the disk [bytes].
+
+    Raises:
+        UsageError: ``source`` is damaged, or ``folder`` exists or has too little space.
+        WorldDiffers: the frames cannot be had again.
+        BagWriteError: the operating system refuses.
+        BagError: the bag cannot be read.
+    """
+    info = read_info(source)
+    missing_frames(info)
+    if info.trouble:
+        raise UsageError(f'{info.trouble}; mend it first: taxinet bag recover {source} --out NEW')
+    attachments = {
+        name: read_attachment(source, name) for name in info.attachments if name != MANIFEST
+    }
+    words = info.metadata.get(RUN_METADATA, {})
+    with BagWriter(
+        folder, _topics(info), metadata=words,
+        attachments=attachments, min_free_bytes=min_free_bytes,
+        beside=words_beside(source, words),
+    ) as bag:
+        yield from _copy(source, bag)
+        for name, values in info.metadata.items():
+            if name not in ('rosbag2', RUN_METADATA):
+                bag.add_metadata(name, values)
+
+
+def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
+    """As :func:`restore_frames`, and put the new bag in the place of the old one.
+
+    However this ends, the storage file is one of the two, whole. Only between the last three
+    system calls does the folder lack its ``metadata.yaml``; a bag caught so can be recovered.
+    """
+    if not folder.is_dir():
+        raise UsageError(f'{folder}: is no run folder; name one, or a new one with --out')
+    draft = folder / _DRAFT / folder.name
+    shutil.rmtree(draft.parent, ignore_errors=True)
+    try:
+        yield from restore_frames(folder, draft, min_free_bytes)
+        (folder / METADATA_FILE).unlink()
+        mcap_path(draft).replace(mcap_path(folder))
+        (draft / METADATA_FILE).replace(folder / METADATA_FILE)
+        sync_folder(folder)
+    except OSError as error:
+        raise BagWriteError(f'{folder}: {error}', path=folder, errno=error.errno or 0) from error
+    finally:
+        shutil.rmtree(draft.parent, ignore_errors=True)
+
+
+class _Frames:
+    """The frames that a bag lacks, rendered as its control steps go by."""
+
+    def __init__(self, path: Path) -> None:
+        self.recorded: Collection[int] = {
+            message.stamp_ns // CONTROL_PERIOD_NS
+            for message in stored_messages(path, IMAGE.__eq__)
+        }
+        self._states = observations(path, lambda seq: seq not in self.recorded)
+
+    def missing(self, camera_info: StoredMessage) -> bytes | None:
+        """The frame that this camera info belongs to; None if it is there, or not to be had.
+
+        A run that broke down may have left a step without the aircraft's state.
+        """
+        seq = camera_info.stamp_ns // CONTROL_PERIOD_NS
+        if seq in self.recorded:
+            return None
+        for now in self._states:
+            if now.seq == seq and now.image is not None:
+                header = decode(camera_info.topic, camera_info.cdr).header
+                return image_cdr(now.image, now.stamp_ns, header.frame_id)
+        return None
+
+
+def _topics(info: BagInfo) -> list[TopicInfo]:
+    """The topics of a bag with the frames' among them: before the camera's, of the same QoS."""
+    topics = list(info.topics)
+    if IMAGE not in info.counts:
+        place = [topic.name for topic in topics].index(CAMERA_INFO)
+        image = describe_topic(name=IMAGE, type_name=_IMAGE_TYPE, qos=topics[place].qos)
+        topics.insert(place, image)
+    return topics
+
+
+def _copy(source: Path, bag: BagWriter) -> Iterator[int]:
+    """Copy every message, a frame before its camera info; flush as the recorder does."""
+    frames = _Frames(source)
+    before: int | None = None
+    for message in stored_messages(source):
+        topic = message.topic.name
+        step = None if topic in _PER_RUN else message.stamp_ns // CONTROL_PERIOD_NS
+        if before is not None and step != before:
+            bag.flush()
+            yield before
+        before = step
+        if topic == CAMERA_INFO and (frame := frames.missing(message)) is not None:
+            bag.write(IMAGE, frame, message.stamp_ns)
+        bag.write(topic, message.cdr, message.stamp_ns)
+    if before is not None:
+        yield before

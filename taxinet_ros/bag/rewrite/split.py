@@ -1,0 +1,113 @@
+"""A recording of several runs as a bag of each, as our recorder would have made it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.cdr.alignment import Canonical
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.errors import BagForeign
+from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.bag.reader import StoredMessage
+from taxinet_ros.bag.rewrite.recovery import storable_topic
+from taxinet_ros.bag.run.message_values import scenario_json
+from taxinet_ros.bag.run.recording import RANK_IN_STEP, Recording, RunPart, run_messages
+from taxinet_ros.bag.run.topics import (
+    NODE_STATUS,
+    RUN_STATUS,
+    SCENARIO,
+    VERDICT,
+)
+from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.errors import UsageError
+
+
+def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
+    """Make a bag of each of some runs, as our recorder would have made it.
+
+    The messages are the same; attachments and words are made from them, so that Scenic program,
+    versions and machine, which no message tells, are missing.
+
+    Args:
+        recording: what :func:`read_recording` found.
+        folders: new run folder by the name of the run.
+
+    Raises:
+        UsageError: a folder exists, or a run has no scenario.
+        BagCorrupt, BagForeign: a message is not what its topic says.
+        BagWriteError: the operating system refuses.
+    """
+    numbers = {i: run for i, run in enumerate(recording.runs) if run.name in folders}
+    for run in numbers.values():
+        if run.scenario is None:
+            raise UsageError(
+                f'{recording.path}: run {run.name}: no message on {SCENARIO}, so nothing tells '
+                'what was run'
+            )
+        if not is_run_name(run.run_id):
+            raise BagForeign(f'{recording.path}: run {run.run_id!r:.80} is no name for a folder')
+        if run.unclear:
+            raise BagForeign(f'{recording.path}: run {run.name}: {run.unclear}')
+    held: dict[int, list[StoredMessage]] = {i: [] for i in numbers}
+    left = Counter(recording.owners)
+    for number, stored in run_messages(recording):
+        left[number] -= 1
+        if number in held:
+            held[number].append(stored)
+            if not left[number]:  # Frames are large: no run waits in memory for the others.
+                _write_run(recording, numbers[number], held.pop(number), folders)
+
+
+def _write_run(
+    recording: Recording, run: RunPart, messages: list[StoredMessage], folders: Mapping[str, Path]
+) -> None:
+    dropped: list[str] = []
+    told = {stored.topic.name: stored.topic for stored in messages}
+    ordered = sorted(told.values(), key=lambda topic: RANK_IN_STEP[topic.name.removeprefix('/')])
+    topics = [t for topic in ordered if (t := storable_topic(topic, dropped.append)) is not None]
+    if dropped:
+        raise BagForeign(f'{recording.path}: {dropped[0].removeprefix("left out: ")}')
+    canonical = Canonical(topics)
+    assert run.scenario is not None
+    scenario = decode(run.scenario.topic, run.scenario.cdr)
+    words = {
+        'run_id': run.run_id, 'program': str(scenario.program), 'seed': str(scenario.seed),
+        'index': str(scenario.index), 'split_from': recording.path.name,
+    }
+    with BagWriter(
+        folders[run.name], topics, metadata=words,
+        attachments={'scenario.json': scenario_json(scenario)}, min_free_bytes=0,
+    ) as bag:
+        before: int | None = None
+        for stored in sorted(messages, key=_place):
+            name = stored.topic.name
+            head = name.removeprefix('/') in (SCENARIO, NODE_STATUS, VERDICT, RUN_STATUS)
+            step = None if head else stored.stamp_ns
+            if before is not None and step != before:
+                bag.flush()
+            before = step
+            bag.write(name, canonical.message(name, stored.cdr), stored.stamp_ns)
+        for stored in messages:
+            if stored.topic.name == f'/{RUN_STATUS}':
+                _add_outcome(bag, decode(stored.topic, stored.cdr), len(run.stamps_ns))
+
+
+def _add_outcome(bag: BagWriter, status: Any, steps: int) -> None:
+    bag.add_metadata('taxinet_outcome', {
+        'outcome': str(status.outcome), 'kind': str(status.kind), 'who': str(status.who),
+        'detail': str(status.detail), 'steps': str(steps),
+        'perception': str(status.perception), 'weights_sha256': str(status.fingerprint),
+    })
+
+
+def _place(stored: StoredMessage) -> tuple[int, int, int, str]:
+    """Where our recorder writes a message: head, steps, end."""
+    relative = stored.topic.name.removeprefix('/')
+    if relative in (SCENARIO, NODE_STATUS):
+        node = str(decode(stored.topic, stored.cdr).node) if relative == NODE_STATUS else ''
+        return 0, 0, RANK_IN_STEP[relative], node
+    end = int(relative in (VERDICT, RUN_STATUS))
+    return 1 + end, 0 if end else stored.stamp_ns, RANK_IN_STEP[relative], ''

@@ -1,0 +1,339 @@
+"""What a bag tells of its run: what was asked for, enough to run it again, and the outcome.
+
+A bag that ends before it tells all is read as far as it goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.description import words_beside
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
+from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, decoded_messages, stored_messages
+from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.run.recording import Recording, run_messages
+from taxinet_ros.bag.run.topics import (
+    NODE_STATUS,
+    ROBUSTNESS,
+    RUN_STATUS,
+    SCENARIO,
+    VERDICT,
+    is_topic,
+)
+from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
+from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.outcome import RunRequest, parse_stop_on
+from taxinet_ros.core.pacing.free_run import FreeRunAccount
+from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
+from taxinet_ros.core.provenance import NAMES, Provenance
+from taxinet_ros.errors import UsageError
+
+_HEAD = ('/scenario', '/node_status', '/clock')
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedRun:
+    """The run that a bag holds.
+
+    Attributes:
+        request: what was asked of the graph.
+        perception: the word of the perception that took part, e.g. ``taxinet``; '' if untold.
+        fingerprint: sha256 of its weights, or ''.
+        gains: steering gains that differed from the law's defaults.
+        controller: what another controller than the steering law said of itself; '' for the law.
+        controller_fingerprint: the sha256 that it told, or ''.
+        timing: when its answers took effect.
+    """
+
+    request: RunRequest
+    perception: str
+    fingerprint: str
+    gains: Mapping[str, float]
+    controller: str = ''
+    controller_fingerprint: str = ''
+    timing: Timing = AT_ONCE
+
+
+def read_run(path: Path) -> RecordedRun:
+    """Read what run a bag holds.
+
+    Raises:
+        BagEmpty: the bag ends before it tells.
+        BagForeign: what it tells is not of this package.
+        UsageError: there is no bag, or a value of its scenario is out of range.
+    """
+    scenario: Any = None
+    kinds: dict[str, Any] = {}
+    for topic, _, message in decoded_messages(path, _HEAD.__contains__):
+        if topic == '/scenario':
+            if scenario is not None:
+                raise several_runs(path, scenario.run_id, message.run_id)
+            scenario = message
+        elif topic == '/node_status':
+            kinds.setdefault(message.node, message)
+        else:
+            break
+    if scenario is None:
+        raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
+    try:
+        eyes, law = kinds.get('perception'), kinds.get('steering_controller')
+        world = kinds.get('simulator')
+        words = law.implementation if law else ''
+        ours = is_steering_law(words)
+        return RecordedRun(
+            request=_request(scenario),
+            perception=eyes.implementation if eyes else '',
+            fingerprint=eyes.fingerprint if eyes else '',
+            gains=parse_gains(words) if ours else {},
+            controller='' if ours else words,
+            controller_fingerprint=law.fingerprint if law else '',
+            timing=parse_timing(world.implementation) if world else AT_ONCE,
+        )
+    except (AttributeError, TypeError, ValueError) as error:
+        raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def gains_text(gains: Mapping[str, float]) -> str:
+    """Steering gains as a controller reports them; the inverse of :func:`gains_of_words`."""
+    return ' '.join(f'{name}={value!r}' for name, value in gains.items())
+
+
+def is_steering_law(words: str) -> bool:
+    """Whether what a controller said of itself is what the steering law says: its tuned gains."""
+    known = SteeringGains.__dataclass_fields__
+    return all(word.partition('=')[0] in known for word in words.split())
+
+
+def parse_gains(words: str) -> dict[str, float]:
+    """Steering gains out of a controller's report.
+
+    Raises:
+        ValueError: it is none.
+        UsageError: a gain is out of range.
+    """
+    pairs = (word.split('=') for word in words.split())
+    gains = {name: float(value) for name, value in pairs}
+    if unknown := set(gains) - set(SteeringGains.__dataclass_fields__):
+        raise ValueError(f'unknown steering gain {min(unknown)!r}')
+    SteeringGains(**gains)
+    return gains
+
+
+def _request(message: Any) -> RunRequest:
+    if not is_run_name(message.run_id):
+        raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
+    return RunRequest(
+        run_id=message.run_id, index=int(message.index), program=message.program,
+        seed=int(message.seed), scenario=scenario_of(message), specs=tuple(message.specs),
+        participants=tuple(message.participants),
+        # Bags from before there was a choice lack these.
+        stop_on=parse_stop_on(getattr(message, 'stop_on', '')),
+        bounds=tuple(getattr(message, 'bounds', ())), rates=tuple(getattr(message, 'rates', ())),
+    )
+
+
+_READY = 0
+_ENDED = 2
+_FACT_TOPICS = (SCENARIO, NODE_STATUS, RUN_STATUS, VERDICT, ROBUSTNESS)
+_NO_FIGURES = frozenset({'header', 'run_id', 'specs', 'complete', 'satisfied'})
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeFacts:
+    """What one node said of itself.
+
+    Attributes:
+        implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
+        fingerprint: sha256 of its weights, or ''.
+    """
+
+    implementation: str
+    fingerprint: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """The newest of what the monitor said of one formula.
+
+    Attributes:
+        formula: fully parenthesised.
+        lower, upper: ends of the robust satisfaction interval.
+        final: the run reached its horizon, so both ends are rho.
+    """
+
+    formula: str
+    lower: float
+    upper: float
+    final: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFacts:
+    """A run as its bag tells of it.
+
+    Attributes:
+        run_id, program, seed, index: who asked for it.
+        scene: the scenario in the units people read, as :meth:`Scenario.to_human` spells them.
+        specs: formulas to judge by, as asked for.
+        nodes: by node name.
+        outcome: one of the five, or '' where the bag ends before.
+        kind, who, detail: of an outcome that is no judgement.
+        steps: control steps with a robustness.
+        judged: by name of the formula.
+        figures: further fields of the verdict by name: the run in a few figures.
+    """
+
+    run_id: str
+    program: str
+    seed: int
+    index: int
+    scene: Mapping[str, Any]
+    specs: tuple[str, ...]
+    nodes: Mapping[str, NodeFacts]
+    outcome: str
+    kind: str
+    who: str
+    detail: str
+    steps: int
+    judged: Mapping[str, Judged]
+    figures: Mapping[str, float | bool]
+
+
+def read_facts(path: Path) -> RunFacts | None:
+    """Read what a bag tells of its run; damage is passed over.
+
+    Returns:
+        The facts, or None where the bag holds no scenario of ours, as those of others.
+
+    Raises:
+        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
+        BagCorrupt: a message that tells of the run is not what its topic says.
+    """
+    told = _FactsReader()
+    for stored in stored_messages(path, _is_fact_topic, on_damage=lambda error: None):
+        _note(told, path, stored)
+    return told.facts()
+
+
+def read_all_facts(recording: Recording) -> dict[str, RunFacts | None]:
+    """What a recording tells of each of its runs, by their names; errors as :func:`read_facts`."""
+    told = [_FactsReader() for _ in recording.runs]
+    for number, stored in run_messages(recording, lambda run, topic: topic in _FACT_TOPICS):
+        _note(told[number], recording.path, stored)
+    return {run.name: one.facts() for run, one in zip(recording.runs, told, strict=True)}
+
+
+def made_on(info: BagInfo) -> Provenance:
+    """Processor, libraries and code that a bag was recorded with; empty where it does not tell."""
+    words = info.metadata.get(RUN_METADATA, {})
+    if 'processor' not in words:
+        return {}
+    told = {
+        **words, **words_beside(info.path, words),
+        'taxinet_ros': words.get('taxinet_ros_version', ''),
+    }
+    return {name: told[name] for name in NAMES if told.get(name)}
+
+
+def free_account(info: BagInfo) -> FreeRunAccount | None:
+    """How a free run went; None where the bag is of none, or ends before it tells.
+
+    Raises:
+        BagForeign: what it tells is no such account.
+    """
+    told = info.metadata.get(FREE_RUN_METADATA)
+    if told is None:
+        return None
+    try:
+        return FreeRunAccount.from_words(told)
+    except (KeyError, ValueError) as error:
+        text = f'{info.path}: metadata {FREE_RUN_METADATA}: {error}'
+        raise BagForeign(text, path=info.path) from error
+
+
+def _note(told: _FactsReader, path: Path, stored: StoredMessage) -> None:
+    message = decode(stored.topic, stored.cdr)
+    try:
+        told.note(path, stored, message)
+    except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
+        text = f'{path}: topic {stored.topic.name}: {error}'
+        raise BagCorrupt(text, path=path) from error
+
+
+def _is_fact_topic(topic: str) -> bool:
+    return any(is_topic(topic, relative) for relative in _FACT_TOPICS)
+
+
+@dataclass
+class _FactsReader:
+    """What the messages have told so far."""
+
+    scenario: dict[str, Any] | None = None
+    nodes: dict[str, NodeFacts] = field(default_factory=dict)
+    ending: dict[str, str] = field(default_factory=dict)
+    judged: dict[str, Judged] = field(default_factory=dict)
+    figures: dict[str, float | bool] = field(default_factory=dict)
+    last_seq: int = -1
+
+    def note(self, path: Path, stored: StoredMessage, message: Any) -> None:
+        """Take in a message of the bag at ``path``."""
+        name = stored.topic.name
+        if is_topic(name, SCENARIO):
+            before, self.scenario = self.scenario, _scenario(message)
+            if before is not None:
+                raise several_runs(path, before['run_id'], self.scenario['run_id'])
+        elif is_topic(name, NODE_STATUS):
+            if message.state == _READY:
+                self.nodes[str(message.node)] = NodeFacts(
+                    implementation=str(message.implementation),
+                    fingerprint=str(message.fingerprint),
+                )
+        elif is_topic(name, RUN_STATUS):
+            if message.state == _ENDED:
+                words = ('outcome', 'kind', 'who', 'detail')
+                self.ending = {word: str(getattr(message, word)) for word in words}
+        elif is_topic(name, VERDICT):
+            for spec in message.specs:
+                self._judge(spec)
+            self.figures = _figures(message)
+        else:
+            self._judge(message)
+
+    def facts(self) -> RunFacts | None:
+        """All of it."""
+        if self.scenario is None:
+            return None
+        told = self.ending.get
+        return RunFacts(
+            **self.scenario, nodes=self.nodes, outcome=told('outcome', ''), kind=told('kind', ''),
+            who=told('who', ''), detail=told('detail', ''), steps=self.last_seq + 1,
+            judged=self.judged, figures=self.figures,
+        )
+
+    def _judge(self, robustness: Any) -> None:
+        self.last_seq = max(self.last_seq, int(robustness.seq))
+        self.judged[str(robustness.spec)] = Judged(
+            formula=str(robustness.formula), lower=float(robustness.rho_lower),
+            upper=float(robustness.rho_upper), final=bool(robustness.final),
+        )
+
+
+def _scenario(message: Any) -> dict[str, Any]:
+    scenario = scenario_of(message)
+    return {
+        'run_id': str(message.run_id), 'program': str(message.program), 'seed': int(message.seed),
+        'index': int(message.index), 'scene': scenario.to_human(),
+        'specs': tuple(map(str, message.specs)),
+    }
+
+
+def _figures(verdict: Any) -> dict[str, float | bool]:
+    values = {name: value for name, value in vars(verdict).items() if name not in _NO_FIGURES}
+    return {name: value for name, value in values.items() if isinstance(value, bool | int | float)}

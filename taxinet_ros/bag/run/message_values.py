@@ -1,0 +1,145 @@
+"""Messages of a run as values of the core, whether they come from a bag or from the graph.
+
+Floats pass unchanged, so what is judged, or run once more, has the bits of what was recorded.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from taxinet_ros.core.loop import ROLLING_ON, signals
+from taxinet_ros.core.mtl import Assumptions, parse_assumptions
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+
+SCENARIO_FIELDS = {
+    'cross_track_m': 'cross_track',
+    'distance_m': 'distance',
+    'heading_rad': 'heading',
+    'clouds': 'clouds',
+    'rain': 'rain',
+    'time_of_day_s': 'time_of_day',
+    'date': 'date',
+    'shadows': 'shadows',
+    'crossing': 'crossing',
+    'aircraft': 'aircraft',
+    'duration_s': 'duration',
+}
+"""Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
+
+_ADDED = {'crossing': True}
+"""Fields that bags from before do not have, and what the world was like then."""
+
+_NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
+_NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
+
+
+def scenario_of(message: Any) -> Scenario:
+    """The scenario in a message, validated.
+
+    Raises:
+        UsageError: a value is out of range.
+        AttributeError: it is no scenario message.
+    """
+    values: dict[str, Any] = {
+        key: getattr(message, name, _ADDED[name]) if name in _ADDED else getattr(message, name)
+        for key, name in SCENARIO_FIELDS.items()
+    }
+    return Scenario(**values)
+
+
+def assumptions_of(message: Any) -> Assumptions:
+    """What a scenario message vouches for of the signals; nothing, in bags from before.
+
+    Raises:
+        UsageError: it is not spelled as it should be.
+    """
+    return parse_assumptions(getattr(message, 'bounds', ()), getattr(message, 'rates', ()))
+
+
+def stamp_of(message: Any) -> int:
+    """The stamp in a message's header [ns].
+
+    Raises:
+        AttributeError, TypeError, ValueError: it has none.
+    """
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def error_of(message: Any) -> TrackingError:
+    """The tracking error in a message."""
+    return TrackingError(
+        cte_m=float(message.cross_track_error), he_rad=float(message.heading_error),
+        valid=bool(message.valid),
+    )
+
+
+def command_of(message: Any) -> TaxiCommand:
+    """The command in a message, or the one that it is."""
+    if isinstance(message, TaxiCommand):
+        return message
+    return TaxiCommand(
+        steering_rad=float(message.steering_angle), speed_mps=float(message.speed)
+    )
+
+
+class HeldCommand:
+    """In a free run frames may have no command: the last one holds, as the monitor has it too."""
+
+    def __init__(self, *, free: bool) -> None:
+        """``free``: it is a free run, else one of the lockstep."""
+        self._free = free
+        self._held: Any = None
+
+    def at(self, command: Any) -> Any:
+        """What holds at a frame.
+
+        Args:
+            command: the message that answers it, or None. To be called for each frame in order.
+
+        Returns:
+            A message or :class:`TaxiCommand`, or None.
+        """
+        if not self._free:
+            return command
+        self._held = command or self._held or ROLLING_ON
+        return self._held
+
+
+def sample_of(truth: Any, odometry: Any, estimate: Any, command: Any) -> dict[str, float]:
+    """The monitored signals of one control step, in the units of :mod:`taxinet_ros.core.mtl.specs`.
+
+    Args:
+        truth: its ground-truth tracking error.
+        odometry: its odometry, or None: what would come from it is NaN, as with the next two.
+        estimate: its estimate, or None.
+        command: its command, or None.
+    """
+    return signals(
+        cte_m=float(truth.cross_track_error),
+        he_rad=float(truth.heading_error),
+        x_m=float(odometry.pose.pose.position.x) if odometry is not None else math.nan,
+        speed_mps=float(odometry.twist.twist.linear.x) if odometry is not None else math.nan,
+        estimate=error_of(estimate) if estimate is not None else _NO_ESTIMATE,
+        command=command_of(command) if command is not None else _NO_COMMAND,
+    )
+
+
+def scenario_json(message: Any) -> bytes:
+    """The file ``scenario.json`` that is put into a run's bag: the scene in people's units."""
+    values = {
+        **scenario_of(message).to_human(),
+        'run_id': message.run_id,
+        'index': message.index,
+        'program': message.program,
+        'seed': message.seed,
+        'specs': list(message.specs),
+        'stop_on': getattr(message, 'stop_on', ''),
+        'bounds': list(getattr(message, 'bounds', ())),
+        'rates': list(getattr(message, 'rates', ())),
+        'participants': list(message.participants),
+    }
+    return json.dumps(values, indent=2).encode() + b'\n'

@@ -1,0 +1,379 @@
+"""The monitored signals of a run, out of its bag, with what was recorded of its judgement."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
+from taxinet_ros.bag.layout import METADATA_FILE, storage_files
+from taxinet_ros.bag.reader import StoredMessage, sound_messages, unchecked_files
+from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, stamp_of
+from taxinet_ros.bag.run.recording import read_recording, run_messages
+from taxinet_ros.bag.run.topics import (
+    COMMAND,
+    ESTIMATE,
+    NODE_STATUS,
+    ODOMETRY,
+    ROBUSTNESS,
+    SCENARIO,
+    TRUTH,
+    VERDICT,
+    is_topic,
+)
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Spec, parse_spec, signal_names
+from taxinet_ros.core.pacing.timing import is_free, parse_timing
+from taxinet_ros.core.run_statistics import EstimateWatch
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
+
+_TOPIC_OF_SIGNAL = {
+    'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
+    'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
+    'unusable_share': ESTIMATE,
+}
+"""The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
+
+
+class RecordedInterval(NamedTuple):
+    """The newest that a bag has of one formula: stamp of the sample [ns], ends of its interval."""
+
+    stamp_ns: int
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSamples:
+    """A run as a monitor sees it.
+
+    Attributes:
+        run: its name among others in the bag; '' where the bag is of this run alone, as ours are.
+        duration_ns: how long it was to last [ns].
+        specs: formulas that judged it, as text.
+        assumptions: what was vouched for.
+        stamps_ns: of the control steps, ascending [ns].
+        samples: signals by name, one mapping for each stamp; those not asked for are NaN.
+        recorded: by formula, written as :attr:`~taxinet_ros.core.mtl.Spec.text` is.
+        stopped_early: the run was ended on purpose, because its verdict was in.
+        unusable_estimates: frames without a usable estimate, as the run's verdict counts them.
+        trouble: one line on what of the bag is damaged or missing, or ''.
+        note: one line on what else the recording tells of, or ''.
+        there: for each stamp, the topics that are there.
+        timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
+            where each did at once.
+        flaws: one line on what is wrong with a topic, by topic; those that read it get no verdict.
+    """
+
+    run: str
+    duration_ns: int
+    specs: tuple[str, ...]
+    assumptions: Assumptions
+    stamps_ns: tuple[int, ...]
+    samples: tuple[Mapping[str, float], ...]
+    recorded: Mapping[str, RecordedInterval]
+    stopped_early: bool
+    unusable_estimates: int
+    trouble: str
+    there: tuple[frozenset[str], ...]
+    note: str = ''
+    timing: str = ''
+    flaws: Mapping[str, str] = field(default_factory=dict)
+
+    def seen_by(self, spec: Spec) -> RunSamples:
+        """The same of the control steps that hold every topic that a requirement reads."""
+        needed = topics_of_signals(signal_names(spec.formula))
+        rows = [row for row, topics in enumerate(self.there) if topics >= needed]
+        flaws = {topic: line for topic, line in self.flaws.items() if topic in needed}
+        if len(rows) == len(self.there) and len(flaws) == len(self.flaws):
+            return self
+        return dataclasses.replace(
+            self, flaws=flaws,
+            stamps_ns=tuple(self.stamps_ns[row] for row in rows),
+            samples=tuple(self.samples[row] for row in rows),
+            there=tuple(self.there[row] for row in rows),
+        )
+
+
+def topics_of_signals(names: Iterable[str]) -> frozenset[str]:
+    """The topics that some signals come from, and that of the steps themselves."""
+    return frozenset((TRUTH, *(_TOPIC_OF_SIGNAL[name] for name in names)))
+
+
+def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two intervals have equal ends, to the last bit."""
+    return struct.pack('<2d', *one) == struct.pack('<2d', *other)
+
+
+def read_run_samples(path: Path, names: Collection[str] | None = None) -> list[RunSamples]:
+    """Read the samples of every run in a bag; damage is told in the result, not raised.
+
+    Of these, only control steps of which every topic is there that a requirement reads count for
+    it, as with the monitor during the run: see :meth:`RunSamples.seen_by`.
+    Messages belong together by their run and the stamp in their header, whoever logged them when.
+    A run of which there is not one step is among the others only where there is no other.
+
+    Args:
+        path: a bag's folder or an ``.mcap`` file.
+        names: signals that are needed; where None, those that each run's own formulas read.
+
+    Raises:
+        BagEmpty: the bag ends before it tells which run it holds.
+        BagForeign: it is no bag, or no run of this package.
+        UsageError: there is nothing at ``path``.
+    """
+    reader = _read_plain(path, names)
+    if reader is not None and reader.scenario is not None and _finished(path):
+        return [_samples(path, reader, '', '')]
+    return _read_recording(path, names)
+
+
+_UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
+
+
+class _NotPlainError(Exception):
+    """The bag is not one run as our recorder logs it."""
+
+
+def _read_plain(path: Path, names: Collection[str] | None) -> _SamplesReader | None:
+    """The quick way, for bags as they should be."""
+    reader, files = _SamplesReader(names, plain=True), storage_files(path)
+    if len(files) > 1:
+        return None
+    try:
+        for stored in sound_messages(files[0], reader.wants):
+            reader.note(stored)
+    except (_NotPlainError, *_UNREADABLE):
+        return None
+    return reader
+
+
+def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSamples]:
+    """The slow way, which tells runs apart, and says what is wrong."""
+    recording = read_recording(path)
+    trouble = [str(error) for error in recording.damage]
+    if not _finished(path):
+        trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
+    readers = [_SamplesReader(names) for _ in recording.runs]
+    if all(run.scenario is None for run in recording.runs):
+        kind = BagEmpty if trouble else BagForeign
+        raise kind(f'{path}: no message on {SCENARIO}, so its run is not known', path=path)
+    try:
+        # What a run's own formulas need is known from its scenario, which a recorder that came
+        # late may have been told last.
+        for reader, run in zip(readers, recording.runs, strict=True):
+            if run.scenario is not None:
+                reader.wants(run.scenario.topic.name)
+                reader.note(run.scenario)
+        for number, stored in run_messages(
+            recording, lambda number, topic: topic != SCENARIO and readers[number].wants(topic)
+        ):
+            try:
+                readers[number].wants(stored.topic.name)
+                readers[number].note(stored)
+            except BagCorrupt as error:
+                trouble.append(str(error))
+    except _UNREADABLE as error:
+        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+    alone = recording.plain or len(recording.runs) == 1
+    pairs = list(zip(recording.runs, readers, strict=True))
+    present = [pair for pair in pairs if not pair[0].absent] or pairs
+    found = [
+        _samples(path, reader, '' if alone else run.name, trouble[0] if trouble else '',
+                 run.unclear)
+        for run, reader in present
+    ]
+    notes = [unchecked_files(path)]
+    absent = [f'{run.name} ({run.outcome or "judged"})' for run in recording.runs if run.absent]
+    if absent and len(present) < len(pairs):
+        notes.append(f'tells how these ended, and has not one step of them: {", ".join(absent)}')
+    found[0] = dataclasses.replace(found[0], note='; '.join(filter(None, notes)))
+    return found
+
+
+def _samples(
+    path: Path, reader: _SamplesReader, run: str, trouble: str, unclear: str = ''
+) -> RunSamples:
+    if reader.scenario is None:
+        return RunSamples(
+            run=run, duration_ns=0, specs=(), assumptions=NO_ASSUMPTIONS, stamps_ns=(), samples=(),
+            recorded={}, stopped_early=False, unusable_estimates=0, there=(),
+            trouble=f'no message on {SCENARIO}, so nothing tells what was run',
+        )
+    try:
+        return reader.run(run, trouble, unclear)
+    except _UNREADABLE as error:
+        raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
+
+
+def _finished(path: Path) -> bool:
+    return path.is_file() or (path / METADATA_FILE).is_file()
+
+
+def _timing(words: str) -> str:
+    try:
+        return parse_timing(words).words
+    except UsageError:
+        return 'unknown timing'
+
+
+@dataclass
+class _SamplesReader:
+    """What the messages have told so far."""
+
+    names: Collection[str] | None
+    plain: bool = False
+    scenario: Any = None
+    assumptions: Assumptions = NO_ASSUMPTIONS
+    steps: dict[str, dict[int, Any]] = field(default_factory=dict)
+    verdict: Any = None
+    last: list[StoredMessage] = field(default_factory=list)
+    flaws: dict[str, str] = field(default_factory=dict)
+    timing: str = ''
+
+    @property
+    def free(self) -> bool:
+        """Whether its simulator lets runs go free."""
+        return is_free(self.timing)
+
+    def __post_init__(self) -> None:
+        self._relative: dict[str, str] = {}
+        self._plan(self.names or ())
+
+    def wants(self, topic: str) -> bool:
+        """Whether a topic is read; the run's own formulas may call for more of them."""
+        if topic not in self._relative:
+            known = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()}
+            self._relative[topic] = next((one for one in known if is_topic(topic, one)), '')
+        return self._relative[topic] in self._wanted
+
+    def note(self, stored: StoredMessage) -> None:
+        """Take in a message."""
+        relative = self._relative[stored.topic.name]
+        if relative == ROBUSTNESS:
+            # Decoded only if there is no verdict, which repeats the last ones.
+            if self.last and self.last[0].stamp_ns < stored.stamp_ns:
+                self.last.clear()
+            self.last.append(stored)
+            return
+        message = decode(stored.topic, stored.cdr)
+        if relative == NODE_STATUS:
+            if str(message.node) == 'simulator':
+                self.timing = self.timing or _timing(str(message.implementation))
+            return
+        if self.plain:
+            self._check_plain(relative, stored, message)
+        if relative == SCENARIO:
+            self.scenario = message
+            self.assumptions = assumptions_of(message)
+            if self.names is None:
+                specs = [parse_spec(text) for text in message.specs]
+                self._plan({name for spec in specs for name in signal_names(spec.formula)})
+        elif relative == VERDICT:
+            self.verdict = message
+        else:
+            self._keep(relative, stamp_of(message), message)
+
+    def _keep(self, relative: str, stamp_ns: int, message: Any) -> None:
+        steps = self.steps[relative]
+        latest_ns = next(reversed(steps), -1)
+        if stamp_ns <= latest_ns:
+            how = 'comes twice' if stamp_ns in steps else f'comes behind {latest_ns / NS_PER_S:g} s'
+            self.flaws.setdefault(relative, f'{relative}: {stamp_ns / NS_PER_S:g} s {how}')
+        steps.setdefault(stamp_ns, message)
+
+    def _check_plain(self, relative: str, stored: StoredMessage, message: Any) -> None:
+        """Raise :class:`_NotPlainError` where it is of another run, or logged at another time."""
+        if relative == SCENARIO:
+            plain = self.scenario is None
+        else:
+            plain = self.scenario is not None and stamp_of(message) == stored.stamp_ns and (
+                getattr(message, 'run_id', self.scenario.run_id) == self.scenario.run_id
+            )
+        if not plain or stored.topic.name != f'/{relative}':
+            raise _NotPlainError
+
+    def run(self, run: str, trouble: str, unclear: str) -> RunSamples:
+        """All of it; ``unclear`` says why nobody knows whose odometry it is, or nothing."""
+        stamps = tuple(sorted(self.steps[TRUTH]))
+        there = tuple(
+            frozenset(topic for topic, messages in self.steps.items() if stamp in messages)
+            for stamp in stamps
+        )
+        duration_ns = round(float(self.scenario.duration) * NS_PER_S)
+        watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
+        commands = HeldCommand(free=self.free)
+        samples = [self._sample(stamp, commands) for stamp in stamps]
+        if self.free:  # What a frame lacks is no loss: nobody answered it.
+            there = tuple(topics | ({ESTIMATE, COMMAND} & self.steps.keys()) for topics in there)
+        if ESTIMATE in self.steps:
+            for stamp, sample, topics in zip(stamps, samples, there, strict=True):
+                if ESTIMATE in topics:
+                    sample.update(watch.signals(stamp, sample))
+        begins_ns = min(self.steps[TRUTH], default=0)
+        if begins_ns > 0 and not trouble:
+            trouble = f'begins at {begins_ns / NS_PER_S:g} s: what came before was not recorded'
+        return RunSamples(
+            run=run,
+            duration_ns=duration_ns,
+            specs=tuple(map(str, self.scenario.specs)),
+            assumptions=self.assumptions,
+            stamps_ns=stamps,
+            samples=tuple(samples),
+            recorded=self._recorded(),
+            stopped_early=bool(getattr(self.verdict, 'stopped_early', False)),
+            unusable_estimates=int(getattr(self.verdict, 'unusable_estimates', 0)),
+            trouble=trouble, there=there, timing=self.timing,
+            flaws=self._partial() | self.flaws | ({ODOMETRY: unclear} if unclear else {}),
+        )
+
+    def _partial(self) -> dict[str, str]:
+        """A line on each topic that is missing, begins late, or ends a step or more too early."""
+        last_ns = max(self.steps[TRUTH], default=-1)
+        found = {}
+        for topic, messages in self.steps.items():
+            if self.free and topic in (ESTIMATE, COMMAND):
+                continue
+            if not messages and last_ns >= 0:
+                found[topic] = f'{topic}: no message of it, so what reads it is not judged'
+            elif min(messages, default=0) > min(self.steps[TRUTH], default=0):
+                found[topic] = f'{topic}: begins at {min(messages) / NS_PER_S:g} s'
+            elif max(messages, default=last_ns) < last_ns - CONTROL_PERIOD_NS:
+                found[topic] = (
+                    f'{topic}: ends at {max(messages) / NS_PER_S:g} s, '
+                    f'the run at {last_ns / NS_PER_S:g} s'
+                )
+        return found
+
+    def _plan(self, names: Collection[str]) -> None:
+        self.steps = {
+            topic: self.steps.get(topic, {}) for topic in sorted(topics_of_signals(names))
+        }
+        self._wanted = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *self.steps}
+
+    def _sample(self, stamp_ns: int, commands: HeldCommand) -> dict[str, float]:
+        truth, odometry, estimate, command = (
+            self.steps.get(topic, {}).get(stamp_ns)
+            for topic in (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
+        )
+        assert truth is not None
+        return sample_of(truth, odometry, estimate, commands.at(command))
+
+    def _recorded(self) -> dict[str, RecordedInterval]:
+        if self.verdict is not None:
+            told = list(self.verdict.specs)
+        else:
+            told = [decode(stored.topic, stored.cdr) for stored in self.last]
+        return {
+            str(one.formula): RecordedInterval(
+                stamp_of(one), float(one.rho_lower), float(one.rho_upper)
+            )
+            for one in told
+        }
+

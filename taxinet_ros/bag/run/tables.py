@@ -1,0 +1,196 @@
+"""Topics of a bag as flat pandas tables, with units, without ROS.
+
+A row is a message. Nested fields become columns with dots (``pose.pose.position.x``), short arrays
+a column for each element (``k.0`` … ``k.8``), long ones only their length (``data.length``), so
+that a table with pictures stays a table. Units are in ``table.attrs['units']``, by column; Parquet
+files keep them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rosbags.interfaces import Nodetype
+
+from taxinet_ros.bag.cdr.decode import decode, typestore
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.bag.run.topics import is_topic
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.errors import UsageError
+
+LONGEST_ARRAY = 40
+"""Arrays with more elements than a 6 x 6 covariance has get no column for each."""
+
+_SECTION = re.compile(r'^=+\s*MSG:\s*(\S+)\s*$', re.MULTILINE)
+_COMMENTED = re.compile(r'^\s*\S+\s+(\w+)\s*#\s*\[([^\]]+)\]', re.MULTILINE)
+
+_BY_TYPE = {
+    'builtin_interfaces/msg/Time': {'sec': 's', 'nanosec': 'ns'},
+    'builtin_interfaces/msg/Duration': {'sec': 's', 'nanosec': 'ns'},
+    'geometry_msgs/msg/Point': dict.fromkeys('xyz', 'm'),
+    'geometry_msgs/msg/Quaternion': dict.fromkeys('xyzw', '1'),
+    'geometry_msgs/msg/Twist': {
+        **{f'linear.{axis}': 'm/s' for axis in 'xyz'},
+        **{f'angular.{axis}': 'rad/s' for axis in 'xyz'},
+    },
+    'sensor_msgs/msg/CameraInfo': {'height': 'px', 'width': 'px'},
+    'sensor_msgs/msg/Image': {'height': 'px', 'width': 'px', 'step': 'bytes'},
+}
+"""Units of standard messages, which REP-103 and their own texts fix."""
+
+_SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
+"""Units as our own names end with them."""
+
+
+def read_table(path: Path, topic: str) -> pd.DataFrame:
+    """The messages of one topic; see :func:`read_tables`."""
+    return next(iter(read_tables(path, [topic]).values()))
+
+
+def read_tables(path: Path, topics: Collection[str] | None = None) -> dict[str, pd.DataFrame]:
+    """The messages of topics as tables, by absolute topic name.
+
+    Every table has ``t_s`` (simulated time [s]) and ``stamp_ns`` (the same, exact) first.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+        topics: absolute or relative names, e.g. ``taxi_command``; default all of the bag.
+
+    Raises:
+        UsageError: a topic is not in the bag.
+        BagTruncated, BagCorrupt: the bag is damaged; mend it first.
+        BagEmpty, BagForeign: there is nothing to read, or nothing that can be.
+    """
+    chosen = _chosen(path, topics)
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
+    for count, (topic, stamp_ns, cdr) in enumerate(stored_messages(path, chosen.__contains__)):
+        row = {'t_s': stamp_ns / 1e9, 'stamp_ns': stamp_ns}
+        try:
+            row.update(flat(decode(topic, cdr)))
+        except BagError as error:
+            text = f'{path}: at {stamp_ns} ns: {error}; {count} sound messages before'
+            raise type(error)(text, path=path, recovered=count) from error
+        rows[topic.name].append(row)
+    return {name: _table(rows[name], topic) for name, topic in chosen.items()}
+
+
+def read_trace_table(path: Path) -> pd.DataFrame:
+    """The trace of a run, a row per control step, columns as :func:`.trace.read_trace` names them.
+
+    ``t_s`` comes first; units are in ``attrs['units']``. Errors as ``read_trace``.
+    """
+    trace = read_trace(path)
+    table = pd.DataFrame({'t_s': np.asarray(trace['t_ns'], dtype=np.int64) / 1e9, **trace})
+    units = {name: _told_by_name(name) for name in table.columns}
+    table.attrs['units'] = {name: unit for name, unit in units.items() if unit}
+    return table
+
+
+def units_of(topic: TopicInfo) -> dict[str, str]:
+    """Units of a topic's columns, as far as its definition or a standard fixes them.
+
+    A definition says it in brackets at the beginning of a field's comment: ``# [rad] left
+    positive``.
+    """
+    return dict(_units(topic))
+
+
+def titles(table: pd.DataFrame) -> dict[str, str]:
+    """Column names with their units, ``steering_angle [rad]``, unless the name tells it already."""
+    units = table.attrs['units']
+    return {
+        name: f'{name} [{unit}]' for name, unit in units.items() if _told_by_name(name) != unit
+    }
+
+
+def flat(message: Any) -> Iterator[tuple[str, Any]]:
+    """Columns and values of one decoded message, in the order of its fields."""
+    yield from _flat('', message)
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if hasattr(value, '__msgtype__'):
+        for field, inner in vars(value).items():
+            if field != '__msgtype__':
+                yield from _flat(f'{name}.{field}' if name else field, inner)
+    elif isinstance(value, np.ndarray | list | tuple):
+        if len(value) > LONGEST_ARRAY:
+            yield f'{name}.length', len(value)
+        else:
+            for number, inner in enumerate(value):
+                yield from _flat(f'{name}.{number}', inner)
+    else:
+        yield name, value.item() if isinstance(value, np.generic) else value
+
+
+def _chosen(path: Path, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+    """The topics wanted, by name, in the order of the file."""
+    known = read_info(path).topics
+    if wanted is None:
+        return {topic.name: topic for topic in known}
+    for word in wanted:
+        if not any(is_topic(topic.name, word) for topic in known):
+            names = ', '.join(topic.name for topic in known) or 'none'
+            raise UsageError(f'{path}: no topic {word!r}; it has {names}')
+    return {t.name: t for t in known if any(is_topic(t.name, word) for word in wanted)}
+
+
+def _table(rows: list[dict[str, Any]], topic: TopicInfo) -> pd.DataFrame:
+    columns = list(dict.fromkeys(name for row in rows for name in row)) or ['t_s', 'stamp_ns']
+    table = pd.DataFrame(rows, columns=columns)
+    units = {'t_s': 's', 'stamp_ns': 'ns', **_units(topic)}
+    table.attrs['units'] = {name: unit for name, unit in units.items() if name in table.columns}
+    return table
+
+
+def _units(topic: TopicInfo) -> Mapping[str, str]:
+    return _units_within(topic.type, topic.definition)
+
+
+@lru_cache(maxsize=64)
+def _units_within(type_name: str, definition: str) -> Mapping[str, str]:
+    topic = TopicInfo(name='/x', type=type_name, qos='', definition=definition, type_hash='')
+    try:
+        # The store takes no type with very many parts, so this walk is short.
+        return dict(_walk(typestore(topic).fielddefs, type_name, _commented(topic)))
+    except (BagError, LookupError, RecursionError):
+        return {}
+
+
+def _walk(
+    types: Mapping[str, Any], name: str, commented: Mapping[str, Mapping[str, str]]
+) -> Iterator[tuple[str, str]]:
+    """Column and unit of everything within a type."""
+    known = {**_BY_TYPE.get(name, {}), **commented.get(name, {})}
+    yield from known.items()
+    for field, (kind, inner) in types[name][1]:
+        if kind == Nodetype.NAME:
+            for column, unit in _walk(types, inner, commented):
+                if f'{field}.{column}' not in known:
+                    yield f'{field}.{column}', unit
+        elif kind == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
+            for column, unit in _walk(types, inner[0][1], commented):
+                for number in range(LONGEST_ARRAY):
+                    yield f'{field}.{number}.{column}', unit
+
+
+def _commented(topic: TopicInfo) -> dict[str, dict[str, str]]:
+    """Units that the definitions tell in comments, by type and field."""
+    parts = _SECTION.split(topic.definition)
+    names = [topic.type, *(part.replace('/', '/msg/') for part in parts[1::2])]
+    texts = parts[0::2]
+    return {
+        name: dict(_COMMENTED.findall(text)) for name, text in zip(names, texts, strict=True)
+    }
+
+
+def _told_by_name(column: str) -> str:
+    return _SUFFIXES.get(column.rpartition('_')[2], '') if '_' in column else ''

@@ -1,0 +1,186 @@
+"""The numbers of a run as columns over its control steps, and its camera frames."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
+from taxinet_ros.bag.reader import decoded_messages
+from taxinet_ros.bag.run.message_values import stamp_of
+from taxinet_ros.bag.run.topics import (
+    COMMAND,
+    ESTIMATE,
+    IMAGE,
+    ODOMETRY,
+    ROBUSTNESS,
+    TRUTH,
+    is_topic,
+)
+
+Column = NDArray[np.generic]
+Frame = NDArray[np.uint8]
+
+_MOST = 2**63 - 1
+_TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
+_ALWAYS = (
+    'x_m', 'y_m', 'speed_mps', 'cte_m', 'he_rad', 'est_cte_m', 'est_he_rad', 'steering_rad',
+    'speed_cmd_mps',
+)
+
+
+def read_trace(path: Path) -> dict[str, Column]:
+    """Columns of a run, one row for every control step with a ground truth.
+
+    Messages are matched by the step that they name (``seq``), odometry by the stamp in its header,
+    whoever logged them when. What is missing is NaN, and so is an estimate that was declared
+    invalid.
+
+    Args:
+        path: a run folder or an ``.mcap`` file.
+
+    Returns:
+        Columns of equal length by name: ``seq`` and ``t_ns`` (simulated time) as int64,
+        ``est_valid`` as bool, all others as float64: ``x_m`` and ``y_m`` in ``map``,
+        ``speed_mps``, true ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad``
+        (left positive), ``steering_rad`` (left positive), ``speed_cmd_mps``, and for each formula
+        ``rho_lower.<name>`` and ``rho_upper.<name>``.
+
+    Raises:
+        BagEmpty: the bag holds no ground truth.
+        BagError: the bag is damaged or foreign, or holds several runs.
+    """
+    table = _TraceColumns()
+    for name, stamp_ns, message in _messages(path, _TRACED):
+        try:
+            _FILL[name](table, stamp_ns, message)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
+    if not table.stamps:
+        raise BagEmpty(f'{path}: no messages on {TRUTH}, so there is no trace', path=path)
+    return table.columns()
+
+
+def read_images(path: Path) -> Iterator[tuple[int, Frame]]:
+    """Yield the stamp in its header [ns] and the pixels, (H, W, 3) uint8 RGB, of each camera frame.
+
+    Raises:
+        BagCorrupt: an image contradicts its own size.
+        BagForeign: an image is neither rgb8 nor bgr8.
+        BagError: the bag is damaged or foreign.
+    """
+    for _, stamp_ns, message in _messages(path, (IMAGE,)):
+        try:
+            yield stamp_ns, _pixels(message)
+        except BagCorrupt as error:
+            raise BagCorrupt(f'{path}: image at {stamp_ns} ns: {error}', path=path) from error
+        except (BagForeign, AttributeError, TypeError, ValueError) as error:
+            raise BagForeign(f'{path}: image at {stamp_ns} ns: {error}', path=path) from error
+
+
+class _TraceColumns:
+    """Cells by step and column, until all messages are in."""
+
+    def __init__(self) -> None:
+        self.stamps: dict[int, int] = {}
+        self.poses: dict[int, dict[str, float]] = {}
+        self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
+        self.names = dict.fromkeys(_ALWAYS)
+
+    def put(self, seq: int, **values: float) -> None:
+        """Set cells of one step."""
+        self.cells[seq].update({name: float(value) for name, value in values.items()})
+        self.names.update(dict.fromkeys(values))
+
+    def columns(self) -> dict[str, Column]:
+        """The columns, rows in the order of the steps."""
+        steps = sorted(self.stamps)
+        rows = [{**self.cells[k], **self.poses.get(self.stamps[k], {})} for k in steps]
+        columns: dict[str, Column] = {
+            'seq': np.array(steps, dtype=np.int64),
+            't_ns': np.array([self.stamps[k] for k in steps], dtype=np.int64),
+            'est_valid': np.array(['est_cte_m' in row for row in rows], dtype=np.bool_),
+        }
+        for name in self.names:
+            columns[name] = np.array([row.get(name, np.nan) for row in rows], dtype=np.float64)
+        return columns
+
+
+def _truth(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    if not 0 <= message.seq <= _MOST or stamp_ns > _MOST:
+        raise ValueError(f'step {message.seq} at {stamp_ns} ns is beyond all numbers')
+    table.stamps[int(message.seq)] = stamp_ns
+    table.put(message.seq, cte_m=message.cross_track_error, he_rad=message.heading_error)
+
+
+def _odometry(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    position = message.pose.pose.position
+    table.poses[stamp_ns] = {
+        'x_m': float(position.x), 'y_m': float(position.y),
+        'speed_mps': float(message.twist.twist.linear.x),
+    }
+
+
+def _estimate(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    if message.valid:
+        table.put(
+            message.seq, est_cte_m=message.cross_track_error, est_he_rad=message.heading_error
+        )
+
+
+def _command(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    table.put(message.seq, steering_rad=message.steering_angle, speed_cmd_mps=message.speed)
+
+
+def _robustness(table: _TraceColumns, stamp_ns: int, message: Any) -> None:
+    table.put(message.seq, **{
+        f'rho_lower.{message.spec}': message.rho_lower,
+        f'rho_upper.{message.spec}': message.rho_upper,
+    })
+
+
+_FILL = {
+    TRUTH: _truth, ODOMETRY: _odometry, ESTIMATE: _estimate, COMMAND: _command,
+    ROBUSTNESS: _robustness,
+}
+
+
+def _messages(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+    """Decoded messages by relative name, for a run may have been recorded in a namespace."""
+    chosen: dict[str, str] = {}
+    run_id, latest_ns = '', -1
+    messages = decoded_messages(path, lambda topic: any(is_topic(topic, w) for w in wanted))
+    for name, _, message in messages:
+        relative = next(w for w in wanted if is_topic(name, w))
+        if chosen.setdefault(relative, name) != name:
+            raise BagForeign(
+                f'{path}: both {chosen[relative]} and {name}: more than one run in it', path=path
+            )
+        try:
+            stamp_ns = stamp_of(message)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
+        run_id = run_id or getattr(message, 'run_id', '')
+        if getattr(message, 'run_id', run_id) != run_id:
+            raise several_runs(path, run_id, message.run_id)
+        if relative == IMAGE:
+            if stamp_ns <= latest_ns:
+                raise several_runs(path, 'one with frames', f'one from {stamp_ns} ns on again')
+            latest_ns = stamp_ns
+        yield relative, stamp_ns, message
+
+
+def _pixels(message: Any) -> Frame:
+    height, width, step = message.height, message.width, message.step
+    if message.encoding not in ('rgb8', 'bgr8'):
+        raise BagForeign(f'encoding {message.encoding!r} is neither rgb8 nor bgr8')
+    if step < 3 * width or len(message.data) != height * step:
+        raise BagCorrupt(f'{height} x {width}, step {step}, but {len(message.data)} bytes')
+    rows = np.asarray(message.data, dtype=np.uint8).reshape(height, step)
+    pixels = rows[:, :3 * width].reshape(height, width, 3)
+    return pixels if message.encoding == 'rgb8' else pixels[:, :, ::-1]

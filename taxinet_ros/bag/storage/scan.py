@@ -1,0 +1,455 @@
+"""Reading an MCAP file from the front, as far as it is sound, and on behind what is damaged.
+
+Neither index nor footer is needed, so a file whose writer was killed reads like any other, up to
+the last flush. Behind damage the next sound record is searched for by what a record has to look
+like and by its checksum; chunks are also found by the summary's index, where that is sound, and by
+the first bytes of what they hold.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Header,
+    McapRecord,
+    Message,
+    Schema,
+)
+
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
+from taxinet_ros.bag.storage.records import (
+    HEAD,
+    MAGIC,
+    MAX_RECORD_BYTES,
+    ReadBudget,
+    check_message_index,
+    chunk_records,
+    open_chunk,
+    parse_record,
+)
+from taxinet_ros.bag.storage.summary import check_summary, sound_summary
+
+OnDamage = Callable[[BagError], None]
+
+PROFILE = 'ros2'
+
+_SMALL_BYTES = 1 << 18
+
+_NOT_IN_DATA = frozenset({
+    0, Opcode.FOOTER, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.STATISTICS,
+    Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
+})
+_DATA_END_BYTES = 4
+_LAST_KNOWN = max(Opcode)
+
+_RECORD_HEAD = re.compile(b'[\x03\x04\x06\x07\x09\x0c\x0f][\x00-\xff]{4}\x00{4}')
+"""What every record in the data section begins with: its kind, and a length below 4 GiB."""
+
+_CHUNK_HEAD = struct.Struct('<BQQQQI')
+"""Of a chunk: kind, length, first and last stamp, size and checksum of what it holds."""
+
+_SALVAGED = frozenset({
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.METADATA,
+})
+_LARGEST_OTHER = 1 << 24
+"""A record of these kinds that is larger is not looked for behind damage."""
+
+_PACKED = re.compile(rb'\x28\xb5\x2f\xfd|\x04\x22\x4d\x18')
+"""First bytes of a zstd frame and of an lz4 frame."""
+
+_PACKING = {0x28: 'zstd', 0x04: 'lz4'}
+
+_VAIN_BYTES = 1 << 30
+"""Bytes that may be unpacked in vain in one file: a hostile one could make it any number."""
+
+
+def scan(path: Path, on_damage: OnDamage | None = None) -> Iterator[McapRecord]:
+    """Yield schemas, channels, messages, attachments and metadata in the order of the file.
+
+    Chunks are opened, checked as a whole, and yielded only if sound. A channel always comes before
+    its messages, and a schema before its channels.
+
+    Args:
+        path: an ``.mcap`` file.
+        on_damage: what to do with damage; default is to raise it. Where a function is given, the
+            scan goes on with the next record that is sound.
+
+    Raises:
+        BagTruncated, BagCorrupt: damage, without ``on_damage``; all before it was yielded.
+        BagEmpty: the file has no bytes.
+        BagForeign: it is no ROS 2 MCAP file.
+        BagError: the operating system cannot read it.
+    """
+    try:
+        with path.open('rb') as stream:
+            yield from _Scanner(stream, path, on_damage).records()
+    except OSError as error:
+        raise BagError(f'{path}: cannot read: {error.strerror}', path=path) from error
+
+
+def unchecked(path: Path) -> str:
+    """One line on messages of a bag in which damage cannot be seen, for want of a checksum; or ''.
+
+    Args:
+        path: an ``.mcap`` file; looked through up to the first record that does not fit.
+    """
+    bare = chunks = loose = 0
+    try:
+        with path.open('rb') as stream:
+            size, offset = path.stat().st_size, len(MAGIC)
+            while offset + _CHUNK_HEAD.size <= size:
+                stream.seek(offset)
+                head = stream.read(_CHUNK_HEAD.size)
+                opcode, length = HEAD.unpack_from(head)
+                if opcode == Opcode.DATA_END:
+                    if length == _DATA_END_BYTES and any(head[HEAD.size:HEAD.size + length]):
+                        return ''
+                    break
+                if opcode == Opcode.CHUNK:
+                    chunks += 1
+                    bare += not _CHUNK_HEAD.unpack(head)[-1]
+                loose += opcode == Opcode.MESSAGE
+                offset += HEAD.size + length
+    except OSError as error:
+        raise BagError(f'{path}: cannot read: {error.strerror}', path=path) from error
+    if not bare and not loose:
+        return ''
+    what = f'{bare} of {chunks} chunks carry' if bare else f'{loose} messages outside chunks have'
+    return f'{path.name}: {what} no checksum, so that damage in them cannot be seen'
+
+
+class _Scanner:
+    """State of one pass over a file."""
+
+    def __init__(self, stream: BinaryIO, path: Path, on_damage: OnDamage | None) -> None:
+        self._stream = stream
+        self._path = path
+        self._on_damage = on_damage
+        self._size = path.stat().st_size
+        self.work = ReadBudget(self._size)
+        self._offset = 0
+        self._crc = 0
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._messages = 0
+        self.chunks = 0
+        self._places: dict[bytes, int] = {}
+        self._repeats: set[int] = set()
+        self._undeclared = 0
+        self._damaged = False
+
+    def records(self) -> Iterator[McapRecord]:
+        """The pass itself."""
+        damaged_at = 0
+        begun = self._is_mcap()
+        if begun:
+            while True:
+                offset, crc = self._offset, self._crc
+                try:
+                    opcode, body = self._next()
+                    if opcode == Opcode.DATA_END and len(body) == _DATA_END_BYTES:
+                        self._finish(body, offset, crc)
+                        return
+                    records = self.accept(opcode, body, offset)
+                except BagError as error:
+                    self.damage(error, offset)
+                    damaged_at = offset
+                    break
+                yield from self.counted(records)
+        with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield from _Salvage(self, data).records(damaged_at)
+        if self._undeclared:
+            text = f'{self._undeclared} messages of topics whose definition is lost'
+            self.damage(BagCorrupt(text), self._size)
+        if not begun and not self.chunks and self._size > len(MAGIC):
+            raise BagForeign(f'{self._path}: not an MCAP file', path=self._path)
+
+    def _is_mcap(self) -> bool:
+        """Whether the file begins as an MCAP file does, and goes on behind that."""
+        if self._size == 0:
+            raise BagEmpty(f'{self._path}: has no bytes', path=self._path)
+        magic = self._read(min(len(MAGIC), self._size))
+        if magic == MAGIC:
+            return True
+        if MAGIC.startswith(magic):
+            self.damage(BagTruncated('file ends within its first bytes'), 0)
+        elif self._on_damage is None:
+            raise BagForeign(f'{self._path}: not an MCAP file', path=self._path)
+        else:
+            self.damage(BagCorrupt('the first bytes are not those of an MCAP file'), 0)
+        return False
+
+    def _next(self) -> tuple[int, bytes]:
+        """Opcode and body of the next record."""
+        left = self._size - self._offset
+        if left < HEAD.size:
+            raise BagTruncated('the end of the file is missing')
+        opcode, length = HEAD.unpack(self._read(HEAD.size))
+        if length > left - HEAD.size:
+            raise BagTruncated(f'a record of {length} bytes does not fit into the file')
+        if length > MAX_RECORD_BYTES:
+            raise BagCorrupt(f'a record declares {length} bytes')
+        return opcode, self._read(length)
+
+    def _read(self, length: int) -> bytes:
+        data = self._stream.read(length)
+        if len(data) != length:
+            raise BagTruncated('the file became shorter while it was read')
+        self._offset += length
+        self._crc = zlib.crc32(data, self._crc)
+        return data
+
+    def accept(self, opcode: int, body: bytes, offset: int) -> Iterable[McapRecord]:
+        """The records within the top-level record at ``offset``, checked against all before."""
+        if opcode in _NOT_IN_DATA:
+            raise BagCorrupt(f'record of kind {opcode} within the data')
+        if opcode == Opcode.MESSAGE_INDEX:
+            check_message_index(body)
+            return ()
+        if opcode > _LAST_KNOWN and _PACKED.search(body[:_CHUNK_HEAD.size + 16]):
+            raise BagCorrupt(f'record of kind {opcode}, with what a chunk holds')
+        record = parse_record(opcode, body)
+        if isinstance(record, Chunk):
+            return self.within(open_chunk(record, self.work), offset)
+        if isinstance(record, Message) and self.chunks:
+            raise BagCorrupt('message outside the chunks')
+        if record is None:
+            return ()
+        self.check(record)
+        return (record,)
+
+    def within(self, raw: bytes, offset: int) -> Iterable[McapRecord]:
+        """The records of an opened chunk; none where it repeats one before."""
+        # Of a chunk that is wrong anywhere nothing is believed. All messages of a large one at
+        # once may be many times its size, so it is gone through twice.
+        small = len(raw) <= _SMALL_BYTES
+        records = chunk_records(raw, self.work)
+        inner = tuple(records) if small else records
+        count = 0
+        for one in inner:
+            self.check(one)
+            count += isinstance(one, Message)
+        self.chunks += 1
+        # No recorder writes the same messages, stamps and numbers twice; a broken disk may.
+        first = self._places.setdefault(hashlib.sha256(raw).digest(), offset)
+        if first != offset and count:
+            if offset not in self._repeats:
+                self._repeats.add(offset)
+                text = f'the chunk at byte {first} once more, {count} messages; left out'
+                self.damage(BagCorrupt(text), offset)
+            return ()
+        return inner if small else chunk_records(raw, ReadBudget(len(raw)))
+
+    def counted(self, records: Iterable[McapRecord]) -> Iterator[McapRecord]:
+        for record in records:
+            if isinstance(record, Message):
+                if record.channel_id not in self._channels:
+                    self._undeclared += 1
+                    continue
+                self._messages += 1
+            yield record
+
+    def check(self, record: McapRecord) -> None:
+        if isinstance(record, Header) and record.profile != PROFILE:
+            if _bits_apart(record.profile, PROFILE) == 1:
+                raise BagCorrupt(f'profile {record.profile!r} is one bit from {PROFILE!r}')
+            raise BagForeign(
+                f'{self._path}: MCAP of profile {record.profile!r}, not ros2', path=self._path
+            )
+        if isinstance(record, Schema):
+            if self._schemas.get(record.id, record) != record:
+                self._contradiction(f'schema {record.id} ({record.name})')
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            if record.schema_id not in self._schemas:
+                raise BagCorrupt(f'channel {record.topic} names unknown schema {record.schema_id}')
+            if self._channels.get(record.id, record) != record:
+                self._contradiction(f'channel {record.id} ({record.topic})')
+            self._channels[record.id] = record
+        elif isinstance(record, Message) and record.channel_id not in self._channels:
+            if self._damaged:  # The definition may be lost, and what else the chunk holds is not.
+                return
+            raise BagCorrupt(f'message on unknown channel {record.channel_id}')
+
+    def _contradiction(self, what: str) -> None:
+        # If the scan is to go on, the later copy wins: it stands under a chunk's checksum.
+        self.damage(BagCorrupt(f'{what} is told in two ways'), self._offset)
+
+    def _finish(self, body: bytes, offset: int, crc: int) -> None:
+        """Check the whole against the end of the file."""
+        try:
+            end = parse_record(Opcode.DATA_END, body)
+            start = self._offset
+            if self._size - start > MAX_RECORD_BYTES:
+                raise BagCorrupt(f'{self._size - start} bytes behind the data')
+            statistics, _ = check_summary(self._read(self._size - start), start)
+            if isinstance(end, DataEnd) and end.data_section_crc not in (0, crc):
+                raise BagCorrupt('the data contradicts its checksum')
+            if statistics is not None and statistics.message_count != self._messages:
+                raise BagCorrupt(f'{self._messages} messages of {statistics.message_count} found')
+        except BagError as error:
+            if not self._damaged:  # Known damage explains a checksum that fails.
+                self.damage(error, offset)
+
+    def damage(self, error: BagError, offset: int) -> None:
+        if isinstance(error, BagForeign | BagEmpty):
+            raise error
+        self._damaged = True
+        placed = type(error)(
+            f'{self._path}: at byte {offset}: {error}', path=self._path, offset=offset
+        )
+        if self._on_damage is None:
+            raise placed
+        self._on_damage(placed)
+
+
+class _Salvage:
+    """What is sound of a file behind its first damage."""
+
+    def __init__(self, scanner: _Scanner, data: mmap.mmap) -> None:
+        self._scanner = scanner
+        self._data = data
+        self._summary = sound_summary(data)
+        self._end = self._summary.start if self._summary else len(data)
+        self._vain_bytes = _VAIN_BYTES
+
+    def records(self, offset: int) -> Iterator[McapRecord]:
+        """Yield all that is sound behind the damaged record at ``offset``."""
+        for record in self._summary.declarations if self._summary else ():
+            with suppress(BagCorrupt):
+                self._scanner.check(record)
+                yield record
+        while offset < self._end:
+            sound = self._next_sound(offset + 1)
+            yield from self._scanner.counted(self._damaged_chunks(offset, sound))
+            while sound < self._end and (found := self._sound(sound)) is not None:
+                records, end = found
+                yield from self._scanner.counted(records)
+                if self._data[sound] == Opcode.DATA_END:
+                    return
+                sound = end
+            if sound >= self._end and self._summary is None:
+                self._scanner.damage(BagTruncated('the end of the file is missing'), sound)
+            elif sound < self._end:
+                self._scanner.damage(BagCorrupt('no sound record'), sound)
+            offset = sound
+
+    def _next_sound(self, start: int) -> int:
+        """Where the next sound record begins; the end of the data if nowhere."""
+        for match in _RECORD_HEAD.finditer(self._data, start, self._end):
+            if self._sound(match.start()) is not None:
+                return match.start()
+        return self._end
+
+    def _sound(self, offset: int) -> tuple[Iterable[McapRecord], int] | None:
+        """What is in the record at ``offset``, and where it ends; None if it is not sound."""
+        if offset + HEAD.size > self._end:
+            return None
+        opcode, length = HEAD.unpack_from(self._data, offset)
+        begin = offset + HEAD.size
+        end = begin + length
+        if end > self._end or not _plausible(self._data, offset, opcode, length):
+            return None
+        if opcode == Opcode.CHUNK and self._vain_bytes <= 0:
+            return None
+        try:
+            return self._scanner.accept(opcode, self._data[begin:end], offset), end
+        except BagForeign:
+            raise
+        except BagError:
+            if opcode == Opcode.CHUNK:
+                (size,) = struct.unpack_from('<Q', self._data, begin + 16)
+                self._vain_bytes -= min(size, MAX_RECORD_BYTES)
+            return None
+
+    def _damaged_chunks(self, start: int, end: int) -> Iterator[McapRecord]:
+        """The records of chunks whose frame is damaged there, but not what they hold."""
+        if self._summary:
+            known = [c for c in self._summary.chunks if start <= c.chunk_start_offset < end]
+            found = ((index.chunk_start_offset, self._indexed(index)) for index in known)
+        else:
+            frames = _PACKED.finditer(self._data, start, end)
+            found = ((frame.start(), self._unindexed(frame, end)) for frame in frames)
+        for place, chunk in found:
+            # Without a checksum nothing tells whether it is what was recorded.
+            if chunk is None or not chunk.uncompressed_crc or self._vain_bytes <= 0:
+                continue
+            try:
+                records = self._scanner.within(open_chunk(chunk, self._scanner.work), place)
+            except BagForeign:
+                raise
+            except BagError:
+                self._vain_bytes -= min(chunk.uncompressed_size, MAX_RECORD_BYTES)
+                continue
+            yield from records
+
+    def _indexed(self, index: ChunkIndex) -> Chunk | None:
+        """A chunk by what the summary's index says of it."""
+        end = index.chunk_start_offset + index.chunk_length
+        least = _CHUNK_HEAD.size + index.compressed_size
+        if end > self._end or index.compressed_size == 0 or index.chunk_length < least:
+            return None
+        *_, crc = _CHUNK_HEAD.unpack_from(self._data, index.chunk_start_offset)
+        return Chunk(
+            compression=index.compression, data=self._data[end - index.compressed_size:end],
+            message_start_time=index.message_start_time, message_end_time=index.message_end_time,
+            uncompressed_crc=crc, uncompressed_size=index.uncompressed_size,
+        )
+
+    def _unindexed(self, frame: re.Match[bytes], end: int) -> Chunk | None:
+        """A chunk by the compressed frame that it holds, and the checksum before that."""
+        packing = _PACKING[frame.group()[0]]
+        start = frame.start()
+        head = start - len(packing) - 12 - _CHUNK_HEAD.size
+        if head < 0:
+            return None
+        *_, size, crc = _CHUNK_HEAD.unpack_from(self._data, head)
+        data = self._data[start:end]
+        if packing == 'zstd':  # The frame tells its size as well: one of the two may be damaged.
+            try:
+                size = zstandard.get_frame_parameters(data).content_size
+            except zstandard.ZstdError:
+                return None
+        return Chunk(
+            compression=packing, data=data, message_start_time=0, message_end_time=0,
+            uncompressed_crc=crc, uncompressed_size=size,
+        )
+
+
+def _plausible(data: mmap.mmap, offset: int, opcode: int, length: int) -> bool:
+    """Whether the lengths within a record add up to its own: asked before its bytes are copied."""
+    begin = offset + HEAD.size
+    if opcode == Opcode.CHUNK and length >= 40:
+        (name,) = struct.unpack_from('<I', data, begin + 28)
+        if name > 4 or length < 40 + name:
+            return False
+        (size,) = struct.unpack_from('<Q', data, begin + 32 + name)
+        return bool(length == 40 + name + size)
+    if opcode == Opcode.ATTACHMENT:
+        return 28 <= length <= MAX_RECORD_BYTES
+    if opcode == Opcode.DATA_END:
+        return length == _DATA_END_BYTES
+    return opcode in _SALVAGED and 0 < length <= _LARGEST_OTHER
+
+
+def _bits_apart(one: str, other: str) -> int:
+    """Number of bits in which two words differ; all of them where their lengths do."""
+    left, right = one.encode(), other.encode()
+    if len(left) != len(right):
+        return 8 * max(len(left), len(right))
+    return sum((a ^ b).bit_count() for a, b in zip(left, right, strict=True))

@@ -1,0 +1,1 @@
+"""What the benchmark measures: the closed loop, the graph, components, campaigns."""

@@ -1,0 +1,91 @@
+"""A campaign from the command line: wall time per run, once under way, by number of workers."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from taxinet_ros.bench.measure import Subject
+from taxinet_ros.bench.processes import TAXINET, Amounts, exit_line
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import InfraError
+
+WORKERS = (1, 2)
+RUNS = 8
+"""Runs of each campaign; those that fill the workers for the first time are not counted."""
+
+_SEARCH = (
+    'falsify', 's_falsif', '--sampler', 'random', '--perception', 'taxinet', '--images', 'none',
+    '--quiet',
+)
+_LOOK_S = 0.005
+_LIMIT_S = 600.0
+
+
+def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
+    """A run of a random search with the shipped network, without pictures in the bags.
+
+    Args:
+        stack: removes what they leave.
+        amounts: is left as it is.
+    """
+    del amounts
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-campaign-')))
+    return [
+        Subject(
+            name='campaign', run=partial(_search, folder, workers), warm_ups=0, most=3,
+            simulated_s=Scenario().duration_s,
+        )
+        for workers in WORKERS
+    ]
+
+
+def figure_name(workers: int) -> str:
+    """Name of the figure of a campaign."""
+    return f'campaign/{part_name(workers)}'
+
+
+def part_name(workers: int) -> str:
+    """How a number of workers is written."""
+    return f'{workers} worker' if workers == 1 else f'{workers} workers'
+
+
+def _search(folder: Path, workers: int) -> Mapping[str, int]:
+    out = Path(tempfile.mkdtemp(dir=folder)) / 'out'
+    words = [*_SEARCH, '--workers', str(workers), '--runs', str(RUNS), '--out', str(out)]
+    with subprocess.Popen(
+        [*TAXINET, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            stamps = _watch(process, out / LEDGER_NAME)
+        except BaseException:
+            process.terminate()
+            raise
+        if process.returncode not in (0, 1) or len(stamps) != RUNS:
+            detail = f'{len(stamps)} of {RUNS} runs, {exit_line(process)}'
+            raise InfraError('start', 'taxinet falsify', -1, detail)
+    counted = RUNS - workers
+    return {part_name(workers): (stamps[-1] - stamps[workers - 1]) // counted}
+
+
+def _watch(process: subprocess.Popen[bytes], ledger: Path) -> list[int]:
+    """When each result was first seen on disk, on the clock of :func:`time.perf_counter_ns`."""
+    stamps: list[int] = []
+    deadline = time.monotonic() + _LIMIT_S
+    ended = False
+    while not ended:
+        ended = process.poll() is not None
+        if ledger.exists():
+            results = ledger.read_bytes().count(b'"event":"result"')
+            stamps += [time.perf_counter_ns()] * (results - len(stamps))
+        if time.monotonic() > deadline:
+            raise InfraError('timeout', 'taxinet falsify', -1, f'not done after {_LIMIT_S:g} s')
+        time.sleep(_LOOK_S)
+    return stamps

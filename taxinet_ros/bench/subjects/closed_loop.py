@@ -1,0 +1,163 @@
+"""The closed loop in one process, without ROS: whole runs of 30 s, and a control step by its parts.
+
+The parts are measured in processor time on the bytes that the graph records, to be compared with
+the whole graph; what they do not explain is the transport: messages made, sent, taken and
+dispatched, and nodes getting ready.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from taxinet_ros.bag.cdr.alignment import Canonical
+from taxinet_ros.bag.cdr.image import image_cdr
+from taxinet_ros.bag.reader import stored_messages
+from taxinet_ros.bag.writer import BagWriter
+from taxinet_ros.bench.measure import Figure, Subject
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.controller import SteeringGains, steer
+from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.world import last_step
+
+SCENARIO = Scenario(cross_track_m=3.0, time_of_day_s=15 * 3600.0)
+"""The run that is measured, here and through the graph."""
+SPEC = SHIPPED['phi_eventually']
+"""What judges it."""
+
+
+def subjects() -> list[Subject]:
+    """A run without pictures, and one in which the network looks at each.
+
+    Raises:
+        UsageError: the shipped weights cannot be used.
+    """
+    return [
+        _loop('truth', make_perception('truth'), most=10),
+        _loop('network', make_perception('taxinet'), most=3),
+    ]
+
+
+def _loop(name: str, perception: Perception, most: int) -> Subject:
+    def drive() -> None:
+        run_closed_loop(SCENARIO, perception, specs=[SPEC])
+
+    return Subject(
+        name=f'loop/{name}', run=drive, warm_ups=1, most=most, simulated_s=SCENARIO.duration_s
+    )
+
+
+PARTS = (
+    'physics', 'rendering', 'encoding', 'inference', 'control', 'monitor', 'recording',
+)
+"""What is measured by itself."""
+TRANSPORT = 'transport'
+WHOLE = 'whole'
+GRAPH = 'graph/composed, network'
+"""The figure of the whole."""
+_NAME = 'tick'
+
+
+def tick_subject(recorded: Callable[[], Path]) -> Subject:
+    """The parts of a control step, means over a run.
+
+    Args:
+        recorded: tells the bag of a run without pictures; asked at the first run.
+    """
+    perception = make_perception('taxinet')
+    gains = SteeringGains()
+    made: list[_Recorded] = []
+
+    def drive() -> Mapping[str, int]:
+        if not made:
+            made.append(_Recorded(recorded()))
+        stopwatch = _Stopwatch()
+        aircraft, camera = Aircraft(SCENARIO), Camera(SCENARIO)
+        last = last_step(SCENARIO)
+        judge = Judge([SPEC], last * CONTROL_PERIOD_NS, MAX_GAP_NS)
+        for seq in range(last + 1):
+            stamp_ns, state = seq * CONTROL_PERIOD_NS, aircraft.state
+            with stopwatch('rendering'):
+                image = camera.render(state, stamp_ns)
+            with stopwatch('encoding'):
+                image_cdr(image, stamp_ns, 'camera_optical')
+            with stopwatch('inference'):
+                estimate = perception.estimate(image, None)
+            with stopwatch('control'):
+                command = steer(estimate, gains)
+            with stopwatch('monitor'):
+                truth = state.tracking_error
+                judge.push(stamp_ns, signals(
+                    cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m,
+                    speed_mps=state.speed_mps, estimate=estimate, command=command,
+                ))
+            with stopwatch('physics'):
+                aircraft.advance(command)
+        made[0].write(stopwatch)
+        return {part: stopwatch.total_ns[part] // (last + 1) for part in PARTS}
+
+    return Subject(name=_NAME, run=drive, warm_ups=1, most=5)
+
+
+def step_parts(figures: Mapping[str, Figure]) -> dict[str, float]:
+    """A control step of the composed graph by its parts [s of processor time].
+
+    Returns:
+        Every part, the transport, which is the rest, and the whole; nothing where it was not
+        measured.
+    """
+    whole = figures.get(GRAPH)
+    if whole is None or whole.cpu_s is None or f'{_NAME}/{PARTS[0]}' not in figures:
+        return {}
+    step = whole.cpu_s / (last_step(SCENARIO) + 1)
+    parts = {part: figures[f'{_NAME}/{part}'].median_s for part in PARTS}
+    return {**parts, TRANSPORT: step - sum(parts.values()), WHOLE: step}
+
+
+class _Stopwatch:
+    """Adds up the processor time of each part."""
+
+    def __init__(self) -> None:
+        self.total_ns = dict.fromkeys(PARTS, 0)
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        start = time.process_time_ns()
+        yield
+        self.total_ns[part] += time.process_time_ns() - start
+
+
+class _Recorded:
+    """The messages of a run, written again and again as the recorder does."""
+
+    def __init__(self, bag: Path) -> None:
+        self._folder = bag.parent
+        messages = list(stored_messages(bag))
+        self._topics = tuple({message.topic.name: message.topic for message in messages}.values())
+        grouped = itertools.groupby(messages, lambda message: message.stamp_ns)
+        self._steps = [(stamp_ns, list(step)) for stamp_ns, step in grouped]
+        self._canonical = Canonical(self._topics)
+
+    def write(self, stopwatch: _Stopwatch) -> None:
+        """Write them into a bag, which is removed unmeasured."""
+        scratch = Path(tempfile.mkdtemp(prefix='tick-', dir=self._folder))
+        with stopwatch('recording'):
+            writer = BagWriter(
+                scratch / 'run', self._topics, metadata={}, attachments={}, min_free_bytes=0
+            )
+            for stamp_ns, step in self._steps:
+                for topic, _, cdr in step:
+                    writer.write(topic.name, self._canonical.message(topic.name, cdr), stamp_ns)
+                writer.flush()
+            writer.close()
+        shutil.rmtree(scratch)

@@ -1,0 +1,222 @@
+"""The parts of a run, each alone in this process: camera, network, flight dynamics, samplers."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+from taxinet_ros.bench.measure import Subject
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.sampler import Lagged
+from taxinet_ros.campaign.samplers.space import Dimension, Point
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.ground.atlas import ground_atlas
+from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, shrink
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.perception.weights import SHIPPED, load_model
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scene:
+    """A scenario and a moment in it."""
+
+    scenario: Scenario
+    state: AircraftState
+
+
+def _scene(
+    *,
+    x_m: float,
+    y_m: float,
+    heading_deg: float,
+    pitch_deg: float = 0.11,
+    roll_deg: float = 0.0,
+    **values: object,
+) -> Scene:
+    state = AircraftState(
+        x_m=x_m, y_m=y_m, z_m=1.55, roll_rad=math.radians(roll_deg),
+        pitch_rad=math.radians(pitch_deg), yaw_rad=math.radians(heading_deg), speed_mps=5.0,
+        yaw_rate_radps=0.0,
+    )  # fmt: skip
+    return Scene(scenario=scenario_from_human(values), state=state)
+
+SCENES = {
+    'noon': _scene(x_m=1000.0, y_m=1.5, heading_deg=4.0, time_of_day=12.0),
+    'own-shadow': _scene(x_m=700.0, y_m=-2.0, heading_deg=0.0, time_of_day=15.5),
+    'low-sun': _scene(x_m=300.0, y_m=2.0, heading_deg=12.0, time_of_day=7.2),
+    'rain': _scene(x_m=450.0, y_m=3.0, heading_deg=-8.0, clouds='stratus', rain=60.0),
+    'stratus': _scene(x_m=1100.0, y_m=0.0, heading_deg=10.0, clouds='stratus'),
+    'nose-up': _scene(
+        x_m=1600.0, y_m=5.0, heading_deg=-15.0, pitch_deg=-5.0, roll_deg=-2.0, clouds='broken',
+    ),
+    'slanted': _scene(
+        x_m=1420.0, y_m=-6.0, heading_deg=22.0, pitch_deg=1.2, roll_deg=2.5, clouds='cirrus',
+    ),
+}  # fmt: skip
+"""Scenes by name."""
+
+
+SUM = 'sum of stages'
+
+
+def camera_subjects() -> list[Subject]:
+    """Frames, whole and by stages, and the making of cameras and textures."""
+    ground_atlas()  # as in every process that photographs; what it costs is measured apart
+    found = []
+    for name, scene in SCENES.items():
+        found += _frame(name, scene)
+    noon, rain = SCENES['noon'].scenario, SCENES['rain'].scenario
+    return [
+        *found,
+        Subject(name='camera/new, dry', run=lambda: _discard(Camera(noon))),
+        Subject(name='camera/new, rain', run=lambda: _discard(Camera(rain))),
+        Subject(name='camera/textures', run=_make_textures, warm_ups=0, most=3),
+    ]
+
+
+def _discard(made: object) -> None:
+    del made
+
+
+def _make_textures() -> None:
+    """Make what every process makes once."""
+    ground_atlas.__wrapped__()
+
+
+def _frame(name: str, scene: Scene) -> list[Subject]:
+    """A frame as a whole, and the stages of another one.
+
+    In a run one camera works all the time; here they take turns. So each sees a frame unmeasured
+    before its turn, and its buffers are where they would be.
+    """
+    camera = Camera(scene.scenario)
+    stamp_ns = 0
+
+    def photograph() -> None:
+        nonlocal stamp_ns
+        stamp_ns += NS_PER_S // 10
+        camera.render(scene.state, stamp_ns)
+
+    def stages() -> Mapping[str, int]:
+        times: dict[str, int] = {}
+        last = time.perf_counter_ns()
+
+        def mark(stage: str) -> None:
+            nonlocal last
+            now = time.perf_counter_ns()
+            times[stage] = now - last
+            last = now
+
+        camera.render(scene.state, stamp_ns, mark)
+        return {**times, SUM: sum(times.values())}
+
+    whole = f'camera/{name}'
+    return [
+        Subject(name=whole, run=photograph, before=photograph),
+        Subject(name=whole, run=stages, before=photograph),
+    ]
+
+
+def inference_subjects() -> list[Subject]:
+    """One estimate, and its two halves.
+
+    Raises:
+        UsageError: the shipped weights cannot be used.
+    """
+    scene = SCENES['noon']
+    image = Camera(scene.scenario).render(scene.state, 0)
+    perception = make_perception('taxinet')
+    model = load_model(SHIPPED['taxinet'])
+    network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+    reduced = shrink(image)[None]
+
+    def estimate() -> None:
+        perception.estimate(image, None)
+
+    def reduce() -> None:
+        shrink(image)
+
+    def look() -> None:
+        network.infer(reduced)
+
+    return [
+        Subject(name='inference/estimate', run=estimate, before=estimate),
+        Subject(name='inference/preprocessing', run=reduce, before=reduce),
+        Subject(name='inference/network', run=look, before=look),
+    ]
+
+
+_PHYSICS_STEPS = 20
+
+
+def physics_subjects() -> list[Subject]:
+    """Twelve physics steps make one control step."""
+    aircraft = Aircraft(Scenario())
+    command = TaxiCommand(steering_rad=0.0, speed_mps=5.0)
+
+    def advance() -> None:
+        for _ in range(_PHYSICS_STEPS):
+            aircraft.advance(command)
+
+    def make() -> None:
+        Aircraft(Scenario())
+
+    return [
+        Subject(
+            name='physics/control step', run=advance, calls=_PHYSICS_STEPS,
+            simulated_s=CONTROL_PERIOD_NS / NS_PER_S,
+        ),
+        Subject(name='physics/new', run=make, most=20),
+    ]  # fmt: skip
+
+
+SAMPLER_SPACE = (
+    *(Dimension(name=f'continuous {number}') for number in range(5)),
+    Dimension(name='clouds', weights=(1.0,) * 6),
+    Dimension(name='rain', weights=(2.0, 1.0)),
+)
+"""Seven dimensions: as many as the shipped programs vary, and two of them categories."""
+SAMPLER_RUNS = 120
+"""Runs made before the first one measured."""
+_SAMPLER_CALLS = {'tpe': 5, 'cmaes': 5, 'bo': 1}
+_USUAL_CALLS = 50
+
+
+def sampler_subjects() -> list[Subject]:
+    """Asking for a run and telling its result, with each sampler."""
+    return [
+        Subject(
+            name=f'samplers/{word}',
+            run=_first_filled(word),
+            calls=_SAMPLER_CALLS.get(word, _USUAL_CALLS),
+            warm_ups=1,
+            most=3 if word == 'bo' else 20,
+        )
+        for word in SAMPLERS
+    ]
+
+
+def _first_filled(word: str) -> Callable[[], None]:
+    """Runs of a sampler that has made :data:`RUNS` before."""
+    # Before its start a Gaussian process costs nothing, then its window is full at once.
+    options = {'startup': SAMPLER_RUNS} if word == 'bo' else {}
+    sampler = make_sampler(word, SAMPLER_SPACE, 0, SAMPLER_RUNS, **options)
+    _make_runs(sampler, SAMPLER_RUNS + 10)
+    return partial(_make_runs, sampler, _SAMPLER_CALLS.get(word, _USUAL_CALLS))
+
+
+def _make_runs(sampler: Lagged, number: int) -> None:
+    for _ in range(number):
+        index, point = sampler.next()
+        sampler.tell(index, _robustness(point))
+
+
+def _robustness(point: Point) -> float:
+    """A bowl in which about one run in ten fails."""
+    return sum((quantile - 0.3) ** 2 for quantile in point if quantile is not None) - 0.4

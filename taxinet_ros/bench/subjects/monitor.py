@@ -1,0 +1,176 @@
+"""Robustness monitors: ours, online and offline, and others in an environment of their own."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO
+
+from taxinet_ros.bench.measure import Subject
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.loop import MAX_GAP_NS, signals
+from taxinet_ros.core.mtl import Monitor, Spec, parse_spec, robustness, signal_names
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.run_statistics import EstimateWatch
+from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
+from taxinet_ros.errors import UsageError
+
+LAST = 300
+LENGTHS = {'1k': 1_000, '10k': 10_000, '100k': 100_000}
+"""Samples of the longer runs, by the word that names them."""
+WINDOWS_S = (10, 100, 1_000)
+_GROWING = ('phi_always', 'phi_eventually')
+_NESTED = {
+    'G F': 'always(eventually[0:5](cte < 0))',
+    'G or F': 'always(cte < 1 or eventually[0:5](cte < 0))',
+    'F G F': 'eventually[0:5](always(eventually[0:2](cte < 0)))',
+    '12 until': '(' * 12 + 'cte < 0' + ') until[0:0.5] (cte < 1)' * 12,
+}
+"""Where a window stands in another, by the word that names it."""
+_OFFLINE_CALLS = 20
+Run = Sequence[tuple[int, dict[str, float]]]
+
+
+def subjects() -> list[Subject]:
+    """One sample and the whole of a 30 s run; samples of longer runs and under wider windows."""
+    run = swinging_run(LAST)
+    found: list[Subject] = []
+    for name, spec in SHIPPED.items():
+        found += [_online(f'{name} sample', spec, run), _offline(f'{name} offline', spec, run)]
+    for word, last in LENGTHS.items():
+        longer = swinging_run(last)
+        for name in _GROWING:
+            found.append(_online(f'{name} sample of {word}', SHIPPED[name], longer))
+    for word, last in LENGTHS.items():
+        longer = swinging_run(last)
+        for name in _GROWING:
+            found.append(_offline(f'{name} offline of {word}', SHIPPED[name], longer))
+    longer = swinging_run(LENGTHS['10k'])
+    for window_s in WINDOWS_S:
+        text = f'eventually[0:{window_s}](always(abs(cte) <= 1.5))'
+        found.append(_online(f'window of {window_s} s sample of 10k', parse_spec(text), longer))
+    for word in ('1k', '10k'):
+        longer = swinging_run(LENGTHS[word])
+        for name, text in _NESTED.items():
+            found.append(_online(f'{name} sample of {word}', parse_spec(text), longer))
+    return found
+
+
+def swinging_run(last: int) -> Run:
+    """Truth that swings into the centreline, with stamps [ns]; ``last + 1`` samples."""
+    return [(step * CONTROL_PERIOD_NS, _sample(step)) for step in range(last + 1)]
+
+
+def _sample(step: int) -> dict[str, float]:
+    cte_m = 6.0 * math.exp(-step / 40) * math.cos(step / 15)
+    return {
+        **signals(
+            cte_m=cte_m, he_rad=0.0, x_m=400.0 + 0.5 * step, speed_mps=5.0,
+            estimate=TrackingError(cte_m=cte_m, he_rad=0.0),
+            command=TaxiCommand(steering_rad=0.0, speed_mps=5.0),
+        ),
+        **dict.fromkeys(EstimateWatch.NAMES, 0.0),
+    }
+
+
+def _online(name: str, spec: Spec, run: Run) -> Subject:
+    def follow() -> None:
+        monitor = Monitor(spec, run[-1][0], max_gap_ns=MAX_GAP_NS)
+        for stamp_ns, sample in run:
+            monitor.push(stamp_ns, sample)
+
+    long = len(run) > LENGTHS['1k'] + 1
+    return Subject(
+        name=f'monitor/{name}',
+        run=follow,
+        calls=len(run),
+        warm_ups=0 if long else 2,
+        most=3 if long else None,
+    )
+
+
+def _offline(name: str, spec: Spec, run: Run) -> Subject:
+    stamps_ns = [stamp_ns for stamp_ns, _ in run]
+    names = signal_names(spec.formula)
+    columns = {name: [sample[name] for _, sample in run] for name in names}
+    calls = _OFFLINE_CALLS if len(run) <= LENGTHS['1k'] + 1 else 1
+
+    def evaluate() -> None:
+        for _ in range(calls):
+            robustness(spec.formula, stamps_ns, columns)
+
+    return Subject(name=f'monitor/{name}', run=evaluate, calls=calls, most=20)
+
+
+_CHILD = Path(__file__).with_name('peers_child.py')
+_FORMULAS = {'phi_always': 'G near', 'phi_eventually': 'F[0, 10] G near'}
+_SLOW = 'py-mtl'
+"""metric-temporal-logic takes a second and more."""
+
+
+@contextmanager
+def peer_subjects(python: str) -> Iterator[list[Subject]]:
+    """Subjects of the monitors that another Python has; it runs until the context is left.
+
+    Args:
+        python: its executable, of an environment made from ``tests/core/mtl/oracles.txt``.
+
+    Raises:
+        UsageError: no such Python, or it has none of the monitors.
+    """
+    try:
+        child = subprocess.Popen(
+            [python, str(_CHILD)], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+    except OSError as error:
+        raise UsageError(f'bench: --peers: cannot run {python}: {error.strerror}') from None
+    with child:
+        assert child.stdin is not None, 'a pipe was asked for'
+        assert child.stdout is not None, 'a pipe was asked for'
+        answer = _ask(child.stdin, child.stdout, _trace_json())
+        names = json.loads(answer) if answer else []
+        if not names:
+            raise UsageError(
+                f'bench: --peers: {python} has no rtamt, sentil or metric-temporal-logic; '
+                'tests/core/mtl/oracles.txt says how to install them'
+            )
+        yield [_peer_subject(name, child.stdin, child.stdout) for name in names]
+
+
+def _trace_json() -> str:
+    run = swinging_run(LAST)
+    return json.dumps(
+        {
+            'times_s': [stamp_ns / NS_PER_S for stamp_ns, _ in run],
+            'cte_m': [sample['cte'] for _, sample in run],
+            'formulas': {name: [SHIPPED[name].text, text] for name, text in _FORMULAS.items()},
+        }
+    )
+
+
+def _peer_subject(name: str, questions: IO[str], answers: IO[str]) -> Subject:
+    # The other process takes its time itself, so that of talking to it does not count.
+    run = partial(_measure_peer, name, questions, answers)
+    slow = name.startswith(_SLOW)
+    return Subject(name='monitor', run=run, warm_ups=0 if slow else 2, most=3 if slow else None)
+
+
+def _measure_peer(name: str, questions: IO[str], answers: IO[str]) -> dict[str, int]:
+    answer = _ask(questions, answers, name)
+    if not answer:
+        raise UsageError(f'bench: --peers: {name} broke down; its Python says why above')
+    return {name: int(answer)}
+
+
+def _ask(questions: IO[str], answers: IO[str], line: str) -> str:
+    try:
+        questions.write(line + '\n')
+        questions.flush()
+    except BrokenPipeError:
+        return ''
+    return answers.readline()

@@ -1,0 +1,130 @@
+"""From a command to something seen: ``taxinet run`` to a step on disk, a node to its name.
+
+Processes of their own, watched from outside every few milliseconds; Python files and libraries are
+in the system's cache after the first.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+
+from taxinet_ros.bench.measure import Subject
+from taxinet_ros.bench.processes import (
+    LIMIT_S,
+    LOOK_S,
+    TAXINET,
+    Amounts,
+    exit_line,
+    peak_memory,
+    wait_for,
+)
+from taxinet_ros.errors import InfraError
+from taxinet_ros.nodes import interface, steering_controller
+from taxinet_ros.nodes.running.domain import own_domain
+
+_NAME = 'start-up'
+_RUN = (
+    'run', 's_falsif', '--perception', 'taxinet', '--images', 'none', '--set', 'duration=1',
+)
+_MAGIC_BYTES, _CHUNK = 8, 6
+_HEAD = struct.Struct('<BQ')
+
+
+def subjects(stack: ExitStack, amounts: Amounts) -> list[Subject]:
+    """A run of one simulated second from the command line, and a node alone.
+
+    Args:
+        stack: removes what they leave.
+        amounts: takes the most memory that ``taxinet run`` had.
+    """
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='taxinet-start-')))
+    peaks = [0]
+    amounts['memory: taxinet run'] = lambda: max(peaks)
+    domain = stack.enter_context(own_domain())
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    stack.callback(rclpy.try_shutdown, context=context)
+    onlooker = Node('bench_onlooker', context=context)
+    stack.callback(onlooker.destroy_node)
+    return [
+        Subject(
+            name=_NAME, run=partial(_start_run, folder, peaks), warm_ups=0, most=3
+        ),
+        Subject(name=_NAME, run=partial(_start_node, onlooker), warm_ups=0, most=3),
+    ]
+
+
+def holds_step(mcap: Path) -> bool:
+    """Whether a bag's file holds a whole chunk: the recorder makes its first of the first step."""
+    try:
+        data = mcap.read_bytes()
+    except FileNotFoundError:
+        return False
+    at = _MAGIC_BYTES
+    while at + _HEAD.size <= len(data):
+        kind, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size + length
+        if kind == _CHUNK:
+            return at <= len(data)
+    return False
+
+
+def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
+    out = folder / f'run-{len(peaks)}'
+    peaks.append(0)
+
+    def on_disk() -> bool:
+        peaks[-1] = max(peaks[-1], peak_memory([process.pid]))
+        return any(holds_step(mcap) for mcap in out.glob('*/*.mcap'))
+
+    start = time.perf_counter_ns()
+    with subprocess.Popen(
+        [*TAXINET, *_RUN, '--out', str(out)], stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            first = wait_for(process, on_disk, 'taxinet run') - start
+            while process.poll() is None:
+                on_disk()
+                time.sleep(LOOK_S)
+        except BaseException:
+            process.kill()
+            raise
+        whole = time.perf_counter_ns() - start
+        if process.returncode not in (0, 1):
+            raise InfraError('start', 'taxinet run', -1, exit_line(process))
+    return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
+
+
+def _start_node(onlooker: Node) -> Mapping[str, int]:
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(onlooker.context.get_domain_id())}
+    deadline = time.monotonic() + LIMIT_S
+    while _seen(onlooker) and time.monotonic() < deadline:
+        time.sleep(LOOK_S)  # the one before has not been forgotten yet
+    start = time.perf_counter_ns()
+    with subprocess.Popen(
+        [sys.executable, '-P', '-m', steering_controller.__name__], env=environment,
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            seen = wait_for(process, partial(_seen, onlooker), 'node') - start
+        finally:
+            process.terminate()
+    return {'node, seen': seen}
+
+
+def _seen(onlooker: Node) -> bool:
+    return interface.STEERING_CONTROLLER in onlooker.get_node_names()

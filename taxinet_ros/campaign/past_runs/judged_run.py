@@ -1,0 +1,331 @@
+"""A run of some campaign, found again: what was run, and how it was judged.
+
+A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it is there, for a bag has
+the scenario to the last bit; else the campaign's ledger, so a bag that was deleted is not missed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import decoded_messages, read_info
+from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains, read_facts, read_run
+from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.controller import STEERING, SteeringGains
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.pacing.timing import Timing, parse_timing
+from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.errors import UsageError
+
+_VERDICT = '/monitor/verdict'
+_NO_FACTS: Mapping[str, Any] = {}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JudgedRun:
+    """One run.
+
+    Attributes:
+        run_id, seed, scenario: as it was asked for.
+        specs: formulas as text, the headline first.
+        outcome: how it ended.
+        rho: robustness by the formula's name, as far as it is known.
+        perception, fingerprint: the swap word or network's file, and the hash of the weights.
+        gains: steering gains that differ from the defaults.
+        controller, controller_fingerprint: the word of what steers, or what an unknown one said of
+            itself; and the hash that it told.
+        timing: when answers took effect, with the run's own draws.
+    """
+
+    run_id: str
+    seed: int
+    scenario: Scenario
+    specs: tuple[str, ...]
+    outcome: Outcome
+    rho: Mapping[str, float]
+    perception: str
+    fingerprint: str
+    gains: Mapping[str, float]
+    controller: str
+    controller_fingerprint: str
+    timing: Timing
+
+    @property
+    def headline(self) -> str:
+        """Name of the first formula."""
+        return parse_spec(self.specs[0]).name
+
+
+def find_run(path: Path) -> JudgedRun:
+    """The run whose folder is, or was, ``path``.
+
+    Raises:
+        UsageError: there is none, its bag is damaged, or it has no scenario.
+    """
+    whole = _place(path)
+    if (whole / LEDGER_NAME).is_file():
+        raise UsageError(f'{path}: a campaign{_example(path)}')
+    ledger = whole.parent / LEDGER_NAME
+    content = read_ledger(ledger) if ledger.is_file() else None
+    facts = content.campaign if content else _NO_FACTS
+    if any(whole.glob('*.mcap')):
+        try:
+            for row in content.rows if content else ():
+                if row.bag == whole.name:
+                    check_same_run(row, facts, whole)
+            return _of_bag(path, facts)
+        except BagError as error:
+            raise UsageError(str(error)) from error
+    rows = {row.run_id: row for row in content.rows} if content else {}
+    if whole.name not in rows:
+        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, as its bag is named')
+    return _of_row(rows[whole.name], facts)
+
+
+def _place(path: Path) -> Path:
+    """Where a run's folder is: in the campaign as it is named, before that of a link's target."""
+    named = Path(os.path.abspath(path))
+    return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
+
+
+def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
+    told = read_info(path).metadata.get('taxinet_outcome')
+    if told is None and (recording := read_recording(path)).runs and not recording.plain:
+        raise UsageError(
+            f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
+            f'taxinet bag split {path} --out DIR'
+        )
+    told = told or {}
+    outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
+    run = read_run(path)
+    rho: dict[str, float] = {}
+    if outcome.judged:
+        for _, _, verdict in decoded_messages(path, lambda topic: topic.endswith(_VERDICT)):
+            rho = {spec.spec: spec.rho_upper for spec in verdict.specs}
+    return JudgedRun(
+        run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
+        specs=run.request.specs, outcome=outcome, rho=rho,
+        # A bag knows of a network's weights, not of their file.
+        perception=facts.get('perception') or run.perception,
+        fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
+        controller=_controller(facts, run.controller),
+        controller_fingerprint=run.controller_fingerprint,
+        timing=run.timing.of_run(run.request.seed, run.request.index),
+    )
+
+
+def _controller(facts: Mapping[str, Any], said: str) -> str:
+    """Its word, where the campaign has one; else what it said of itself."""
+    word = str(facts.get('controller', STEERING))
+    return said if said and word == STEERING else word
+
+
+def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
+    values = {key: getattr(row, key) for key in HUMAN_KEYS}
+    if None in values.values():
+        raise UsageError(f'{row.run_id}: {row.outcome}, no scene was drawn')
+    formulas: Mapping[str, str] = facts.get('specs', {})
+    return JudgedRun(
+        run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
+        specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
+        outcome=row.outcome, rho=row.rho, perception=row.perception,
+        fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
+        controller=_controller(facts, ''),
+        controller_fingerprint=str(facts.get('controller_sha256', '')),
+        timing=parse_timing(row.timing).of_run(row.seed, row.index),
+    )
+
+
+def _example(campaign: Path) -> str:
+    """What to say to somebody who names a campaign in place of a run."""
+    rows = read_ledger(campaign / LEDGER_NAME).rows
+    failed = [row for row in rows if row.outcome is Outcome.FAIL]
+    if not failed:
+        return ', and none of its runs failed'
+    worst = min(failed, key=lambda row: min(row.rho.values(), default=0.0))
+    return f'; name one of its {len(failed)} failed runs, as in {campaign / worst.run_id}'
+
+
+def bag_differences(
+    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+) -> list[str]:
+    """In what a bag tells of another run than its row and campaign do.
+
+    What one of them does not tell, as in those of earlier versions, is not compared.
+
+    Args:
+        row: of the run.
+        facts: of its campaign.
+        bag: its bag.
+        whole: the bag is, so what came of the run counts too.
+
+    Raises:
+        BagError, UsageError: it cannot be read.
+    """
+    told = read_facts(bag)
+    if told is None:
+        return ['is of no run of ours']
+    pairs: dict[str, tuple[Any, Any]] = {
+        'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
+        'seed': (told.seed, row.seed), **_of_scene(told, row), **_of_formulas(told, facts),
+    }
+    if whole and row.outcome.judged:
+        pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
+        pairs |= {
+            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
+            for name, one in told.judged.items()
+        }
+        pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}
+    return [
+        f'its {name} is {_short(here)}, the row has {_short(there)}'
+        for name, (here, there) in pairs.items() if here != there
+    ]
+
+
+def _of_scene(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
+    """What was asked for, in the units people read; a row without a scene has nothing to say."""
+    pairs = {key: (told.scene[key], getattr(row, key)) for key in HUMAN_KEYS}
+    return {
+        key: (here, there) for key, (here, there) in pairs.items()
+        if there not in (None, '') and not _near(here, there)
+    }
+
+
+def _near(one: Any, other: Any) -> bool:
+    """Whether two are equal, but for the ninth decimal, to which people's units are rounded."""
+    if isinstance(one, float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=1e-9, abs_tol=2e-9)
+    return bool(one == other)
+
+
+def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Formulas by name: those that the monitor put to the run, or was to put."""
+    own = facts.get('specs')
+    if not own:
+        return {}
+    here = {spec.name: spec.text for spec in map(parse_spec, told.specs)}
+    # A name may have stood for another formula in another version; what was judged is spelled out.
+    here |= {name: told.judged[name].formula for name in here if name in told.judged}
+    names = dict.fromkeys([*own, *here])
+    nothing = 'not there'
+    return {
+        f'formula {name}': (here.get(name, nothing), own.get(name, nothing)) for name in names
+    }
+
+
+def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
+    """What the simulator and the perception said of themselves."""
+    eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
+    prints = {eyes.fingerprint if eyes else ''} - {''}, {row.perception_fingerprint} - {''}
+    pairs: dict[str, tuple[Any, Any]] = {
+        'timing': (world.implementation if world else '', row.timing), 'network': prints,
+    }
+    # Words of networks are names of weights; without any, the word is all that there is.
+    if eyes and eyes.implementation and not any(prints) and not is_node_elsewhere(row.perception):
+        pairs['perception'] = (eyes.implementation, row.perception)
+    return pairs
+
+
+def _of_controller(
+    told: RunFacts, row: RunRow, facts: Mapping[str, Any]
+) -> dict[str, tuple[Any, Any]]:
+    """What steered. A graph that was there before its campaign has a controller of its own."""
+    law, word = told.nodes.get('steering_controller'), facts.get('controller')
+    if law is None or word is None or f'-s{row.seed}-' not in row.run_id:
+        return {}
+    if word != STEERING:
+        known = law.fingerprint, str(facts.get('controller_sha256', ''))
+        return {'controller': ({known[0]}, {known[1]})} if known[1] else {}
+    usual = asdict(SteeringGains())
+    gains = {name: x for name, x in facts.get('gains', {}).items() if x != usual.get(name)}
+    if not is_steering_law(law.implementation) or law.fingerprint:
+        return {'controller': (law.implementation, STEERING)}
+    here = parse_gains(law.implementation)
+    return {
+        f'steering.{name}': (here.get(name, usual.get(name)), gains.get(name, usual.get(name)))
+        for name in dict.fromkeys([*here, *gains])
+    }
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, set):
+        return next(iter(value), 'the truth')[:12]
+    return f'{value}'
+
+
+def check_same_run(
+    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+) -> None:
+    """See that a bag is that of a row, before what it holds is taken for the row's run.
+
+    Args:
+        row: of the run.
+        facts: of its campaign.
+        bag: its bag.
+        whole: as of :func:`bag_differences`.
+
+    Raises:
+        UsageError: it is of another run.
+        BagError: it cannot be read.
+    """
+    for what in bag_differences(row, facts, bag, whole=whole):
+        raise UsageError(
+            f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
+            f'campaign? taxinet doctor {bag.parent} checks all of them'
+        )
+
+
+class BagPlaces:
+    """Bags held against the records of the campaigns in whose folders they lie, if any."""
+
+    def __init__(self) -> None:
+        """No record is read yet."""
+        self._records: dict[Path, LedgerContent] = {}
+
+    def check(self, bag: Path, *, whole: bool = True) -> None:
+        """See that a bag is that of the run whose place it has.
+
+        Args:
+            bag: a run's folder or an ``.mcap`` file.
+            whole: as of :func:`bag_differences`.
+
+        Raises:
+            UsageError: it is of another run.
+            BagError: it cannot be read.
+        """
+        folder = _place(bag.parent if bag.is_file() else bag)
+        ledger = folder.parent / LEDGER_NAME
+        if not ledger.is_file():
+            return
+        if ledger not in self._records:
+            self._records[ledger] = _record(ledger)
+        record = self._records[ledger]
+        for row in record.rows:
+            if row.bag == folder.name:
+                check_same_run(row, record.campaign, bag, whole=whole)
+                return
+        told = read_facts(bag)
+        if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
+            raise UsageError(
+                f'{bag}: is not the bag of its run: its run_id is {told.run_id}; '
+                f'taxinet doctor {folder.parent} checks all of them'
+            )
+
+
+def _record(ledger: Path) -> LedgerContent:
+    """Empty where the record is damaged: a bag can be read without it."""
+    try:
+        return read_ledger(ledger)
+    except UsageError:
+        return ledger_content(ledger, ())

@@ -1,0 +1,471 @@
+"""Whose fault failures are: a campaign's failed runs once more, with the truth for the network.
+
+The trials are made in worker processes, each with something in the network's place. The folder
+holds ``trials.jsonl``, append-only and flushed to the disk after every trial: what is done is
+never done again, so the same command goes on where an interrupted one was, and so does one that
+asks for more runs or other substitutions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from taxinet_ros.campaign.options import DEFAULT_ROOT
+from taxinet_ros.campaign.past_runs.counterexamples import (
+    FailedRuns,
+    failed_runs,
+    scenario_of_row,
+    spread_evenly,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.controller import (
+    STEERING,
+    Controller,
+    SteeringGains,
+    check_controller,
+    make_controller,
+)
+from taxinet_ros.core.judge import Judgement
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import parse_assumptions, parse_spec
+from taxinet_ros.core.outcome import StopOn
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
+from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
+from taxinet_ros.core.perception.substituted import (
+    AS_RECORDED,
+    TRUTH,
+    TRUTH_CTE,
+    TRUTH_HEADING,
+    parse_substitution,
+    substituted,
+)
+from taxinet_ros.core.provenance import Provenance, known, provenance
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.journal import Journal, damaged_line
+from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrialSetup:
+    """What all trials share.
+
+    Attributes:
+        perception: word or file of the network.
+        specs: formulas as text, the headline first.
+        gains: steering gains that differ from the defaults.
+        controller: word of what steers.
+        stop_on: what ends a run before its end.
+        bounds, rates: what is vouched for of the signals, as text.
+        timing: when answers take effect, in words.
+    """
+
+    perception: str
+    specs: tuple[str, ...]
+    gains: Mapping[str, float]
+    controller: str = STEERING
+    stop_on: StopOn = StopOn.NEVER
+    bounds: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
+    timing: str = ''
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Task:
+    """One trial to be made.
+
+    Attributes:
+        run_id: the counterexample.
+        scenario: its scene.
+        word: of the substitution.
+        seed: of its noise: seed and index of the run, which determine drawn latencies too.
+        exact: whether the scene is known to the last bit.
+    """
+
+    run_id: str
+    scenario: Scenario
+    word: str
+    seed: tuple[int, int]
+    exact: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trial:
+    """How a counterexample came out.
+
+    Attributes:
+        run_id: the counterexample.
+        word: of the substitution.
+        passed: whether all formulas were satisfied; None where the run could not be judged.
+        detail: why it could not.
+        exact: whether its scene was known to the last bit, so that it must come out as recorded.
+        rho_lower, rho_upper: of the headline; equal unless the run was stopped before its end.
+        max_cross_track_m, settle_time_s, left_runway: of the path, see
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
+    """
+
+    run_id: str
+    word: str
+    passed: bool | None
+    detail: str = ''
+    exact: bool = True
+    rho_lower: float | None = None
+    rho_upper: float | None = None
+    max_cross_track_m: float | None = None
+    settle_time_s: float | None = None
+    left_runway: bool | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :meth:`from_json`."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Read back what :meth:`to_json` gave.
+
+        Raises:
+            TypeError: a field is missing or unknown.
+        """
+        return cls(**values)
+
+
+def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterator[Trial]:
+    """Make trials in worker processes; they come as they end.
+
+    ``tasks`` is read only as fast as trials can be made, so it may end when somebody interrupts;
+    those under way are still brought home.
+
+    Raises:
+        InfraError: a worker process died.
+    """
+    waiting = iter(tasks)
+    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of onnxruntime
+    with ProcessPoolExecutor(workers, context, _start_worker, (bench,)) as pool:
+        under_way: set[Future[Trial]] = set()
+        try:
+            while True:
+                # One more than there are workers, so that none waits for us.
+                for task in itertools.islice(waiting, workers + 1 - len(under_way)):
+                    with interrupts_blocked():
+                        under_way.add(pool.submit(_trial, task))
+                if not under_way:
+                    return
+                done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in done)
+        except BrokenProcessPool as error:
+            raise InfraError('died', 'trial worker', -1, 'see the messages above') from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+_worker: list[tuple[TrialSetup, Perception, Controller]] = []
+"""In a worker process: what it was started with, its network, and what steers."""
+
+
+def _start_worker(bench: TrialSetup) -> None:
+    end_with_parent()
+    cv2.setNumThreads(1)  # the workers share the cores among themselves
+    threadpool_limits(limits=1)
+    controller = make_controller(bench.controller, SteeringGains(**bench.gains))
+    _worker.append((bench, make_perception(bench.perception), controller))
+
+
+def _trial(task: Task) -> Trial:
+    return make_trial(task, *_worker[0])
+
+
+def make_trial(
+    task: Task, bench: TrialSetup, network: Perception, controller: Controller | None = None
+) -> Trial:
+    """Run one scene in this process; the bench's controller is loaded where none is given."""
+    controller = controller or make_controller(bench.controller, SteeringGains(**bench.gains))
+    perception = substituted(parse_substitution(task.word), network, task.seed)
+    try:
+        judged = run_closed_loop(
+            task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
+            controller=controller, stop_on=bench.stop_on,
+            assumptions=parse_assumptions(bench.bounds, bench.rates),
+            timing=parse_timing(bench.timing), draws=task.seed,
+        )
+    except (InfraError, UserCodeError) as error:
+        return _unjudged(task, str(error))
+    return _judged(task, judged)
+
+
+def _judged(task: Task, judged: Judgement) -> Trial:
+    stopped, statistics = judged.stopped_early, judged.statistics
+    if not (judged.complete or stopped):
+        return _unjudged(task, 'a sample could not be judged')
+    headline = judged.readings[0]
+    settled = not stopped and not math.isnan(statistics.settle_time_s)
+    return Trial(
+        run_id=task.run_id, word=task.word, passed=judged.satisfied, exact=task.exact,
+        rho_lower=headline.lower, rho_upper=headline.upper,
+        max_cross_track_m=statistics.max_cross_track_m,
+        settle_time_s=statistics.settle_time_s if settled else None,
+        # Nobody knows whether a run that was stopped would have left the runway later.
+        left_runway=statistics.left_runway or (None if stopped else False),
+    )
+
+
+def _unjudged(task: Task, detail: str) -> Trial:
+    return Trial(
+        run_id=task.run_id, word=task.word, passed=None, detail=detail, exact=task.exact
+    )
+
+
+TRIALS_NAME = 'trials.jsonl'
+DEFAULT_WORDS = (TRUTH, TRUTH_HEADING, TRUTH_CTE)
+MOST_WORKERS = 64
+Trials = Mapping[tuple[str, str], Trial]
+"""Trials by run and by word of the substitution."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalizeOptions:
+    """What is to be found out.
+
+    Attributes:
+        failed: the campaign's failed runs.
+        rows: those of them to look into.
+        words: of the substitutions, the control first.
+        perception: word or file of the network.
+        controller: word of what steers.
+        workers: processes.
+        out: folder.
+    """
+
+    failed: FailedRuns
+    rows: tuple[RunRow, ...]
+    words: tuple[str, ...]
+    perception: str
+    controller: str
+    workers: int
+    out: Path
+
+    @property
+    def wanted(self) -> int:
+        """Number of trials in all."""
+        return len(self.rows) * len(self.words)
+
+
+def make_localize_options(
+    campaign: Path, *, runs: int | None, words: Iterable[str], workers: int, out: Path | None,
+    perception: str | None,
+) -> LocalizeOptions:
+    """Check what a person typed.
+
+    Args:
+        campaign: the campaign's folder.
+        runs: most failed runs to look into, spread over all; None for all.
+        words: of substitutions; :data:`DEFAULT_WORDS` where empty.
+        workers: processes.
+        out: folder; where None, one below ``bags/`` named after the campaign.
+        perception: the network's file where it is elsewhere now; None for the campaign's.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    if not 1 <= workers <= MOST_WORKERS:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{MOST_WORKERS}')
+    if runs is not None and runs < 1:
+        raise UsageError(f'--runs {runs}: needs to be 1 or more')
+    chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
+    failed = failed_runs(campaign)
+    if is_free(failed.timing):
+        raise UsageError(
+            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
+            'failure is; localize a campaign with --latency'
+        )
+    if not failed.specs:
+        raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
+    return LocalizeOptions(
+        failed=failed, rows=spread_evenly(failed.rows, runs),
+        words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
+        perception=_network(failed, perception), controller=_controller(failed), workers=workers,
+        out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
+    )
+
+
+def localize(
+    options: LocalizeOptions, on_trial: Callable[[int], None], interrupted: Callable[[], bool],
+) -> dict[tuple[str, str], Trial]:
+    """Make the trials that are not made yet.
+
+    Args:
+        options: what is to be found out.
+        on_trial: called with the number of trials that are done, first with those of before.
+        interrupted: whether to begin no more.
+
+    Returns:
+        The trials that were asked for, as far as they are done.
+
+    Raises:
+        UsageError: the folder cannot be used, or holds trials of another campaign.
+        InfraError: a worker process died.
+    """
+    journal = _open(options)
+    try:
+        done = _earlier(options, journal)
+        wanted = {(row.run_id, word) for row in options.rows for word in options.words}
+        kept = {key: trial for key, trial in done.items() if key in wanted}
+        on_trial(len(kept))
+        tasks = _tasks(options, kept, interrupted)
+        facts = options.failed.facts
+        bench = TrialSetup(
+            perception=options.perception, specs=options.failed.specs,
+            gains=dict(options.failed.gains), controller=options.controller,
+            stop_on=options.failed.stop_on,
+            bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
+            timing=options.failed.timing,
+        )
+        for trial in run_trials(tasks, bench, options.workers):
+            _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
+            kept[trial.run_id, trial.word] = trial
+            on_trial(len(kept))
+        return kept
+    finally:
+        journal.close()
+
+
+def _tasks(
+    options: LocalizeOptions, done: Trials, interrupted: Callable[[], bool]
+) -> Iterator[Task]:
+    for row in options.rows:
+        missing = [word for word in options.words if (row.run_id, word) not in done]
+        if not missing:
+            continue
+        scenario, exact = scenario_of_row(row, options.failed.folder, options.failed.facts)
+        for word in missing:
+            if interrupted():
+                return
+            yield Task(
+                run_id=row.run_id, scenario=scenario, word=word, seed=(row.seed, row.index),
+                exact=exact,
+            )
+
+
+def _network(failed: FailedRuns, given: str | None) -> str:
+    """The network that the campaign was run with.
+
+    Raises:
+        UsageError: it cannot be found, or is another one now.
+    """
+    recorded = failed.rows[0].perception_fingerprint
+    asked = str(failed.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
+    mend = f'name the file that {failed.folder} was run with: --perception FILE'
+    try:
+        found = check_perception(word)
+    except UsageError as error:
+        raise UsageError(f'{error}; {mend}') from error
+    if found != recorded:
+        what = f'sha256 {found[:12]}…' if found else 'the truth'
+        before = f'sha256 {recorded[:12]}…' if recorded else 'the truth'
+        raise UsageError(f'perception {word} is {what}, the runs had {before}; {mend}')
+    return str(word)
+
+
+def _controller(failed: FailedRuns) -> str:
+    """What steered in the campaign.
+
+    Raises:
+        UsageError: it cannot be called here, or is another one now.
+    """
+    word = str(failed.facts.get('controller', STEERING))
+    found = check_controller(word, failed.gains)
+    if found != (before := failed.facts.get('controller_sha256', '')):
+        raise UsageError(
+            f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
+            'back as it was'
+        )
+    return word
+
+
+def _facts(options: LocalizeOptions) -> dict[str, Any]:
+    """What trials depend on besides run and substitution."""
+    failed = options.failed
+    names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
+    facts = {
+        **{name: failed.facts.get(name) for name in names},
+        **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
+        'stop_on': failed.stop_on.value,
+        **({'timing': failed.timing} if failed.timing else {}),
+        **({} if options.controller == STEERING else {
+            'controller_sha256': failed.facts.get('controller_sha256')
+        }),
+        'perception_sha256': failed.rows[0].perception_fingerprint,
+    }
+    return dict(json.loads(json.dumps(facts)))
+
+
+def _open(options: LocalizeOptions) -> Journal:
+    path = options.out / TRIALS_NAME
+    try:
+        if options.out.is_dir() and not path.exists() and any(options.out.iterdir()):
+            raise UsageError(f'--out {options.out}: holds something else; name another folder')
+        options.out.mkdir(parents=True, exist_ok=True)
+        journal = Journal(path)
+        sync_folder(options.out)
+    except BlockingIOError as error:
+        raise UsageError(f'{path}: another taxinet localize is at work on it') from error
+    except OSError as error:
+        raise UsageError(f'--out {options.out}: cannot be used: {error.strerror}') from error
+    return journal
+
+
+def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str], Trial]:
+    """The trials of before; a new journal is begun with what it is about."""
+    path, facts = options.out / TRIALS_NAME, _facts(options)
+    if not journal.events:
+        _begin_sitting(options, journal, facts)
+        return {}
+    before: Provenance = {}
+    trials: dict[tuple[str, str], Trial] = {}
+    for number, event in enumerate(journal.events, start=1):
+        try:
+            if event['event'] == 'trial':
+                trial = Trial.from_json(event['trial'])
+                if trial.passed is not None:  # what could not be judged is tried again
+                    trials[trial.run_id, trial.word] = trial
+            elif event['facts'] != facts:
+                raise UsageError(
+                    f'--out {options.out}: holds trials of another campaign or network; '
+                    'name another folder'
+                )
+            else:
+                before = known(event.get('provenance'))
+        except (ValueError, KeyError, TypeError) as error:
+            raise damaged_line(path, number, str(error)) from error
+    if before != provenance():
+        _begin_sitting(options, journal, facts)
+    return trials
+
+
+def _begin_sitting(
+    options: LocalizeOptions, journal: Journal, facts: Mapping[str, Any]
+) -> None:
+    """Put down what the trials from here on are about, and what they are made on."""
+    made_on = dict(provenance())
+    _append(options, journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
+
+
+def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:
+    try:
+        journal.append(event)
+        journal.sync()
+    except OSError as error:
+        raise disk_error(options.out / TRIALS_NAME, error) from error

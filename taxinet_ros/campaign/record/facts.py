@@ -1,0 +1,136 @@
+"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger.
+
+When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then vouches for the
+tables, and says where the ledger ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros import __version__
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.scenes.programs import program_digest, program_text
+from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.provenance import differences, known, provenance, stack_id
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import disk_error, write_atomically
+from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
+
+FACTS_NAME = 'campaign.json'
+LEDGER_NAME = 'ledger.jsonl'
+
+ARMS = 'experiment_arms'
+"""The fact that names the folders of all arms of an experiment, of which the campaign is one."""
+
+STACKS = 'stacks'
+"""The fact that names every machine, with its libraries and code, on which runs were made."""
+
+
+def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
+    """All that a campaign's runs depend on, in plain values.
+
+    Args:
+        options: what was asked for.
+        program: the Scenic program's file.
+    """
+    specs = [parse_spec(text) for text in options.specs]
+    return {
+        'taxinet_ros_version': __version__,
+        STACKS: this_stack_record(),
+        'program': program.name,
+        'program_sha256': program_digest(program),
+        'program_text': program_text(program),
+        'runs': options.runs,
+        'seed': options.seed,
+        'perception': options.perception,
+        'controller': options.controller,
+        'controller_sha256': check_controller(options.controller, options.gains, graph=True),
+        'overrides': dict(options.overrides),
+        'laid_over': dict(options.laid_over),
+        'gains': dict(options.gains),
+        'specs': {spec.name: str(spec.formula) for spec in specs},
+        'stop_on': options.stop_on,
+        'bounds': list(options.bounds),
+        'rates': list(options.rates),
+        'timing': options.timing.words,
+        'processes': options.processes,
+        'images': options.images,
+        **({ARMS: list(options.arms)} if options.arms else {}),
+    }
+
+
+def this_stack() -> str:
+    """Which of a campaign's stacks this process is."""
+    return stack_id(provenance())
+
+
+def this_stack_record() -> dict[str, dict[str, str]]:
+    """The record of this process under its name, to be added to those of earlier sittings."""
+    return {this_stack(): dict(provenance())}
+
+
+def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """All records in a campaign's facts, by name, the oldest first; empty of older versions."""
+    told = facts.get(STACKS)
+    return {str(name): known(one) for name, one in told.items()} if isinstance(told, dict) else {}
+
+
+def stack_difference(facts: Mapping[str, Any], what: str) -> str:
+    """One line where what is there was made on another machine or version than this; else ''.
+
+    Args:
+        facts: of the campaign as it is there.
+        what: names what is there, at the line's beginning.
+    """
+    before = recorded_stacks(facts)
+    if not before:
+        return f'{what}: nothing tells on which machine and versions the runs so far were made'
+    found = differences(*before.values(), provenance())
+    return f'{what}: begun on another machine or version: {found}; see docs/determinism.md' if (
+        found) else ''
+
+
+def read_facts(folder: Path) -> SealedJson | None:
+    """What ``campaign.json`` in a folder says; None where there is none.
+
+    Raises:
+        UsageError: it is damaged, or cannot be read.
+    """
+    path = folder / FACTS_NAME
+    if (path.is_symlink() or path.exists()) and not path.is_file():
+        raise UsageError(f'{path}: is no regular file')
+    try:
+        return read_sealed(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def write_facts(out: Path, facts: Mapping[str, Any]) -> None:
+    """Write ``campaign.json`` into the folder ``out``; it goes on to vouch for the tables.
+
+    Raises:
+        OSError: it cannot be written.
+        UsageError: what is there is damaged.
+    """
+    before = read_facts(out)
+    files, journals = (before.files, before.journals) if before else ({}, {})
+    write_atomically(out / FACTS_NAME, sealed_text(facts, files, journals))
+
+
+def seal_facts(folder: Path, facts: SealedJson, tables: Iterable[Path]) -> None:
+    """Have ``campaign.json`` vouch for the tables and for the ledger, as both are now.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path, ledger = folder / FACTS_NAME, folder / LEDGER_NAME
+    try:
+        write_sealed(path, facts.values, tables, [ledger] if ledger.exists() else [])
+    except OSError as error:
+        raise disk_error(path, error) from error

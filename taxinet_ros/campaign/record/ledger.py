@@ -1,0 +1,306 @@
+"""The record of a campaign that survives a power cut: JSON lines, only ever appended.
+
+Before a run its intent is written, after it its result, each flushed to the disk. So a run is on
+record as finished, as begun, or not at all, and a campaign resumes by doing what has no result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.errors import UsageError, warn_once
+from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
+from taxinet_ros.files.plain_values import check_kind
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LedgerContent:
+    """What a ledger says.
+
+    Attributes:
+        campaign: what :meth:`Ledger.campaign` wrote; empty if nothing yet.
+        rows: the newest result of each index, by index.
+        unfinished: indices of runs that were begun and have no result, ascending.
+        attempts: how often each run was begun, by index.
+        added: formulas that were put to the runs afterwards, by name; the rows have their values.
+        unasked: indices of rows of runs that were never begun, ascending; those that were rejected
+            are none.
+        finished: whether the campaign has ended in good order since its last line.
+        lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
+        incomplete: those of them after which something is missing to this day.
+    """
+
+    campaign: Mapping[str, Any]
+    rows: tuple[RunRow, ...]
+    unfinished: tuple[int, ...]
+    attempts: Mapping[int, int]
+    added: Mapping[str, str]
+    unasked: tuple[int, ...] = ()
+    finished: bool = False
+    lost: tuple[str, ...] = ()
+    incomplete: tuple[str, ...] = ()
+
+
+_IDENTITY = (
+    'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
+    'controller_sha256', 'specs',
+)
+"""Facts that no sitting of a campaign changes."""
+
+_DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, UsageError)
+
+
+class Ledger(JournalOwner):
+    """An open ledger: one writer at a time; a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` to append, making it if need be; a torn last line is cut off.
+
+        Raises:
+            UsageError: the file cannot be opened, or another campaign is writing to it.
+        """
+        self._path = path
+        try:
+            self._journal = Journal(path)
+        except BlockingIOError as error:
+            raise UsageError(f'ledger {path}: another campaign is writing to it') from error
+        except OSError as error:
+            raise UsageError(f'ledger {path}: {error.strerror}') from error
+        self._journal.sync()
+        sync_folder(path.parent)
+
+    def campaign(self, values: Mapping[str, Any]) -> None:
+        """Record what the campaign is: program, digest, seed, overrides, perception."""
+        self._append({'event': 'campaign', 'campaign': dict(values)})
+
+    def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
+        """Record that run ``index`` is about to begin."""
+        event = {'event': 'intent', 'index': index, 'run_id': run_id}
+        self._append(event | ({'scenario_sha256': scenario_sha256} if scenario_sha256 else {}))
+
+    def result(self, row: RunRow) -> None:
+        """Record how a run ended.
+
+        Raises:
+            ValueError: it cannot have ended like that.
+        """
+        row.check()
+        self._append({'event': 'result', 'row': row.to_json()})
+
+    def requirement(
+        self, name: str, formula: str, intervals: Mapping[int, tuple[float, float]]
+    ) -> None:
+        """Record a formula that was put to the runs afterwards.
+
+        Args:
+            name: of the formula.
+            formula: fully parenthesised.
+            intervals: least and greatest robustness by the run's index, equal where it is known.
+        """
+        self._append({
+            'event': 'requirement', 'name': name, 'formula': formula,
+            'intervals': {str(index): ends for index, ends in intervals.items()},
+        })
+
+    def _append(self, event: Mapping[str, Any]) -> None:
+        try:
+            self._journal.append(event)
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+
+
+def read_ledger(path: Path) -> LedgerContent:
+    """Read a ledger, also while it is being written; a torn last line counts as not there.
+
+    Where ``campaign.json`` lies beside it, the two have to say the same.
+
+    Raises:
+        UsageError: ``path:line: message`` if the file cannot be read, a line is damaged, missing or
+            says what cannot be, or ``campaign.json`` is damaged or another campaign's.
+    """
+    facts = read_facts(path.parent)  # before the ledger, which may grow meanwhile
+    ended = facts.journals.get(path.name) if facts else None
+    try:
+        events = read_journal(path, ended)
+    except OSError as error:
+        raise UsageError(f'ledger {path}: {error.strerror}') from error
+    content = ledger_content(path, events, finished=ended is not None and len(events) == ended[0])
+    if facts is None and events:
+        warn_once(
+            f'{path}: unverified, for no {FACTS_NAME} beside it says how many lines it has to have'
+        )
+    elif facts is not None and facts.sealed and content.campaign:
+        _check_same(path, facts.values, events)
+    return content
+
+
+def ledger_content(
+    path: Path, events: Iterable[Mapping[str, Any]], *, finished: bool = False
+) -> LedgerContent:
+    """What the lines of a ledger come to.
+
+    Args:
+        path: of the ledger, for messages.
+        events: what its lines say, in order.
+        finished: whether nothing was written since the campaign ended.
+
+    Raises:
+        UsageError: ``path:line: message`` if a line says what cannot be.
+    """
+    found = _Events()
+    for number, event in enumerate(events, start=1):
+        try:
+            found.take(event)
+        except _DAMAGED as error:
+            raise damaged_line(path, number, str(error)) from error
+    rows, begun = found.rows, found.begun
+    return LedgerContent(
+        campaign=found.campaign,
+        rows=tuple(rows[index] for index in sorted(rows)),
+        unfinished=tuple(sorted(set(begun) - set(rows))),
+        attempts=begun,
+        added=found.added,
+        unasked=tuple(
+            index for index in sorted(set(rows) - set(begun))
+            if rows[index].outcome is not Outcome.REJECTED
+        ),
+        finished=finished,
+        lost=tuple(what for what, _, _ in found.lost),
+        incomplete=tuple(
+            what for what, incomplete, runs in found.lost
+            if incomplete and not (runs and runs <= set(rows))
+        ),
+    )
+
+
+def possible_events(
+    events: Iterable[Mapping[str, Any]], facts: Mapping[str, Any] | None = None
+) -> list[dict[str, Any]]:
+    """A ledger's events without those that say what cannot be, and without another campaign's.
+
+    Args:
+        events: what its lines say, in order.
+        facts: of the campaign whose ledger it is, where more than its first line tells of that.
+    """
+    found, kept, own = _Events(), [], dict(facts or {})
+    foreign = False
+    for event in events:
+        with contextlib.suppress(*_DAMAGED):
+            if event['event'] == 'campaign':
+                foreign = bool(other_campaign(own, event['campaign']))
+                own = own if foreign else {**own, **event['campaign']}
+            if not foreign and _may_be_of(own, event):
+                found.take(event)
+                kept.append(dict(event))
+    return kept
+
+
+def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
+    """Whether a line can be one of the campaign, as far as a seed tells."""
+    return event['event'] != 'result' or facts.get('seed', event['row']['seed']) == (
+        event['row']['seed']
+    )
+
+
+def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
+    """Name of the first fact by which two are of different campaigns, or ''."""
+    for name in _IDENTITY:
+        one, other = before.get(name), facts.get(name)
+        told = name in before and name in facts and (name != 'perception' or (one and other))
+        if told and one != other:  # a graph's perception is known from its first answer on
+            return name
+    return ''
+
+
+def lost_event(what: str, runs: Iterable[int] = (), *, incomplete: bool = False) -> dict[str, Any]:
+    """An event for a ledger of which damaged lines were left out.
+
+    Args:
+        what: was the matter.
+        runs: those whose results were lost, as far as is known.
+        incomplete: whether something is missing until these runs have results, or for ever where
+            none are known.
+    """
+    told = {'runs': sorted(runs), 'incomplete': True} if incomplete else {}
+    return {'event': 'lost', 'what': what, **told}
+
+
+class _Events:
+    """The lines of a ledger so far."""
+
+    def __init__(self) -> None:
+        self.campaign: dict[str, Any] = {}
+        self.rows: dict[int, RunRow] = {}
+        self.begun: Counter[int] = Counter()
+        self.added: dict[str, str] = {}
+        self.lost: list[tuple[str, bool, set[int]]] = []
+        self._names: dict[str, int] = {}
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """One more line."""
+        match event['event']:
+            case 'campaign':
+                self._campaign(event['campaign'])
+            case 'intent':
+                self._intent(event)
+            case 'result':
+                self._result(RunRow.from_json(event['row']))
+            case 'requirement':
+                self._judge(event)
+            case 'lost':
+                runs = {int(index) for index in event.get('runs', ())}
+                self.lost.append((str(event['what']), bool(event.get('incomplete')), runs))
+            case other:
+                raise ValueError(f'unknown event {other!r:.80}')
+
+    def _campaign(self, facts: Mapping[str, Any]) -> None:
+        if name := other_campaign(self.campaign, facts):
+            raise ValueError(f"another campaign's line: its {name} is another")
+        self.campaign.update(facts)
+
+    def _intent(self, event: Mapping[str, Any]) -> None:
+        index = event['index']
+        check_kind('index', 'int', index)
+        if index < 0 or not is_run_name(event['run_id']):
+            raise ValueError(f'run {event["run_id"]!r:.80} with index {index}')
+        self.begun[index] += 1
+
+    def _result(self, row: RunRow) -> None:
+        before = self.rows.get(row.index)
+        if before is not None and before.outcome.judged:
+            raise ValueError(f'run {row.index} is {before.outcome} already')
+        if self._names.setdefault(row.run_id, row.index) != row.index:
+            raise ValueError(f'run {self._names[row.run_id]} is called {row.run_id} already')
+        self.rows[row.index] = row
+
+    def _judge(self, event: Mapping[str, Any]) -> None:
+        """Give the rows so far what a later requirement says; a run done anew then has none."""
+        self.added[event['name']] = event['formula']
+        for index, (lower, upper) in event['intervals'].items():
+            row = self.rows[int(index)]
+            self.rows[row.index] = row.also_judged(event['name'], float(lower), float(upper))
+
+
+def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:
+    """See that ``campaign.json`` says what the ledger does, or did before it was killed."""
+    told = [event['campaign'] for event in events if event['event'] == 'campaign']
+    if facts in told:
+        return
+    last, none = told[-1], object()
+    name = next(key for key in {**last, **facts} if facts.get(key, none) != last.get(key, none))
+    raise UsageError(
+        f'{path.with_name(FACTS_NAME)}: has another {name} than {path.name} beside it; was it '
+        f'edited, or copied from another campaign? Restore it, or write it anew from the ledger: '
+        f'taxinet doctor --mend {path.parent}'
+    )

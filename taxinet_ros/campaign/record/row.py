@@ -1,0 +1,316 @@
+"""One run as one row: what was asked, how it ended, in the units people read."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import check_kind
+
+SIMPLY_DRAWN = ('', 'random')
+"""Samplers of which every run is an independent draw from the program; '' is none at all."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RunRow:
+    """One run of a campaign. Values that a run does not have are None, or '' for words.
+
+    Attributes:
+        run_id, index: unique name, and number within the campaign from 0.
+        program, seed: what the scenario was drawn from.
+        sampler: word of the sampler that chose the scene, or '' where it was simply drawn.
+        point: the quantile that it chose for each dimension that is not idle there, by name.
+        refused: draws, or points of the sampler, that the program's requirements refused before
+            this scene.
+        weight: density of the program's distribution over that of the sampler's, if known.
+        drawn: whether the scene was drawn from the program itself, whatever the results before it:
+            what rates rest on. None in a row from before that was written down.
+        perception, perception_fingerprint: the swap word, and the hash of the weights.
+        timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
+            where each did at once. A free run need not come out so again.
+        free: of a free run how it went, by name, see
+            :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
+        cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
+            aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
+            percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
+        outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
+        rho: robustness by the formula's name, the headline first; judged runs only. Of a run that
+            was stopped early, those that are known exactly.
+        rho_lower, rho_upper: ends of the interval by the formula's name, likewise; of a run that
+            was stopped early.
+        stopped_early, stopped_s: whether the run ended before its end because its verdict was in,
+            and when [s]; judged runs only. The figures are then those up to there.
+        left_runway, max_cross_track_m, settle_time_s: of the true path, see
+            :class:`~taxinet_ros.core.run_statistics.RunStatistics`; judged runs only. Nobody knows
+            whether a run that was stopped would have left the runway later, nor when it settles.
+        cte_error_mean_m, cte_error_mean_abs_m, cte_error_max_abs_m, he_error_mean_deg,
+            he_error_mean_abs_deg, he_error_max_abs_deg: estimate minus truth; judged runs only.
+        unusable_estimates: frames without an estimate; judged runs only.
+        steps: control steps that were run.
+        sim_s: simulated time that passed [s].
+        retries: how often the run was begun anew because the bench broke.
+        bag: the run's bag, relative to the campaign's folder, or ''.
+        stack: which record of ``stacks`` in ``campaign.json`` says on what machine, libraries and
+            code it was run, or '' in rows of before there were any.
+        wall_s: wall-clock time that the run took [s].
+    """
+
+    run_id: str
+    index: int
+    program: str
+    seed: int
+    perception: str
+    outcome: Outcome
+    sampler: str = ''
+    point: Mapping[str, float] = field(default_factory=dict)
+    refused: int = 0
+    weight: float | None = None
+    drawn: bool | None = None
+    perception_fingerprint: str = ''
+    timing: str = ''
+    free: Mapping[str, float] = field(default_factory=dict)
+    cross_track: float | None = None
+    distance: float | None = None
+    heading: float | None = None
+    clouds: str = ''
+    rain: float | None = None
+    time_of_day: float | None = None
+    date: str = ''
+    shadows: bool | None = None
+    crossing: bool | None = None
+    aircraft: str = ''
+    duration: float | None = None
+    kind: str = ''
+    who: str = ''
+    detail: str = ''
+    rho: Mapping[str, float] = field(default_factory=dict)
+    rho_lower: Mapping[str, float] = field(default_factory=dict)
+    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    stopped_early: bool | None = None
+    stopped_s: float | None = None
+    left_runway: bool | None = None
+    max_cross_track_m: float | None = None
+    settle_time_s: float | None = None
+    cte_error_mean_m: float | None = None
+    cte_error_mean_abs_m: float | None = None
+    cte_error_max_abs_m: float | None = None
+    he_error_mean_deg: float | None = None
+    he_error_mean_abs_deg: float | None = None
+    he_error_max_abs_deg: float | None = None
+    unusable_estimates: int | None = None
+    steps: int = 0
+    sim_s: float = 0.0
+    retries: int = 0
+    bag: str = ''
+    stack: str = ''
+    wall_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if bool(self.rho or self.rho_upper) != self.outcome.judged:
+            raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
+        if bool(self.rho_upper) != bool(self.stopped_early):
+            raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
+
+    def check(self) -> None:
+        """See that the row can be the result of a run, judged by the formulas that it names.
+
+        Raises:
+            ValueError: its robustness is not that of its outcome, its name could lead out of the
+                campaign's folder, a number is not finite, or a word is none that there is.
+        """
+        if not is_run_name(self.run_id):
+            raise ValueError(f'run_id is {self.run_id!r:.80}, no plain name')
+        if self.index < 0:
+            raise ValueError(f'index is {self.index}')
+        if self.bag and not is_run_name(self.bag):
+            raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
+        for name, value, known in (
+            ('clouds', self.clouds, CLOUDS), ('aircraft', self.aircraft, AIRCRAFT),
+        ):
+            if value and value not in known:
+                raise ValueError(f'{name} is {value!r:.40}, not one of {", ".join(known)}')
+        for column in dataclasses.fields(self):
+            value = getattr(self, column.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f'{column.name} is {value}')
+        try:
+            parse_timing(self.timing)
+        except UsageError as error:
+            raise ValueError(str(error)) from error
+        if not all(map(math.isfinite, self.free.values())):
+            raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
+        self._check_robustness()
+
+    def _check_robustness(self) -> None:
+        """PASS: every formula is above zero. FAIL: one of them is not."""
+        ends = [self.interval(spec) for spec in {**self.rho, **self.rho_lower, **self.rho_upper}]
+        known = [(low, high) for low, high in filter(None, ends) if low <= high]
+        if len(known) < len(ends):
+            raise ValueError(f'run {self.run_id}: a robustness is no number')
+        passed = all(low > 0 for low, _ in known)
+        failed = any(high <= 0 for _, high in known)
+        if (self.outcome is Outcome.PASS and not passed) or (
+            self.outcome is Outcome.FAIL and not failed
+        ):
+            raise ValueError(f'run {self.run_id}: {self.outcome} with robustness {known}')
+
+    @property
+    def unusable_share(self) -> float:
+        """Share of the run's frames without a usable estimate; 0 where there is no count."""
+        return (self.unusable_estimates or 0) / self.steps if self.steps else 0.0
+
+    @property
+    def passed_blind(self) -> bool:
+        """Whether the run passed though more frames than ``usable`` allows had no estimate."""
+        return self.outcome is Outcome.PASS and self.unusable_share > MOST_UNUSABLE_SHARE
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second of wall clock; NaN where none was spent."""
+        return self.sim_s / self.wall_s if self.wall_s > 0 else math.nan
+
+    def interval(self, spec: str) -> tuple[float, float] | None:
+        """Least and greatest robustness of a formula, equal where it is known; None if unjudged."""
+        if spec in self.rho:
+            return self.rho[spec], self.rho[spec]
+        return (self.rho_lower[spec], self.rho_upper[spec]) if spec in self.rho_upper else None
+
+    def also_judged(self, spec: str, lower: float, upper: float) -> Self:
+        """The row with the robustness of one more formula, put to the run after it was over.
+
+        Raises:
+            ValueError: the run was not judged, or was whole and still has an interval only.
+        """
+        rho = {spec: lower} if lower == upper else {}
+        ends = ({spec: lower}, {spec: upper}) if self.stopped_early else ({}, {})
+        if not self.outcome.judged or not (rho or self.stopped_early):
+            raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {lower} to {upper}')
+        return dataclasses.replace(
+            self, rho={**self.rho, **rho}, rho_lower={**self.rho_lower, **ends[0]},
+            rho_upper={**self.rho_upper, **ends[1]},
+        )
+
+    def told(self, spec: str) -> float | None:
+        """What a sampler learns of a formula: its robustness, or None where its sign is not known.
+
+        Of a run that was stopped early it is the end of the interval that is nearer to zero. Its
+        sign is right, which is all that the samplers ask who tell failures from the rest; those who
+        go by its size take the run for less clear than it was.
+        """
+        lower, upper = self.interval(spec) or (math.nan, math.nan)
+        return upper if upper <= 0 else lower if lower > 0 else None
+
+    @property
+    def from_program(self) -> bool:
+        """Whether the program itself drew the scene; where that is not on record, by the sampler.
+
+        What Halton, Sobol and the grid lay out are no independent draws.
+        """
+        return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
+
+    @property
+    def headline(self) -> tuple[float, float] | None:
+        """The interval of the first formula."""
+        return self.interval(next(iter(self.rho_upper or self.rho), ''))
+
+    @classmethod
+    def of_run(
+        cls, request: RunRequest, result: RunResult, *, perception: str, sim_s: float,
+        bag: str = '', stack: str = '',
+    ) -> Self:
+        """The row of a run that had a scenario.
+
+        Args:
+            request: what was asked.
+            result: how it ended.
+            perception: the word that was asked for; the result has none if the bench broke.
+            sim_s: simulated time that passed [s].
+            bag: path of the bag relative to the campaign's folder, or ''.
+            stack: which record says on what it was run, or ''.
+        """
+        return cls(
+            run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
+            perception=perception, perception_fingerprint=result.fingerprint,
+            timing=result.timing, free=dict(result.free),
+            **request.scenario.to_human(),
+            outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
+            rho=dict(result.rho), rho_lower=dict(result.rho_lower),
+            rho_upper=dict(result.rho_upper), **_figures(result, sim_s),
+            steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
+            wall_s=result.wall_s,
+        )
+
+    def chosen(
+        self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
+        refused: int = 0, drawn: bool | None = None,
+    ) -> Self:
+        """The row with how its scene was chosen, and how often it was begun anew."""
+        return dataclasses.replace(
+            self, sampler=sampler, point=point, weight=weight, refused=refused, retries=retries,
+            drawn=drawn,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for one line of the ledger; the inverse of :meth:`from_json`."""
+        return {**dataclasses.asdict(self), 'outcome': self.outcome.value}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Read back what :meth:`to_json` gave.
+
+        Raises:
+            UsageError: a column is missing, unknown or of another kind, the outcome is none of the
+                five, or the row is none that can be (:meth:`check`).
+        """
+        # A row from before the crossing could be taken away has a crossing if it has a scene.
+        drawn = None if values.get('shadows') is None else True
+        try:
+            row = cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
+            for column in dataclasses.fields(cls):
+                check_kind(column.name, str(column.type), getattr(row, column.name))
+            row.check()
+            return row
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise UsageError(f'not a row of this version: {error}') from error
+
+
+def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:
+    """The columns made of a judged run's figures; what it does not have is None, never NaN."""
+    statistics, stopped = result.statistics, result.stopped_early
+    if statistics is None:
+        return {}
+    cte, he = statistics.cte_error, statistics.he_error
+    return {
+        'stopped_early': stopped,
+        'stopped_s': sim_s if stopped else None,
+        'left_runway': statistics.left_runway or (None if stopped else False),
+        'max_cross_track_m': statistics.max_cross_track_m,
+        'settle_time_s': None if stopped else _known(statistics.settle_time_s),
+        'cte_error_mean_m': _known(cte.mean),
+        'cte_error_mean_abs_m': _known(cte.mean_abs),
+        'cte_error_max_abs_m': _known(cte.max_abs),
+        'he_error_mean_deg': _known(_degrees(he.mean)),
+        'he_error_mean_abs_deg': _known(_degrees(he.mean_abs)),
+        'he_error_max_abs_deg': _known(_degrees(he.max_abs)),
+        'unusable_estimates': statistics.unusable_estimates,
+    }
+
+
+def _degrees(angle_rad: float) -> float:
+    """An angle in degrees; an estimate may be so large that these overflow."""
+    most = sys.float_info.max
+    return max(-most, min(math.degrees(angle_rad), most))
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

@@ -1,0 +1,325 @@
+"""The table of a campaign, as CSV for people and as Parquet for programs; made from its rows.
+
+Every column has the same type in every table, even where all its values are missing, so tables of
+several campaigns can be put together.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.campaign.record.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    read_facts,
+    recorded_stacks,
+    seal_facts,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.errors import UsageError, warn_once
+from taxinet_ros.files.atomic import disk_error, sync_folder
+
+if TYPE_CHECKING:  # A run need not wait for it before it begins.
+    import pandas as pd
+
+CSV_NAME = 'runs.csv'
+PARQUET_NAME = 'runs.parquet'
+
+WALL_CLOCK_COLUMNS = ('wall_s', 'real_time_factor')
+"""The last columns: all others are equal if the campaign is run again."""
+
+_FORMULA_STARTS = ('=', '+', '-', '@', '\t', '\r')
+
+_POINT = 'u_'
+_FREE = 'free_'
+_RHO, _LOWER, _UPPER = 'rho_', 'rho_lower.', 'rho_upper.'
+
+_BEFORE_POINT = {
+    'run_id': 'string', 'index': 'int64', 'program': 'string', 'seed': 'int64',
+    'sampler': 'string', 'refused': 'Int64', 'weight': 'float64', 'drawn': 'boolean',
+}
+_BEFORE_RHO = {
+    'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
+    'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
+    'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
+    'shadows': 'boolean', 'crossing': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
+    'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
+}
+_AFTER_RHO = {
+    'stopped_early': 'boolean', 'stopped_s': 'float64',
+    'left_runway': 'boolean', 'max_cross_track_m': 'float64', 'settle_time_s': 'float64',
+    'cte_error_mean_m': 'float64', 'cte_error_mean_abs_m': 'float64',
+    'cte_error_max_abs_m': 'float64', 'he_error_mean_deg': 'float64',
+    'he_error_mean_abs_deg': 'float64', 'he_error_max_abs_deg': 'float64',
+    'unusable_estimates': 'Int64', 'steps': 'int64', 'sim_s': 'float64',
+    'retries': 'int64', 'bag': 'string', 'stack': 'string', 'wall_s': 'float64',
+    'real_time_factor': 'float64',
+}
+
+_ATTRIBUTES = {
+    'cross_track_m': 'cross_track', 'distance_m': 'distance', 'heading_deg': 'heading',
+    'rain_percent': 'rain', 'time_of_day_h': 'time_of_day', 'duration_s': 'duration',
+}
+"""A row names these as people set them, without their units."""
+
+
+def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
+    """One line per run, by index.
+
+    Args:
+        rows: of one campaign.
+        specs: names of its formulas, headline first. Each has a column ``rho_<name>``, empty where
+            a run was stopped before it was known, and ``rho`` repeats the first;
+            ``rho_lower.<name>`` and ``rho_upper.<name>`` are the ends of its interval, equal where
+            it is known. Formulas that only the rows know follow.
+
+    A run's point has one column ``u_<dimension>`` for each dimension that any row has, and so has
+    each figure of free runs, ``free_<name>``.
+    """
+    import pandas as pd
+
+    ordered = sorted(rows, key=lambda row: row.index)
+    judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
+    names = list(dict.fromkeys([*specs, *judged_by]))
+    dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
+    figures = list(dict.fromkeys(name for row in ordered for name in row.free))
+    kinds = _kinds(names, dimensions, figures)
+    lines = [_line(row, names, dimensions, figures) for row in ordered]
+    columns: dict[str, pd.Series[Any]] = {
+        name: pd.Series([line[name] for line in lines], dtype=kind)
+        for name, kind in kinds.items()
+    }
+    return pd.DataFrame(columns)
+
+
+def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()) -> None:
+    """Write ``runs.csv`` and ``runs.parquet``; each is whole at any moment, the old or the new.
+
+    ``campaign.json``, where there is one, vouches for both then.
+
+    The Parquet file has the campaign's records of machine, libraries and code with it, in
+    ``attrs['stacks']``; the column ``stack`` says which of them made a row.
+
+    Args:
+        rows: of one campaign.
+        folder: the campaign's, which exists.
+        specs: names of its formulas, as for :func:`table`.
+    """
+    frame = table(rows, specs)
+    facts = read_facts(folder)
+    frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
+    csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
+    _replace(csv, lambda file: file.write(csv_text(frame).encode()))
+    _replace(parquet, lambda file: frame.to_parquet(file, index=False))
+    if facts is not None:
+        seal_facts(folder, facts, [csv, parquet])
+
+
+def csv_text(frame: pd.DataFrame) -> str:
+    """Text of ``runs.csv`` with a table; no spreadsheet takes a word of it for a formula."""
+    return frame.apply(
+        lambda column: column.map(_spreadsheet_safe) if column.dtype == 'string' else column
+    ).to_csv(index=False)
+
+
+def read_table(folder: Path) -> pd.DataFrame:
+    """The table of the campaign in ``folder``, with the types it was written with.
+
+    Args:
+        folder: the campaign's, or a ``.parquet`` file of such a table.
+
+    Raises:
+        UsageError: there is none, it is damaged or not that of the campaign beside it, or it says
+            what cannot be.
+    """
+    path = folder if folder.suffix == '.parquet' else folder / PARQUET_NAME
+    if not path.is_file():
+        raise UsageError(f'{path}: no such table; is {folder} a campaign?')
+    specs = check_tables(path.parent, path)
+    frame = read_any_table(path)
+    _check_rows(path, frame, specs)
+    return frame
+
+
+def check_tables(folder: Path, wanted: Path | None = None) -> list[str]:
+    """See that a campaign's tables are those that ``campaign.json`` vouches for.
+
+    Args:
+        folder: the campaign's.
+        wanted: the table that is to be read; where nobody vouches for it, that is warned of.
+
+    Returns:
+        Names of the formulas that made the outcomes, as far as is known.
+
+    Raises:
+        UsageError: one is not.
+    """
+    facts = read_facts(folder)
+    mend = f'write the tables anew from the ledger: taxinet doctor --mend {folder}'
+    vouched = False
+    for path in (folder / CSV_NAME, folder / PARQUET_NAME):
+        if facts is not None and path.is_file():
+            vouched |= facts.check_file(path, mend) and path == wanted
+    if wanted is not None and not vouched:
+        where = 'is not there' if facts is None else 'does not vouch for them'
+        warn_once(f'{folder}: its tables are unverified, for {FACTS_NAME} {where}')
+    ledger = folder / LEDGER_NAME
+    ended = facts.journals.get(LEDGER_NAME) if facts else None
+    if vouched and ended and ledger.is_file() and ledger.read_bytes().count(b'\n') > ended.lines:
+        warn_once(
+            f'{folder}: its tables are older than its ledger; is the campaign under way? Else '
+            f'--resume it, or {mend}'
+        )
+    own = facts.values.get('specs') if facts else None
+    return list(own) if isinstance(own, dict) else []
+
+
+def read_any_table(path: Path) -> pd.DataFrame:
+    """A table of runs, whoever vouches for it, with the types of :func:`table`.
+
+    Raises:
+        UsageError: it is damaged.
+    """
+    import pyarrow.parquet
+
+    try:
+        columns = pyarrow.parquet.read_table(path)
+        columns.validate(full=True)  # texts that are none, for one
+        frame = columns.to_pandas()
+    except Exception as error:  # a foreign reader on untrusted bytes: every failure is the file's
+        raise _damaged(path, error) from error
+    names = [str(name) for name in frame.columns]
+    if len(set(names)) < len(names):
+        raise UsageError(f'{path}: damaged (a column is there twice)')
+    dimensions = [name.removeprefix(_POINT) for name in names if name.startswith(_POINT)]
+    figures = [name.removeprefix(_FREE) for name in names if name.startswith(_FREE)]
+    kinds = _kinds(_specs_of(frame), dimensions, figures)
+    # A table from before a column was thought of is still a table.
+    try:
+        return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+    except (ValueError, TypeError, OverflowError) as error:
+        raise _damaged(path, error) from error
+
+
+def _specs_of(frame: pd.DataFrame) -> list[str]:
+    # No formula's name has a dot, so none is mistaken for the end of an interval.
+    return [
+        str(name).removeprefix(_RHO) for name in frame.columns
+        if re.fullmatch(rf'{_RHO}[^.]*', str(name))
+    ]
+
+
+def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
+    """See that every row can be that of a run; as :meth:`.row.RunRow.check`.
+
+    Args:
+        path: of the table, for messages.
+        frame: the table; what it has no columns for is not checked.
+        own: names of the formulas that made the outcomes, where they are known.
+    """
+    if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
+        return
+    known = {'outcome': [*Outcome], 'clouds': ['', *CLOUDS], 'aircraft': ['', *AIRCRAFT]}
+    for name, words in known.items():
+        if name in frame.columns:
+            _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
+    for name in {'run_id', 'bag'} & set(frame.columns):
+        plain = frame[name].fillna('').map(lambda word: not word or is_run_name(str(word)))
+        _refuse(path, ~plain, f'its {name} is no plain name')
+    for name in ('run_id', 'index'):
+        _refuse(path, frame[name].duplicated(), f'its {name} is there twice')
+    _refuse(path, frame['index'] < 0, 'its index is negative')
+    for name in frame.select_dtypes('float64').columns:
+        if not str(name).startswith('rho'):
+            _refuse(path, frame[name].abs() == math.inf, f'{name} is not finite')
+    if specs := _specs_of(frame):
+        _check_robustness(path, frame, [name for name in own if name in specs], specs)
+
+
+def _check_robustness(
+    path: Path, frame: pd.DataFrame, own: Sequence[str], specs: Sequence[str]
+) -> None:
+    """PASS: every formula is above zero. FAIL: one of them is not. Else: there is none.
+
+    Where the formulas that made the outcomes are not known, the first of the table's is one of
+    them; others may have been added when the outcomes stood.
+    """
+    passed, failed = (frame['outcome'] == word for word in (Outcome.PASS, Outcome.FAIL))
+    above, below = passed | True, passed & False
+    for name in specs:
+        exact = frame[f'{_RHO}{name}']
+        lower = frame.get(f'{_LOWER}{name}', exact).fillna(exact)
+        upper = frame.get(f'{_UPPER}{name}', exact).fillna(exact)
+        _refuse(path, ~(passed | failed) & upper.notna(), 'a robustness without a verdict')
+        if name in (own or specs[:1]):
+            above &= lower > 0
+        if name in (own or specs):
+            below |= upper <= 0
+    _refuse(path, passed & ~above, 'PASS, and a robustness that is not above 0')
+    _refuse(path, failed & ~below, 'FAIL, and no robustness of 0 or less')
+
+
+def _refuse(path: Path, wrong: Any, what: str) -> None:
+    """Refuse a table for the first row of which something is true, or not known."""
+    for row in wrong.to_numpy(dtype=bool, na_value=True).nonzero()[0][:1]:
+        raise UsageError(f'{path}: row {row + 1}: {what}; was the table damaged or edited?')
+
+
+def _damaged(path: Path, error: Exception) -> UsageError:
+    return UsageError(f'{path}: damaged ({next(iter(str(error).splitlines()), "")})')
+
+
+def _kinds(
+    specs: Sequence[str], dimensions: Iterable[str], figures: Iterable[str]
+) -> dict[str, str]:
+    return {
+        **_BEFORE_POINT, **{f'{_POINT}{name}': 'float64' for name in dimensions},
+        **_BEFORE_RHO,
+        **{f'{start}{name}': 'float64' for start in (_RHO, _LOWER, _UPPER) for name in specs},
+        **{f'{_FREE}{name}': 'float64' for name in figures}, **_AFTER_RHO,
+    }
+
+
+def _line(
+    row: RunRow, specs: Sequence[str], dimensions: Sequence[str], figures: Sequence[str]
+) -> dict[str, Any]:
+    values = {
+        name: getattr(row, _ATTRIBUTES.get(name, name))
+        for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
+    }
+    values['outcome'] = row.outcome.value
+    point = {f'{_POINT}{name}': row.point.get(name) for name in dimensions}
+    point |= {f'{_FREE}{name}': row.free.get(name) for name in figures}
+    rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
+    for name in specs:
+        low, high = row.interval(name) or (None, None)
+        rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
+    return {**values, **point, **rho}
+
+
+def _spreadsheet_safe(word: Any) -> Any:
+    """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
+    return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word
+
+
+def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
+    temporary = path.with_name(f'{path.name}.tmp')
+    try:
+        with temporary.open('wb') as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise disk_error(path, error) from error

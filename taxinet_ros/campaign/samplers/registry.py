@@ -1,0 +1,230 @@
+"""The table of samplers, and the one function that makes one by its word."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from taxinet_ros.campaign.samplers import space_filling
+from taxinet_ros.campaign.samplers.active_search import ActiveSearch
+from taxinet_ros.campaign.samplers.histogram import Bandit, CrossEntropy, VerifaiRule
+from taxinet_ros.campaign.samplers.optuna_study import Bayes, cmaes, tpe
+from taxinet_ros.campaign.samplers.sampler import (
+    Lagged,
+    Option,
+    Proposer,
+    Sampler,
+    WithDrawn,
+    parse_options,
+)
+from taxinet_ros.campaign.samplers.space import Dimension, Space
+from taxinet_ros.campaign.samplers.space_filling import Grid
+from taxinet_ros.errors import UsageError
+
+Values = Mapping[str, float]
+
+
+def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
+    """The option that a rate rests on."""
+    return {'floor': Option(
+        meaning='share of the runs drawn from the program, on which rates rest',
+        default=default, low=low, high=1.0,
+    )}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SamplerKind:
+    """A sampler of the table that says of each run whether it was drawn from the program itself.
+
+    A rate rests on those runs alone (:mod:`taxinet_ros.campaign.rates`), so it is as valid with a
+    new sampler as with any other, whatever that does with the rest.
+
+    Attributes:
+        meaning: what it does, in a line.
+        make: makes one from space, seed, number of runs and the values of its options.
+        options: by name.
+    """
+
+    meaning: str
+    make: Callable[[Space, int, int, Values], Sampler]
+    options: Mapping[str, Option] = field(default_factory=dict)
+
+
+def proposer_kind(
+    meaning: str, make: Callable[[Space, int, int, Values], Proposer], *, floor: float,
+    options: Mapping[str, Option] | None = None,
+) -> SamplerKind:
+    """The row of a sampler that only proposes: a share of plain draws is mixed in for it.
+
+    Args:
+        meaning: what it does, in a line.
+        make: makes one, as :attr:`Kind.make`. One that has a method ``add`` is told of the draws.
+        floor: share of plain draws where the option ``floor`` is not given. With 0 there are none,
+            so no rate either, and its sequence is undisturbed.
+        options: of its own.
+    """
+    return SamplerKind(
+        meaning=meaning, options={**(options or {}), **_floor_option(floor)},
+        make=lambda space, seed, runs, values: WithDrawn(
+            make(space, seed, runs, values), space, seed, values['floor']
+        ),
+    )
+
+
+_STARTUP = Option(
+    meaning='results before the model is used; plain draws until then',
+    default=10, low=2, high=1e6, whole=True,
+)
+
+SAMPLERS: Mapping[str, SamplerKind] = {
+    'random': SamplerKind(
+        meaning='independent draws from the program',
+        make=lambda space, seed, runs, values: space_filling.Random(space, seed),
+    ),
+    'halton': proposer_kind(
+        'evenly spread points (Halton, scrambled)',
+        lambda space, seed, runs, values: space_filling.halton(space, seed), floor=0.0,
+    ),
+    'sobol': proposer_kind(
+        'evenly spread points (Sobol, scrambled); best with 2^n runs',
+        lambda space, seed, runs, values: space_filling.sobol(space, seed), floor=0.0,
+    ),
+    'grid': proposer_kind(
+        'all combinations of even steps and categories, widely spaced ones first',
+        lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
+        floor=0.0,
+        options={
+            'points': Option(
+                meaning='steps of each continuous dimension; 0: as many as fit into the runs',
+                default=0, low=0, high=1e6, whole=True,
+            ),
+        },
+    ),
+    'active': proposer_kind(
+        'active search: finds rare failures, and all the regions of them',
+        lambda space, seed, runs, values: ActiveSearch(space, seed, radius=values['radius']),
+        floor=0.25,
+        options={
+            'radius': Option(
+                meaning='around a failure, where others are no news [quantiles]',
+                default=0.1, low=0.001, high=1.0,
+            ),
+        },
+    ),
+    'ce': SamplerKind(
+        meaning='cross-entropy with importance weights: learns where failures are',
+        make=lambda space, seed, runs, values: CrossEntropy(
+            space, seed, floor=values['floor'], every=int(values['every'])
+        ),
+        options={
+            **_floor_option(0.3, low=0.01),
+            'every': Option(
+                meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
+            ),
+        },
+    ),
+    'ce-verifai': SamplerKind(
+        meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
+        make=lambda space, seed, runs, values: VerifaiRule(
+            space, seed, alpha=values['alpha'], floor=values['floor']
+        ),
+        options={
+            **_floor_option(0.0),
+            'alpha': Option(
+                meaning='what a failure leaves of the old histograms',
+                default=0.9, low=0.5, high=0.99999,
+            ),
+        },
+    ),
+    'mab': SamplerKind(
+        meaning='multi-armed bandit over buckets (upper confidence bound)',
+        make=lambda space, seed, runs, values: Bandit(
+            space, seed, floor=values['floor'], explore=values['explore']
+        ),
+        options={
+            **_floor_option(0.1, low=0.01),
+            'explore': Option(
+                meaning='how much little-tried buckets are favoured', default=0.3, low=0, high=100,
+            ),
+        },
+    ),
+    'bo': proposer_kind(
+        'Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
+        lambda space, seed, runs, values: Bayes(
+            space, seed, startup=int(values['startup']), window=int(values['window'])
+        ),
+        floor=0.1,
+        options={
+            'startup': _STARTUP,
+            'window': Option(
+                meaning='most results it is fitted to', default=100, low=10, high=1000, whole=True,
+            ),
+        },
+    ),
+    'tpe': proposer_kind(
+        'tree-structured Parzen estimator: towards a minimum, cheaply',
+        lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
+        floor=0.1,
+        options={'startup': _STARTUP},
+    ),
+    'cmaes': proposer_kind(
+        'evolution strategy CMA-ES: into one minimum',
+        lambda space, seed, runs, values: cmaes(
+            space, seed, population=int(values['population'])
+        ),
+        floor=0.1,
+        options={
+            'population': Option(
+                meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
+                default=0, low=0, high=1e5, whole=True,
+            ),
+        },
+    ),
+}
+"""Every sampler by its word."""
+
+
+def make_sampler(
+    name: str, dimensions: Iterable[Dimension], seed: int, runs: int, /, **options: str | float
+) -> Lagged:
+    """The sampler of a campaign.
+
+    Args:
+        name: word of :data:`SAMPLERS`.
+        dimensions: what to search.
+        seed: of the campaign, 0 or more.
+        runs: number of runs planned, which the grid is laid out for; more may be asked for.
+        options: of the sampler, numbers or their text.
+
+    Raises:
+        UsageError: unknown word or option (the known ones are listed), a value that is not allowed,
+            a negative seed, or dimensions that make no space.
+    """
+    values = check_sampler(name, options)
+    if seed < 0:
+        raise UsageError(f'seed is {seed}; it has to be 0 or more')
+    space = Space(dimensions)
+    if not space and name != 'random':
+        raise UsageError(
+            f'--sampler {name}: nothing that the program draws can be searched; --sampler random '
+            'draws as it does'
+        )
+    return Lagged(SAMPLERS[name].make(space, seed, runs, values))
+
+
+def drawn_share(name: str, options: Mapping[str, str | float]) -> float:
+    """Share of a sampler's runs that the program itself draws: those that a rate can rest on."""
+    return check_sampler(name, options).get('floor', 1.0)
+
+
+def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
+    """The value of every option of a sampler, the given ones and the defaults.
+
+    Raises:
+        UsageError: unknown word or option (the known ones are listed), or a value that is not
+            allowed.
+    """
+    kind = SAMPLERS.get(name)
+    if kind is None:
+        raise UsageError(f'sampler {name!r} is unknown; known: {", ".join(SAMPLERS)}')
+    return parse_options(name, kind.options, options)

@@ -1,0 +1,1 @@
+"""Scenes: Scenic programs, what they draw, and their choices as a search space."""

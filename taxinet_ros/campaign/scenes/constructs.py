@@ -1,0 +1,560 @@
+"""Which of Scenic's constructs have an effect on a run; the others are refused by name and line.
+
+Scenic is made for simulators that execute behaviours, move many objects and watch requirements
+while they do. Here a program says how a run *begins*: where one aircraft stands, in which weather.
+Scenic compiles all the rest as well and drops it in silence, so that is watched for while a program
+is compiled: what runs (``record``, ``terminate when``, …) where it is executed, so that a library
+may hold what the program does not use; what stands in the program itself (``behavior``, …) where it
+is defined; objects and their properties when all are there. docs/scenic.md has the table.
+
+Only the Scenic child may import this module.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import difflib
+import functools
+import importlib
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import scenic
+from scenic.core.distributions import MultiplexerDistribution, Samplable, needsSampling
+from scenic.core.object_types import Object
+from scenic.core.regions import AllRegion
+from scenic.core.vectors import Vector
+from scenic.syntax import ast as syntax
+from scenic.syntax import compiler, translator, veneer
+
+from taxinet_ros.campaign.scenes.chance import check_clocks
+from taxinet_ros.campaign.scenes.overrides import check_value
+from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.campaign.scenes.values import (
+    EGO_VALUES,
+    Place,
+    ProgramError,
+    check_level,
+    plain_value,
+    scenario_parameters,
+)
+from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
+from taxinet_ros.errors import UsageError
+
+_SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
+
+_STATEMENTS = {
+    'record': ('record', 'the bag of a run holds all of it'),
+    'record_initial': ('record initial', 'the bag of a run holds all of it'),
+    'record_final': ('record final', 'the bag of a run holds all of it'),
+    'terminate_when': ('terminate when', 'a run ends after "param duration" or by --stop-on'),
+    'terminate_simulation_when': (
+        'terminate simulation when', 'a run ends after "param duration" or by --stop-on'
+    ),
+    'terminate_after': ('terminate after', 'write "param duration = SECONDS"'),
+    'require_monitor': ('require monitor', 'what a run has to fulfil is a formula of --spec'),
+    'override': ('override', 'nothing changes an aircraft under way but its controller'),
+    'simulator': ('simulator', 'the graph of taxinet_ros runs the scenes'),
+}
+"""Of Scenic's functions: the statement that calls one, and why it has no effect."""
+
+_DEFINITIONS = {
+    syntax.BehaviorDef: ('behavior', 'the controller under test steers the aircraft'),
+    syntax.MonitorDef: ('monitor', 'what a run has to fulfil is a formula of --spec'),
+    syntax.Precondition: ('precondition', 'write "require" for what has to hold at the start'),
+    syntax.Invariant: ('invariant', 'what a run has to fulfil is a formula of --spec'),
+}
+
+_COMPOSE = ('compose', 'each run is one scene')
+
+_MOTION = 'a run begins at the taxiing speed of its aircraft'
+_LOOK = 'the look of the aircraft is the same in all runs'
+_LEVEL = 'the aircraft stands on its wheels'
+_WITHOUT_EFFECT: Mapping[str, tuple[Any, str]] = {
+    'behavior': (None, 'the controller under test steers the aircraft'),
+    'speed': (0, _MOTION),
+    'velocity': (Vector(0, 0, 0), _MOTION),
+    'angularSpeed': (0, _MOTION),
+    'angularVelocity': (Vector(0, 0, 0), _MOTION),
+    'pitch': (0, _LEVEL),
+    'roll': (0, _LEVEL),
+    'color': (None, _LOOK),
+    'render': (True, _LOOK),
+    'showVisibleRegion': (False, 'there is no viewer'),
+    'sensors': ({}, 'the camera of the aircraft is fixed, and bags hold what it saw'),
+    'lastActions': ((), 'the controller under test steers the aircraft'),
+}
+"""Properties of Scenic's own that are read by nothing here: the one value that may be given."""
+
+_SIZE = 'the size of the aircraft matters only where the program asks for it: in a region that ' \
+        'contains it, beside another place, or in a require'
+_VIEW = 'it matters to "visible" and "can see" only; the camera of the aircraft is fixed'
+_NOISE = 'it matters with "mutate ego" only'
+_MATTERS_WITH: Mapping[str, tuple[str, str]] = {
+    **dict.fromkeys(
+        ('width', 'length', 'height', 'shape', 'baseOffset', 'contactTolerance',
+         'sideComponentThresholds', 'onDirection'), ('size', _SIZE),
+    ),
+    **dict.fromkeys(
+        ('visibleDistance', 'viewAngle', 'viewAngles', 'viewRayDensity', 'viewRayCount',
+         'viewRayDistanceScaling', 'cameraOffset', 'visionSensorOffset'), ('view', _VIEW),
+    ),
+    **dict.fromkeys(
+        ('mutator', 'positionStdDev', 'headingStdDev', 'orientationStdDev'), ('mutate', _NOISE),
+    ),
+}
+"""Properties that Scenic reads for some of its constructs only: which, and why."""
+
+_USES: Mapping[str, tuple[type, ...]] = {
+    'size': (
+        syntax.DirectionOfSpecifier, syntax.OnSpecifier, syntax.PositionOfOp, syntax.Require,
+        syntax.ContainedInSpecifier,
+    ),
+    'view': (
+        syntax.VisibleSpecifier, syntax.NotVisibleSpecifier, syntax.VisibleOp, syntax.NotVisibleOp,
+        syntax.VisibleFromOp, syntax.NotVisibleFromOp, syntax.CanSeeOp,
+    ),
+}
+
+_DRAWS = 64
+"""Of a parameter that is looked at; a wet share of 1/3 would be missed by (2/3)**64."""
+
+_KEPT = frozenset({'name', 'allowCollisions', 'requireVisible', 'occluding'})
+"""Properties whose word is kept though nothing changes: a label, and an aircraft that is alone."""
+
+_OF_THE_PAPER = {
+    'zulu_time': 'time_of_day, in hours of local time: (seconds of GMT) / 3600 - 8, such as '
+                 '"param time_of_day = Range(6, 18)"',
+    'cloud_type': 'clouds, a word for each type 0-5: clear, cirrus, scattered, broken, overcast, '
+                  'stratus, such as "param clouds = Uniform(*CLOUDS)"',
+    'rain_percent': 'rain, in percent: 100 * (fraction), such as "param rain = Range(25, 100)"',
+}
+_OF_THE_PAPER['zulu_time_sec'] = _OF_THE_PAPER['zulu_time']
+
+
+@dataclass(kw_only=True, slots=True)
+class _Made:
+    """Where an object was made, where each of its ``with`` was written, and what it then was."""
+
+    thing: Any
+    place: Place
+    given: dict[str, Place]
+    began: dict[str, Any]
+
+
+@dataclass(slots=True)
+class Constructs:
+    """Watches one program after the other while Scenic compiles it.
+
+    Attributes:
+        params: where each global parameter was set last.
+    """
+
+    params: dict[str, Place] = field(default_factory=dict)
+    _program: str = ''
+    _depths: dict[str, int] = field(default_factory=dict)
+    _made: dict[int, _Made] = field(default_factory=dict)
+    _uses: set[str] = field(default_factory=set)
+    _read: set[str] = field(default_factory=set)
+
+    def _install(self) -> None:
+        _keep_lines()
+        translator.compileScenicAST = self._watching_text(translator.compileScenicAST)
+        for name, (statement, why) in _STATEMENTS.items():
+            setattr(veneer, name, functools.partial(_refuse_here, statement, why))
+        translator.constructScenarioFrom = _choosing(translator.constructScenarioFrom)
+        veneer.require = _watching_require(veneer.require)
+        veneer.param = self._watching_param(veneer.param)
+        veneer.mutate = _watching_mutate(veneer.mutate)
+        veneer.With = _watching_with(veneer.With)
+        veneer.new = self._watching_new(veneer.new)
+
+    def begin(self, program: Path) -> None:
+        """Forget the program before, and watch this one."""
+        self._program = str(program.resolve())
+        for memory in (self.params, self._depths, self._made, self._uses, self._read):
+            memory.clear()
+
+    def notes(self, scenario: Any) -> list[list[Any]]:
+        """File, line and text of what a program may mean otherwise than it says."""
+        values = [float(value) for value in _drawn(scenario.params.get('rain', 0))
+                  if isinstance(value, Real)]
+        if not 0 < max(values, default=0) <= 1:
+            return []
+        shown = ' to '.join(dict.fromkeys(f'{end:.2g}' for end in (min(values), max(values))))
+        text = (
+            f'param rain is {shown}, and rain is in percent: less than anybody sees; if fractions '
+            'are meant, write 100 times as much'
+        )
+        return [[*self.params.get('rain', (self._program, 0)), text]]
+
+    def check(self, scenario: Any) -> None:
+        """Refuse what a compiled program says in vain.
+
+        Raises:
+            ProgramError: the first such word, its place, and what to do.
+        """
+        self._check_scenario(scenario.dynamicScenario)
+        params = scenario_parameters(scenario.params)
+        for name in params:
+            self._check_name(name)
+        for name, value in params.items():
+            self._check_value(name, value)
+        for made in self._made.values():
+            _check_kept(made)
+        for thing in scenario.objects:
+            if thing is not scenario.egoObject:
+                self._refuse_object(thing)
+        if scenario.egoObject is not None:
+            self._check_ego(scenario, scenario.egoObject)
+
+    # While it is compiled ----------------------------------------------------------------------
+
+    def _watching_text(self, compile_text: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(compile_text)
+        def watched(tree: Any, filename: str = '<unknown>', **others: Any) -> Any:
+            nodes = sorted(_below(tree), key=_line)
+            for use, kinds in _USES.items():
+                if any(isinstance(node, kinds) for node in nodes):
+                    self._uses.add(use)
+            self._read |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+            if filename == self._program:
+                _check_definitions(nodes, filename)
+            return compile_text(tree, filename=filename, **others)
+
+        return watched
+
+    def _watching_param(self, param: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(param)
+        def watched(params: Mapping[str, Any]) -> Any:
+            place = _place(sys._getframe(1))
+            for name in params:
+                if not (veneer.loadingModel and name in veneer._globalParameters):
+                    self._note_param(name, place)
+            return param(params)
+
+        return watched
+
+    def _note_param(self, name: str, place: Place) -> None:
+        """A program may set anew what it imports; otherwise the first value would be lost."""
+        depth = veneer.activity
+        if depth >= self._depths.get(name, depth + 1):
+            file, line = self.params[name]
+            where = f'line {line}' if file == place[0] else f'{Path(file).name}:{line}'
+            raise ProgramError(
+                f'param {name} is set twice, so {where} has no effect; leave one out', place
+            )
+        self.params[name], self._depths[name] = place, depth
+
+    def _watching_new(self, new: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(new)
+        def watched(kind: Any, specifiers: list[Any]) -> Any:
+            given = {
+                name: specifier._taxinet_place for specifier in specifiers
+                for name in specifier.priorities if hasattr(specifier, '_taxinet_place')
+            }
+            for name in EGO_VALUES.values():
+                if name in given and name in getattr(kind, '_finalProperties', ()):
+                    raise ProgramError(
+                        f'with {name}: it follows from where the aircraft stands; say that with '
+                        '"at", "in", "on" or "facing"', given[name],
+                    )
+            thing = new(kind, specifiers)
+            self._made[id(thing)] = _Made(
+                thing=thing, place=_place(sys._getframe(1)), given=given, began=dict(vars(thing)),
+            )
+            return thing
+
+        return watched
+
+    # When it is compiled -----------------------------------------------------------------------
+
+    def _check_scenario(self, chosen: Any) -> None:
+        """Of a scenario block that a library has; Scenic makes guards a part of ``compose``."""
+        if chosen._compose is not None:
+            code = chosen._compose.__code__
+            raise ProgramError(_sentence(*_COMPOSE), (code.co_filename, code.co_firstlineno))
+
+    def _check_name(self, name: str) -> None:
+        place = self.params.get(name)
+        word = name.rpartition('/')[2].removesuffix('[0]')
+        if name in EGO_VALUES:
+            raise ProgramError(
+                f'parameter {name!r} belongs to the plane: place the ego there', place
+            )
+        if word in _OF_THE_PAPER:
+            raise ProgramError(f'param {name}: here it is {_OF_THE_PAPER[word]}', place)
+        if name not in HUMAN_KEYS:
+            known = [key for key in HUMAN_KEYS if key not in EGO_VALUES]
+            raise ProgramError(
+                f'param {name}: unknown, so it has no effect{_meant(name, known)}; '
+                f'known: {", ".join(known)}', place,
+            )
+
+    def _check_value(self, name: str, value: Any) -> None:
+        place = self.params.get(name)
+        for drawn in _drawn(value):
+            plain = plain_value(name, drawn, place)
+            if name == 'clouds' and not isinstance(plain, str):
+                raise ProgramError(f'clouds is {plain:g}, not one of {", ".join(CLOUDS)}', place)
+            if isinstance(plain, str) and name != 'date':  # a date may be computed, and be none
+                _check_word(name, plain, place)
+        for option in value.options if isinstance(value, MultiplexerDistribution) else ():
+            if isinstance(option, str):
+                _check_word(name, option, place)
+
+    def _refuse_object(self, thing: Any) -> None:
+        made = self._made.get(id(thing))
+        kind = type(thing).__name__
+        raise ProgramError(
+            f'a further {kind}: there is nothing but the ego on the runway, so it has no effect; '
+            'leave it out, or write "new OrientedPoint" for a place to refer to',
+            made.place if made else None,
+        )
+
+    def _check_ego(self, scenario: Any, ego: Any) -> None:
+        made = self._made.get(id(ego))
+        place = made.place if made else None
+        given = {**_of_classes(type(ego)), **(made.given if made else {})}
+        for name, where in given.items():
+            self._check_property(scenario, ego, name, where)
+        if _mutated(ego) and not needsSampling(ego):
+            raise ProgramError(
+                'mutationScale: has no effect here; write "mutate ego by SCALE"',
+                given.get('mutationScale', place),
+            )
+        if type(ego.position) is Vector:
+            if needsSampling(ego.position.z):
+                raise ProgramError(_sentence('a random altitude', _LEVEL), place)
+            for axis, value in zip('xy', ego.position.coordinates, strict=False):
+                for drawn in _drawn(value):
+                    plain_value(axis, drawn, place)
+        if not needsSampling(ego):
+            check_level(ego, place)
+
+    def _check_property(self, scenario: Any, ego: Any, name: str, place: Place) -> None:
+        if name in _WITHOUT_EFFECT:
+            neutral, why = _WITHOUT_EFFECT[name]
+            value = getattr(ego, name)
+            if needsSampling(value) or value != neutral:
+                raise ProgramError(_sentence(name, why), place)
+        elif name in _MATTERS_WITH:
+            use, why = _MATTERS_WITH[name]
+            uses = {*self._uses, *_uses_of(scenario, ego)}
+            if use not in uses:
+                raise ProgramError(f'{name} has no effect here: {why}', place)
+        elif name not in {*type(ego)._defaults, *self._read, *_KEPT}:
+            known = sorted({*Object._defaults, *type(ego)._defaults})
+            raise ProgramError(
+                f'with {name}: no property of {type(ego).__name__}, so it has no effect'
+                f'{_meant(name, known)}', place,
+            )
+
+
+def _check_word(name: str, word: str, place: Place | None) -> None:
+    """Refuse a word that is wrong in every run, by a slip of the pen, and not by chance."""
+    try:
+        check_value(name, word)
+    except UsageError as error:
+        raise ProgramError(f'param {str(error).removeprefix("scenario: ")}', place) from error
+
+
+def _drawn(value: Any) -> list[Any]:
+    """What a parameter is in some draws, or for ever."""
+    if not needsSampling(value):
+        return [value]
+    values: list[Any] = []
+    with contextlib.suppress(Exception):  # of the program: it is told when a scene is drawn
+        values += (Samplable.sampleAll([value])[value] for _ in range(_DRAWS))
+    return values
+
+
+@functools.cache
+def watch_constructs() -> Constructs:
+    """The watch on Scenic's statements, of which a process has one, as it has one Scenic.
+
+    What Scenic compiles keeps the lines of the program from then on.
+    """
+    constructs = Constructs()
+    constructs._install()
+    return constructs
+
+
+def _sentence(word: str, why: str) -> str:
+    return f'{word} has no effect here: {why}; leave it out'
+
+
+def _meant(name: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(name, known, 1)
+    return f'; did you mean {close[0]}?' if close else ''
+
+
+def _place(frame: FrameType) -> Place:
+    """Where a program's own text stands that is executed here, behind what Scenic brings along."""
+    place, step = (frame.f_code.co_filename, frame.f_lineno), frame
+    while step.f_code.co_filename.startswith((_SCENIC, '<', _IMPORTLIB)):
+        if step.f_back is None:
+            return place
+        step = step.f_back
+    return step.f_code.co_filename, step.f_lineno
+
+
+def _refuse_here(statement: str, why: str, *_: Any, **__: Any) -> None:
+    raise ProgramError(_sentence(statement, why), _place(sys._getframe(1)))
+
+
+def _watching_require(require: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(require)
+    def watched(number: int, condition: Any, *args: Any, **kwargs: Any) -> Any:
+        for part in condition.flatten():
+            if part.is_temporal:
+                word = type(part).__name__.lower()
+                raise ProgramError(
+                    f'require {word} has no effect here: a scene says how a run begins; what a run '
+                    'has to fulfil is a formula of --spec', _place(sys._getframe(1)),
+                )
+        return require(number, condition, *args, **kwargs)
+
+    return watched
+
+
+def _choosing(construct: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(construct)
+    def chosen(namespace: Mapping[str, Any], scenario: str | None = None) -> Any:
+        names = [kind.__name__ for kind in namespace['_scenarios']]
+        if len(names) > 1 and 'Main' not in namespace:
+            raise ProgramError(f'scenario {", ".join(names)}: call the one to be run Main')
+        return construct(namespace, scenario)
+
+    return chosen
+
+
+def _watching_mutate(mutate: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(mutate)
+    def watched(*things: Any, **kwargs: Any) -> Any:
+        if not things and not veneer.currentScenario._objects:
+            raise ProgramError(
+                'mutate has no effect here: there is no object yet; write it below the ego',
+                _place(sys._getframe(1)),
+            )
+        return mutate(*things, **kwargs)
+
+    return watched
+
+
+def _watching_with(make: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(make)
+    def watched(name: str, value: Any) -> Any:
+        specifier = make(name, value)
+        specifier._taxinet_place = _place(sys._getframe(1))
+        return specifier
+
+    return watched
+
+
+def _keep_lines() -> None:
+    """Have the Python that Scenic writes for its own syntax keep the lines of the program."""
+    kind = compiler.ScenicToPythonTransformer
+    for name in ('visit', 'transformPropertyDef'):
+        setattr(kind, name, _with_line(getattr(kind, name)))
+
+
+def _with_line(translate: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(translate)
+    def translated(self: Any, node: Any) -> Any:
+        placed = None
+        if isinstance(node, syntax.AST):  # some have no line of their own, but parts that have
+            placed = next((part for part in _below(node) if _line(part)), None)
+        made = translate(self, node)
+        if placed is not None and isinstance(made, ast.AST) and not _line(made):
+            ast.copy_location(made, placed)
+        return made
+
+    return translated
+
+
+def _below(tree: ast.AST) -> Iterator[ast.AST]:
+    """Every node of a text as Scenic parsed it."""
+    yield tree
+    for _, value in ast.iter_fields(tree):
+        for node in value if isinstance(value, (list, tuple)) else [value]:
+            if isinstance(node, ast.AST):
+                yield from _below(node)
+
+
+def _line(node: ast.AST) -> int:
+    return int(getattr(node, 'lineno', 0))
+
+
+def _check_definitions(nodes: list[ast.AST], filename: str) -> None:
+    for node in nodes:
+        word, why = _DEFINITIONS.get(type(node), ('', ''))
+        if isinstance(node, syntax.ScenarioDef) and node.compose:
+            node, (word, why) = node.compose[0], _COMPOSE
+        if word:
+            raise ProgramError(_sentence(word, why), (filename, _line(node)))
+    check_clocks(nodes, filename)
+    _check_assignments(nodes, filename)
+
+
+def _check_assignments(nodes: list[ast.AST], filename: str) -> None:
+    """Refuse what is said of an object when it is made already, by the name that holds it."""
+    holding = {'ego'}
+    for node in nodes:
+        if isinstance(node, ast.Assign) and _is_object(node.value, holding):
+            holding |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and not isinstance(node.ctx, ast.Load):
+            root: ast.AST = node
+            while isinstance(root, ast.Attribute):
+                root = root.value
+            if isinstance(root, ast.Name) and root.id in holding:
+                raise ProgramError(_late(ast.unparse(node)), (filename, node.lineno))
+
+
+def _is_object(value: ast.AST, holding: Collection[str]) -> bool:
+    return isinstance(value, syntax.New) or (isinstance(value, ast.Name) and value.id in holding)
+
+
+def _check_kept(made: _Made) -> None:
+    """Likewise by other ways, such as in a function; there the line is not known."""
+    for name, value in vars(made.thing).items():
+        if name.startswith('_') or name == 'mutationScale':  # which the statement mutate sets
+            continue
+        if name not in made.began or made.began[name] is not value:
+            raise ProgramError(_late(f'{name} of the {type(made.thing).__name__}'), made.place)
+
+
+def _late(what: str) -> str:
+    return (f'{what} is set when the object is made already, so it has no effect; say it where '
+            'the object is made: new Plane at (x, y), facing ANGLE')
+
+
+def _of_classes(kind: type) -> dict[str, Place]:
+    """Where the classes of a program, not those of the model or of Scenic, set properties."""
+    found: dict[str, Place] = {}
+    for base in reversed(kind.__mro__):
+        for name, default in vars(base).get('_scenic_properties', {}).items():
+            code = getattr(getattr(default, 'value', None), '__code__', None)
+            if code is None or code.co_filename.startswith(_SCENIC):
+                continue
+            if Path(code.co_filename).stem != MODEL:
+                found[name] = code.co_filename, code.co_firstlineno
+    return found
+
+
+def _uses_of(scenario: Any, ego: Any) -> Iterator[str]:
+    if not isinstance(scenario.containerOfObject(ego), AllRegion):
+        yield 'size'
+    if _mutated(ego):
+        yield 'mutate'
+
+
+def _mutated(thing: Any) -> bool:
+    return needsSampling(thing.mutationScale) or thing.mutationScale != 0

@@ -1,0 +1,135 @@
+"""Values that a person fixes on the command line, laid over what a program has drawn.
+
+They are applied after the draw and not handed to Scenic: there, an overridden parameter escapes
+the joint prior and gives rain from a clear sky. Here every scene passes the scenario's own checks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from taxinet_ros.core.scenario import RAIN_CLOUDS, Scenario, scenario_from_human
+from taxinet_ros.core.world import last_step
+from taxinet_ros.errors import UsageError
+
+WEATHER = ('clouds', 'rain')
+"""The two keys that bind each other: rain falls from rain clouds only."""
+
+_DOUBTED = ('rain', 'time_of_day', 'heading')
+_RIGHT_ANGLE_RAD = 1.58
+
+
+class Contradiction(UsageError):  # noqa: N818 (a kind of usage error)
+    """An override contradicts what a program has drawn beside it."""
+
+
+def check_overrides(overrides: Mapping[str, str]) -> None:
+    """See that each override alone is a known key with a possible value.
+
+    Raises:
+        UsageError: unknown key, bad value, or rain and clouds that contradict each other.
+    """
+    for key, value in overrides.items():
+        # Rain is checked under a sky that allows it; the pair follows below.
+        _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
+    if all(key in overrides for key in WEATHER):
+        _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+
+
+def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
+    """Fixed values that are possible, and look as if they were meant in another unit.
+
+    Args:
+        overrides: checked by :func:`check_overrides`.
+
+    Returns:
+        A line for each.
+    """
+    numbers = {key: float(overrides[key]) for key in _DOUBTED if key in overrides}
+    found = []
+    rain, hours, heading = (numbers.get(key, 0.0) for key in _DOUBTED)
+    if 0 < rain < 1:
+        found.append(f'rain={rain:g} is {rain:g} %, too little to see; for half write rain=50')
+    if 0 < hours < 1:
+        found.append(
+            f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
+        )
+    # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
+    if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
+        found.append(
+            f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
+            f'heading={math.degrees(heading):.1f}'
+        )
+    return found
+
+
+def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], where: str) -> Scenario:
+    """The scenario of the ``drawn`` human values with ``overrides`` laid over them.
+
+    Args:
+        drawn: what the program says, in human units.
+        overrides: checked by :func:`check_overrides`.
+        where: program and scene, to head an error.
+
+    Raises:
+        Contradiction: rain from a sky that has none, one of them an override.
+        UsageError: any other impossible scenario, or a duration that is no whole number of steps.
+    """
+    values = {**drawn, **overrides}
+    # With both or neither overridden a contradiction is not between an override and the program.
+    if sum(key in overrides for key in WEATHER) == 1:
+        _check_weather(values, 'rain' in overrides, where)
+    scenario = _build(values, where)
+    try:
+        last_step(scenario)
+    except UsageError as error:
+        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+    return scenario
+
+
+def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> None:
+    clouds = values.get('clouds', Scenario().clouds)
+    try:
+        rain = float(values.get('rain', 0.0))
+    except (TypeError, ValueError):
+        return  # what it is is not known to be rain
+    if clouds in RAIN_CLOUDS or not rain > 0:
+        return
+    if rain_is_set:
+        raise Contradiction(
+            f'override rain={values["rain"]}: {where} has clouds {clouds}, which cannot '
+            f'rain; set clouds={RAIN_CLOUDS[0]} (or {"/".join(RAIN_CLOUDS[1:])}) as well'
+        )
+    raise Contradiction(
+        f'override clouds={clouds}: {where} has {rain:.0f} % rain, '
+        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
+    )
+
+
+def impossible_keys(values: Mapping[str, Any]) -> set[str]:
+    """Keys of values that no scenario could have, whatever the others were."""
+    found = set()
+    for key, value in values.items():
+        try:
+            check_value(key, value)
+        except UsageError:
+            found.add(key)
+    return found
+
+
+def check_value(key: str, value: Any) -> None:
+    """See that a scenario could have this value, whatever the others were.
+
+    Raises:
+        UsageError: none could.
+    """
+    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
+
+
+def _build(values: Mapping[str, Any], where: str) -> Scenario:
+    try:
+        return scenario_from_human(values)
+    except UsageError as error:
+        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error

@@ -1,0 +1,192 @@
+"""Where the Scenic programs are, and the text of one with everything that it imports.
+
+And one scenario written as a program, so that it can be run, looked at and varied like any
+other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import taxinet_ros
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.errors import UsageError
+
+MODEL = 'runway_world'
+"""The world model: imported by the programs, but no program itself."""
+SUFFIX = '.scenic'
+_SHARE = Path('share', 'taxinet_ros', 'scenarios')
+_IMPORT = re.compile(
+    r'^[ \t]*(?:(?:model|from)[ \t]+([\w.]+)|import[ \t]+([\w., \t]+))', re.MULTILINE
+)
+
+
+def shipped_folder() -> Path:
+    """Folder of the shipped programs: the source checkout's, else the installed copy's.
+
+    An installed copy is looked for in ``AMENT_PREFIX_PATH``, then in the prefixes that hold this
+    package, then in the running Python's.
+
+    Raises:
+        UsageError: no folder holds the world model.
+    """
+    for folder in _candidates():
+        if (folder / f'{MODEL}{SUFFIX}').is_file():
+            return folder
+    raise UsageError(
+        f'scenarios: no {_SHARE} with {MODEL}{SUFFIX} found; install the package again, or source '
+        'its workspace so that AMENT_PREFIX_PATH names it'
+    )
+
+
+def _candidates() -> Iterator[Path]:
+    package = Path(taxinet_ros.__file__).resolve().parent
+    yield package.parent / 'scenarios'
+    for prefix in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / _SHARE
+    for parent in package.parents:
+        yield parent / _SHARE
+    yield Path(sys.prefix) / _SHARE
+
+
+def known_programs() -> tuple[str, ...]:
+    """Words of the shipped programs, sorted."""
+    names = (path.stem for path in shipped_folder().glob(f'*{SUFFIX}'))
+    return tuple(sorted(name for name in names if name != MODEL))
+
+
+def find_program(word_or_path: str | Path) -> Path:
+    """The Scenic file meant by a shipped program's word, such as ``s_falsif``, or by a path.
+
+    Raises:
+        UsageError: neither a known word nor a ``.scenic`` file; the known words are listed.
+    """
+    text = str(word_or_path)
+    if text in known_programs():
+        return shipped_folder() / f'{text}{SUFFIX}'
+    path = Path(text)
+    if path.is_file() and path.suffix == SUFFIX:
+        return path
+    if path.is_file():
+        raise UsageError(f'program {text!r}: not a {SUFFIX} file')
+    raise UsageError(
+        f'program {text!r}: no such file, and no shipped program; known: '
+        f'{", ".join(known_programs())}'
+    )
+
+
+def program_text(path: Path) -> str:
+    """Source of a program and of every module it imports from its own or the shipped folder.
+
+    For the record of a campaign. Each file is headed by its name, not its place, so that a checkout
+    and an installed copy give the same text. An import made at run time is not seen.
+
+    Raises:
+        UsageError: a file cannot be read.
+    """
+    sources = _with_imports(path)
+    return ''.join(f'# --- {name} ---\n{text.rstrip()}\n' for name, text in sources.items())
+
+
+def program_digest(path: Path) -> str:
+    """SHA-256 of :func:`program_text`, in hexadecimal: equal digests draw equal scenes."""
+    return hashlib.sha256(program_text(path).encode()).hexdigest()
+
+
+def _with_imports(path: Path) -> dict[str, str]:
+    folders = (path.resolve().parent, shipped_folder())
+    sources: dict[str, str] = {}
+    waiting = [(path.name, path)]
+    while waiting:
+        name, file = waiting.pop(0)
+        if name in sources:
+            continue
+        sources[name] = _read(file)
+        waiting += _imports(sources[name], folders)
+    return sources
+
+
+def _imports(text: str, folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:
+    for match in _IMPORT.finditer(text):
+        names = (match[1] or match[2]).split(',')
+        yield from _modules([name.split()[0] for name in names if name.strip()], folders)
+
+
+def _modules(names: list[str], folders: tuple[Path, ...]) -> Iterator[tuple[str, Path]]:
+    for name in names:
+        stem = name.replace('.', '/')
+        for folder in folders:
+            files = (f'{stem}{SUFFIX}', f'{stem}.py')
+            found = [file for file in files if (folder / file).is_file()]
+            if found:
+                yield found[0], folder / found[0]
+                break
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding='utf-8')
+    except UnicodeDecodeError as error:
+        raise UsageError(f'{path}: not UTF-8 ({error.reason}, byte {error.start})') from error
+    except OSError as error:
+        raise UsageError(f'{path}: {error.strerror}') from error
+
+
+def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str]) -> str:
+    """Text of a program whose every scene is ``scenario``.
+
+    Args:
+        scenario: what to write down; what is read back is equal but for the last bit of an angle.
+        about: heads the text: what it is and where it comes from.
+        remarks: comments by key of the scenario.
+    """
+    values = {**scenario.to_human(), **_exact(scenario)}
+    parameters = (
+        'time_of_day', 'clouds', 'rain', 'date', 'shadows', 'crossing', 'aircraft', 'duration',
+    )
+    lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
+    lines += [
+        f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in parameters
+    ]
+    place = ('cross_track', 'distance', 'heading')
+    lines += ['', *(f'# {key} {remarks[key]}' for key in place if key in remarks)]
+    right, along = _literal(0 - values['cross_track']), _literal(values['distance'])
+    lines.append(
+        f'ego = new Plane at ({right}, {along}), facing {_literal(values["heading"])} deg'
+    )
+    return '\n'.join(lines) + '\n'
+
+
+def _exact(scenario: Scenario) -> dict[str, float]:
+    """Numbers that rounding for people would change."""
+    read = scenario_from_human(scenario.to_human())
+    exact = {
+        'cross_track': (scenario.cross_track_m, read.cross_track_m, 1.0),
+        'distance': (scenario.distance_m, read.distance_m, 1.0),
+        'heading': (scenario.heading_rad, read.heading_rad, math.pi / 180),
+        'rain': (scenario.rain, read.rain, 0.01),
+        'time_of_day': (scenario.time_of_day_s, read.time_of_day_s, 3600.0),
+        'duration': (scenario.duration_s, read.duration_s, 1.0),
+    }
+    return {key: value / unit for key, (value, back, unit) in exact.items() if value != back}
+
+
+def _literal(value: float | str | bool) -> str:
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return repr(value)
+
+
+def _comment(remarks: Mapping[str, str], key: str) -> str:
+    return f'  # {remarks[key]}' if key in remarks else ''
+
+
+def _quotable(text: str) -> str:
+    return text.strip().replace('\\', '\\\\').replace('"""', "'''") + '\n'

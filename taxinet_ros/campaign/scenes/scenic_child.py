@@ -1,0 +1,395 @@
+"""The process in which Scenic compiles and draws.
+
+It is started as ``python -m taxinet_ros.campaign.scenes.scenic_child``. A Scenic program is
+code. It may loop for ever, call exit() or eat the memory, and Scenic keeps global state; so it
+lives in a process of its own, with limits, that the test bench can lose. The limits guard
+against accidents, not against malice.
+
+Requests come in and answers go out as JSON lines over two pipes that are not stdin and stdout,
+so a program may print what it likes (it appears on stderr). The first line out says that Scenic
+is imported. Then each request, which has a ticket, has one answer, with the same ticket:
+
+==========================================  ============================================
+``{"op": "compile", "program": ...}``        ``{}``
+``{"op": "asked"}``                          ``{"sampler": {...}, "notes": [...]}``
+``{"op": "space"}``                          ``{"choices": [...], "unsearched": [...], …}``
+``{"op": "scene", "index": i}``              ``{"values": {...}, "refused": n}``, drawn after
+                                             ``n`` others, or ``{"rejected": n}``
+``{"op": "scene", "index": i, "point": u,    the same with choice k at quantile ``u[k]``, in
+"attempt": a}``                              one try
+==========================================  ============================================
+
+or ``{"error": {"file", "line", "message"}}``. The values are plain numbers, words and switches
+in the units people type.
+
+Programs in Scenic 1 or 2, as the paper has them, are answered with the line of Scenic 3. It
+makes objects with ``new``, draws between two numbers with ``Range``, and its parser says of the
+older words no more than "invalid syntax". The text is not parsed for that, for it cannot be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import queue
+import random
+import re
+import resource
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import numpy as np
+
+from taxinet_ros.campaign.scenes.programs import MODEL
+from taxinet_ros.campaign.scenes.values import ProgramError, scene_values
+from taxinet_ros.processes.child import limit_cpu, limit_memory
+
+_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
+_PAIR = rf'\(\s*({_NUMBER})\s*,\s*({_NUMBER})\s*\)'
+_SPECIFIER = (
+    r'(?:at|in|on|with|facing|offset|beyond|visible|not\s+visible|following|left\s+of|right\s+of|'
+    r'ahead\s+of|behind|apparently|contained\s+in|using)'
+)
+_MADE = re.compile(rf'(^\s*|[=(,]\s*|\breturn\s+)([A-Z]\w*)(?=\s+{_SPECIFIER}\b)')
+_EGO = re.compile(r'^(\s*ego\s*=\s*)([A-Z]\w*)(?=\s*$)')
+_MODEL = re.compile(r'^\s*(?:model|from|import)\s+[\w.]*xplane[\w.]*(?:\s+import\s+.*)?$')
+_SURE = (
+    re.compile(rf'(?<![\w)\]]){_PAIR}(?=\s*(?:deg\b|@))'),
+    re.compile(rf'(?<=@){_PAIR}'),
+    re.compile(rf'(?<=@\s){_PAIR}'),
+    re.compile(rf'(?<=\bfacing\s){_PAIR}'),
+    re.compile(rf'(?<=\bparam\s)(?P<name>[^=]*=\s*){_PAIR}'),
+)
+"""A pair of numbers that can be nothing but an interval of Scenic 1."""
+_LIKELY = (
+    re.compile(rf'(?<=[=*/+-]\s){_PAIR}'),
+    re.compile(rf'(?<![\w)\]]){_PAIR}(?=\s*[*/+:-])'),
+    re.compile(rf'(?<=,\s){_PAIR}(?=\s*\)\s*:)'),
+)
+"""A pair that is an interval where others are; alone it may be a tuple."""
+_PAIRS = re.compile(r'\b(?:tuple|sequence)\b')
+_NAMES = re.compile(r"'(?:Plane|CLOUDS|RAIN_CLOUDS)' is not defined")
+_KNOWS_MODEL = re.compile(rf'^\s*(?:model|from|import)\s+{MODEL}\b', re.MULTILINE)
+_MOST_LINES = 8
+
+
+def scenic3_lines(text: str, *, pairs: bool = False) -> dict[int, str]:
+    """The lines that Scenic 3 writes otherwise, by their number from 1.
+
+    Args:
+        text: of the program.
+        pairs: whether it is known that a pair of numbers stands where a number has to.
+    """
+    lines = [line.partition('#')[0].rstrip() for line in text.splitlines()]
+    changed = {number: _scenic3_line(line) for number, line in enumerate(lines, 1)}
+    if pairs or any(line != lines[number - 1] for number, line in changed.items()):
+        for number, line in changed.items():
+            for pattern in _LIKELY:
+                changed[number] = line = pattern.sub(_scenic3_range, line)
+    return {number: line for number, line in changed.items() if line != lines[number - 1]}
+
+
+def scenic3_hint(text: str, message: str) -> str:
+    """What to add to an error of Scenic; empty where the program has nothing of Scenic 1 or 2.
+
+    Args:
+        text: of the program.
+        message: what Scenic says.
+    """
+    lines = scenic3_lines(text, pairs=bool(_PAIRS.search(message)))
+    known = _KNOWS_MODEL.search(text) or f'model {MODEL}' in lines.values()
+    model = '' if known else f'"model {MODEL}" as first line'
+    if not lines:
+        return f'write {model}' if model and _NAMES.search(message) else ''
+    said = [f'line {number} "{line.strip()}"' for number, line in sorted(lines.items())]
+    more = f' and {len(said) - _MOST_LINES} more' if len(said) > _MOST_LINES else ''
+    words = [model, *said[:_MOST_LINES]] if model else said[:_MOST_LINES]
+    return f'is this Scenic 1 or 2? Scenic 3 has {", ".join(words)}{more}'
+
+
+def _scenic3_line(line: str) -> str:
+    if _MODEL.match(line):
+        return f'model {MODEL}'
+    line = _EGO.sub(r'\1new \2', _MADE.sub(r'\1new \2', line))
+    for pattern in _SURE:
+        line = pattern.sub(_scenic3_range, line)
+    return line
+
+
+def _scenic3_range(found: re.Match[str]) -> str:
+    name = found.groupdict().get('name') or ''
+    low, high = found.groups()[-2:]
+    return f'{name}Range({low}, {high})'
+
+
+MAX_ITERATIONS = 2000
+"""Draws that may break a program's requirements before a scene counts as rejected."""
+
+MAX_CHARACTERS = 1000
+"""Of what an error says; a program may raise one with any text."""
+
+
+class OutOfTime(BaseException):
+    """A request took longer than allowed; no ``except Exception`` of a program may swallow it."""
+
+
+class Programs:
+    """The one compiled program of this process, and how its scenes are drawn."""
+
+    def __init__(self, seed: int, shipped: str) -> None:
+        """``shipped``: the folder where a program that lies elsewhere finds the world model."""
+        import scenic
+
+        from taxinet_ros.campaign.scenes import (
+            chance,
+            choices,
+            constructs,
+            verifai_choices,
+        )
+
+        verifai_choices.install()
+        self._words = verifai_choices
+        self._constructs = constructs.watch_constructs()
+        sys.path.append(shipped)  # behind the program's own folder, which Scenic puts in front
+        self._compile = scenic.scenarioFromFile
+        self._watched = chance.compile_watched
+        self._find_choices = choices.Choices
+        self._seed = seed
+        self._scenario: Any = None
+        self._sampler: dict[str, Any] = {}
+        self._choices: Any = None
+
+    def compile(self, program: str) -> dict[str, Any]:
+        """Compile ``program``, and refuse what it says in vain; no scene is drawn yet."""
+        self._reseed(0)  # a program may draw while it is compiled
+        self._choices = self._scenario = None
+        scenario = self._watched(lambda: self._begin(program))
+        self._sampler = self._words.sampler_request(scenario.params, self._constructs.params)
+        self._constructs.check(scenario)
+        if scenario.externalSampler is not None:
+            raise ProgramError(
+                'external parameters of its own making cannot be searched; mark choices with '
+                'VerifaiRange or VerifaiOptions instead'
+            )
+        self._scenario = scenario
+        return {}
+
+    def _begin(self, program: str) -> Any:
+        self._constructs.begin(Path(program))
+        self._words.begin()
+        return self._compile(program)
+
+    def asked(self) -> dict[str, Any]:
+        """What the program asks of samplers, and what it may mean otherwise than it says."""
+        return {'sampler': self._sampler, 'notes': self._constructs.notes(self._scenario)}
+
+    def space(self) -> dict[str, Any]:
+        """The random choices of the program that can be put at a quantile."""
+        return self._found().describe()
+
+    def scene(
+        self, index: int, point: Sequence[float | None] | None = None, attempt: int = 0
+    ) -> dict[str, Any]:
+        """Draw scene ``index``: a function of the program, the seed and the arguments.
+
+        Without a point it is drawn anew until it meets the requirements. At a point there is one
+        try: another would be a scene that the sampler did not ask for, and accepting every point
+        would change the prior. The sampler may try another point for the same scene, at the next
+        ``attempt``: whatever is not at a quantile is then drawn anew.
+
+        Scenic decides once for each scene which of the soft requirements (``require[p]``) it has to
+        meet, and draws until it meets those. So they are decided by the index here, and are the
+        same in every attempt: decided anew, one that is hard to meet would end up in fewer scenes
+        than it was promised for.
+        """
+        self._reseed(index)
+        if point is None:
+            return self._generate(MAX_ITERATIONS)
+        requirements = self._scenario.userRequirements
+        active = [random.random() <= requirement.prob for requirement in requirements]
+        self._reseed(index, attempt)
+        with self._found().placed(point), _decided(requirements, active):
+            return self._generate(1)
+
+    def _generate(self, iterations: int) -> dict[str, Any]:
+        from scenic.core.distributions import RejectionException
+
+        try:
+            scene, drawn = self._scenario.generate(maxIterations=iterations)
+        except RejectionException:
+            return {'rejected': iterations}
+        return {'values': scene_values(scene), 'refused': drawn - 1}
+
+    def _found(self) -> Any:
+        if self._choices is None:
+            self._choices = self._find_choices(self._scenario)
+        return self._choices
+
+    def _reseed(self, index: int, attempt: int = 0) -> None:
+        # Scenic draws from Python's generator and from NumPy's. Seeding both anew for every scene
+        # makes it independent of the scenes before it, hence of the number of workers.
+        key = [self._seed, index, attempt] if attempt else [self._seed, index]
+        words = np.random.SeedSequence(key).generate_state(8)
+        random.seed(int.from_bytes(words[:4].tobytes(), 'little'))
+        np.random.seed(words[4:])  # noqa: NPY002 (the one Scenic uses)
+
+
+@contextlib.contextmanager
+def _decided(requirements: Sequence[Any], active: Sequence[bool]) -> Iterator[None]:
+    """While this lasts, Scenic's own dice decide as ``active`` which requirements have to hold."""
+    before = [requirement.prob for requirement in requirements]
+    for requirement, wanted in zip(requirements, active, strict=True):
+        requirement.prob = 1.0 if wanted else -1.0
+    try:
+        yield
+    finally:
+        for requirement, probability in zip(requirements, before, strict=True):
+            requirement.prob = probability
+
+
+def describe(error: BaseException, program: str, allowed_s: float) -> dict[str, Any]:
+    """Say in one line what went wrong, and in which line of which file (0 where unknown)."""
+    file, line = _place(error, Path(program))
+    message = _message(error, allowed_s)
+    if isinstance(error, Exception) and (more := _scenic3_hint_for(program, message)):
+        message = f'{message}; {more}'
+    return {'file': file, 'line': line, 'message': message}
+
+
+def _scenic3_hint_for(program: str, message: str) -> str:
+    try:
+        return scenic3_hint(Path(program).read_text(encoding='utf-8'), message)
+    except (OSError, UnicodeDecodeError):
+        return ''  # what is wrong with it has been said
+
+
+def _message(error: BaseException, allowed_s: float) -> str:
+    text = ' '.join(str(error)[:MAX_CHARACTERS].split())
+    if isinstance(error, OutOfTime):
+        return f'still running after {allowed_s:g} s; does a loop never end?'
+    if isinstance(error, SystemExit):
+        return 'the program calls exit(); it has to run to its end'
+    if isinstance(error, MemoryError):
+        return 'the program needs more memory than it may have'
+    if isinstance(error, ProgramError) or type(error).__module__.startswith('scenic.'):
+        return text
+    if isinstance(error, NameError) and error.name == 'DotMap':
+        text += '; a dict does as well: {"alpha": 0.9}'
+    return f'{type(error).__name__}: {text}'
+
+
+def _place(error: BaseException, program: Path) -> tuple[str, int]:
+    location = getattr(error, '_scenic_location', None)
+    if location is not None:
+        return location.filename, location.lineno
+    file, line = getattr(error, 'filename', None), getattr(error, 'lineno', None)
+    if isinstance(line, int):  # of a syntax error
+        return str(file or program), line
+    place = (str(program), 0)
+    step = error.__traceback__
+    while step is not None:
+        name = step.tb_frame.f_code.co_filename
+        if _is_users(Path(name), program):
+            place = (name, step.tb_lineno)
+        step = step.tb_next
+    return place
+
+
+def _is_users(file: Path, program: Path) -> bool:
+    if file.stem == MODEL:  # what is wrong there was put in by a program
+        return False
+    return file.suffix == '.scenic' or file.parent == program.resolve().parent
+
+
+def _alarm(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise OutOfTime
+
+
+def _allow(seconds: float) -> None:
+    """Let the next request take ``seconds``: an alarm that names the line, else a CPU limit."""
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    cpu_s = math.ceil(spent.ru_utime + spent.ru_stime + seconds + 2)
+    limit_cpu(cpu_s)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _follow_parent(request_fd: int, requests: queue.SimpleQueue[bytes]) -> None:
+    """Hand on each request line; end this process with its parent, even amid an endless loop."""
+    parent, rest = os.getppid(), b''
+    while os.getppid() == parent:
+        # The timeout is for a parent whose end of the pipe lives on in a forked sibling.
+        if not select.select([request_fd], [], [], 1.0)[0]:
+            continue
+        part = os.read(request_fd, 65536)
+        if not part:
+            break
+        *lines, rest = (rest + part).split(b'\n')
+        for line in lines:
+            requests.put(line)
+    os._exit(0)
+
+
+def _answer(response_fd: int, answer: Mapping[str, Any]) -> None:
+    data = json.dumps(answer).encode() + b'\n'
+    while data:
+        data = data[os.write(response_fd, data):]
+
+
+def _serve(
+    programs: Programs, requests: queue.SimpleQueue[bytes], args: argparse.Namespace
+) -> None:
+    operations: dict[str, Callable[..., dict[str, Any]]] = {
+        'compile': programs.compile, 'asked': programs.asked, 'space': programs.space,
+        'scene': programs.scene,
+    }
+    program = ''
+    while True:
+        request = json.loads(requests.get())
+        program = request.get('program', program)
+        operation, ticket = operations[request.pop('op')], request.pop('ticket')
+        try:
+            _allow(args.timeout_s)
+            answer = operation(**request)
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        except BaseException as error:  # whatever user code raises, exit() included
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            answer = {'error': describe(error, program, args.timeout_s)}
+        _answer(args.response_fd, {**answer, 'ticket': ticket})
+
+
+def main() -> None:
+    """Serve requests until the parent closes its end or dies."""
+    parser = argparse.ArgumentParser()
+    for name, kind in (('request-fd', int), ('response-fd', int), ('seed', int),
+                       ('memory-bytes', int), ('timeout-s', float), ('shipped', str)):
+        parser.add_argument(f'--{name}', type=kind, required=True)
+    args = parser.parse_args()
+    for fd in (args.request_fd, args.response_fd):
+        os.set_inheritable(fd, False)
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(
+        target=_follow_parent, args=(args.request_fd, requests), daemon=True
+    ).start()
+    signal.signal(signal.SIGALRM, _alarm)
+    limit_memory(args.memory_bytes)
+    try:
+        programs = Programs(args.seed, args.shipped)
+    except ImportError as error:
+        message = f'Scenic cannot be imported ({error}); install scenic==3.1.1'
+        error_at_start = {'file': '', 'line': 0, 'message': message}
+        _answer(args.response_fd, {'error': error_at_start, 'ticket': ''})
+        return
+    _answer(args.response_fd, {'ticket': ''})
+    _serve(programs, requests, args)
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,270 @@
+"""The search space of a program: which of its random choices a sampler may make."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import NormalDist
+from typing import Any, Self
+
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space, make_space
+from taxinet_ros.errors import UsageError
+
+_PLACE = ('file', 'line', 'column', 'end_line', 'end_column')
+_PIECE = ('start', 'end', 'low', 'high')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Place:
+    """The call that makes a choice, in the program's text.
+
+    Attributes:
+        file: path of the text.
+        line, end_line: first and last line, from 1.
+        column, end_column: where in them it starts and ends, in characters from 0.
+    """
+
+    file: str
+    line: int
+    column: int
+    end_line: int
+    end_column: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Piece:
+    """A stretch of quantiles over which a choice's value runs straight.
+
+    Attributes:
+        start, end: the quantiles.
+        low, high: the values there.
+    """
+
+    start: float
+    end: float
+    low: float
+    high: float
+
+    def length_within(self, start: float, end: float, low: float, high: float) -> float:
+        """Length of the quantiles in [start, end] whose value is in [low, high]."""
+        if self.high == self.low:
+            first, last = (self.start, self.end) if low <= self.low <= high else (0.0, 0.0)
+        else:
+            ends = [
+                self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+                for value in (low, high)
+            ]
+            first, last = max(self.start, min(ends)), min(self.end, max(ends))
+        return max(0.0, min(last, end) - max(first, start))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Law:
+    """A distribution whose values do not run straight with the quantile, or not between fixed ends.
+
+    Attributes:
+        kind: Scenic's word: ``Normal``, ``TruncatedNormal``, ``Range`` or ``DiscreteRange``.
+        mean, stddev: of a normal one; None where they are drawn themselves.
+        low, high: its ends; None where they are drawn themselves, or there are none.
+    """
+
+    kind: str
+    mean: float | None = None
+    stddev: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def values(self, quantiles: Sequence[float]) -> list[float] | None:
+        """The values of a normal distribution at quantiles 0 … 1; None where they are not known."""
+        if self.mean is None or self.stddev is None:
+            return None
+        mean, stddev = self.mean, self.stddev
+        low, high = (
+            None if end is None else (end - mean) / stddev for end in (self.low, self.high)
+        )
+        return [mean + stddev * sigmas for sigmas in standard_values(quantiles, low, high)]
+
+
+def standard_values(
+    quantiles: Sequence[float], low: float | None = None, high: float | None = None
+) -> list[float]:
+    """Values of the standard normal distribution between two ends, None for endless."""
+    unit = NormalDist()
+    below, above = 0.0 if low is None else unit.cdf(low), 1.0 if high is None else unit.cdf(high)
+    values = []
+    for quantile in quantiles:
+        share = below + quantile * (above - below)
+        first, last = (-math.inf if low is None else low), (math.inf if high is None else high)
+        inner = unit.inv_cdf(share) if 0 < share < 1 else first if share <= 0 else last
+        values.append(first if quantile <= 0 else last if quantile >= 1 else inner)
+    return values
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Choice:
+    """One random choice of a program.
+
+    Attributes:
+        dimension: the choice as a sampler sees it.
+        feeds: keys of the scenario that depend on it; ``requirements`` among them where a scene's
+            acceptance does.
+        place: where the program makes it; None where that is not known.
+        pieces: its inverse distribution function, if that is made of straight pieces, else empty.
+        law: what it is otherwise, if it is one of Scenic's distributions of numbers.
+        options: what a discrete choice selects among, if those are plain values, else empty.
+    """
+
+    dimension: Dimension
+    feeds: frozenset[str] = frozenset()
+    place: Place | None = None
+    pieces: tuple[Piece, ...] = ()
+    options: tuple[Any, ...] = ()
+    law: Law | None = None
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """A choice as the Scenic child describes it."""
+        place = values['place']
+        dimension = values['dimension']
+        when = (Branch(parent, tuple(categories))
+                for parent, categories in dimension.get('when', ()))
+        return cls(
+            dimension=Dimension(
+                **{**dimension, 'weights': tuple(dimension['weights']), 'when': tuple(when)}
+            ),
+            feeds=frozenset(values['feeds']),
+            place=Place(**dict(zip(_PLACE, place, strict=True))) if place else None,
+            pieces=tuple(
+                Piece(**dict(zip(_PIECE, piece, strict=True))) for piece in values['pieces']
+            ),
+            options=tuple(values['options'] or ()),
+            law=Law(**values['law']) if values.get('law') else None,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :meth:`from_json` where the options are plain."""
+        place = self.place
+        return {
+            'dimension': dataclasses.asdict(self.dimension),
+            'feeds': sorted(self.feeds),
+            'place': [getattr(place, name) for name in _PLACE] if place else None,
+            'pieces': [[getattr(piece, name) for name in _PIECE] for piece in self.pieces],
+            'options': list(self.options),
+            'law': None if self.law is None else dataclasses.asdict(self.law),
+        }
+
+    def value(self, quantile: float) -> float | None:
+        """The value at a quantile; None where values are not known."""
+        for piece in self.pieces:
+            if piece.start <= quantile <= piece.end and piece.end > piece.start:
+                share = (quantile - piece.start) / (piece.end - piece.start)
+                return piece.low + share * (piece.high - piece.low)
+        values = None if self.law is None else self.law.values([quantile])
+        return values[0] if values else None
+
+    def probability_within(
+        self, low: float, high: float, probabilities: Sequence[float] = ()
+    ) -> float:
+        """How probable a value in [low, high] is.
+
+        Args:
+            low: least value, in the program's own units.
+            high: greatest one.
+            probabilities: of its bins; the program's own where empty. Within a bin they are spread
+                as the program spreads them.
+
+        Raises:
+            UsageError: the choice has no values that could be compared.
+        """
+        if not self.pieces:
+            raise UsageError(f'{self.dimension.name}: has no values between which to ask')
+        dimension, total = self.dimension, 0.0
+        bins = zip(probabilities or dimension.prior, pairwise(dimension.edges), strict=True)
+        for probability, (start, end) in bins:
+            within = sum(piece.length_within(start, end, low, high) for piece in self.pieces)
+            total += probability * within / (end - start)
+        return total
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SearchSpace:
+    """The choices of a program that a sampler makes, and those that it does not.
+
+    Attributes:
+        choices: all that have quantiles, in the program's order.
+        fixed: names of those among them that overrides leave without effect.
+        unsearched: what else is drawn at random, as names with a word of why.
+        drawn: keys of the scenario that are not the same in every scene.
+        soft: whether a requirement has to hold in a share of the scenes only.
+    """
+
+    choices: tuple[Choice, ...]
+    fixed: frozenset[str] = frozenset()
+    unsearched: tuple[str, ...] = ()
+    drawn: frozenset[str] = frozenset()
+    soft: bool = False
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any], overridden: Collection[str] = ()) -> Self:
+        """The space that the Scenic child describes, less what ``overridden`` keys make idle."""
+        choices = [Choice.from_json(values) for values in answer['choices']]
+        fixed = frozenset(
+            choice.dimension.name for choice in choices if choice.feeds <= set(overridden)
+        )
+        unsearched = (*answer['unsearched'], *(f'{name} (overridden)' for name in sorted(fixed)))
+        return cls(
+            choices=tuple(_without_branches(choice, fixed) for choice in choices), fixed=fixed,
+            unsearched=unsearched, drawn=frozenset(answer['drawn']) - set(overridden),
+            soft=answer['soft'],
+        )
+
+    @property
+    def searched(self) -> tuple[Choice, ...]:
+        """The choices that a sampler makes, one per coordinate of a point."""
+        return tuple(
+            choice for choice in self.choices if choice.dimension.name not in self.fixed
+        )
+
+    @property
+    def dimensions(self) -> Space:
+        """The space as samplers take it; empty where nothing that is drawn can be searched.
+
+        Raises:
+            UsageError: nothing is drawn at all.
+        """
+        dimensions = [choice.dimension for choice in self.searched]
+        return Space(dimensions) if self.drawn else make_space(dimensions)
+
+    def spread(self, point: Point) -> list[float | None]:
+        """A point with None put in for the choices that are not searched, for the Scenic child.
+
+        Raises:
+            ValueError: not one quantile in [0, 1) per dimension that is not idle there.
+        """
+        self.dimensions.check(point)
+        rest = iter(point)
+        return [
+            None if choice.dimension.name in self.fixed else next(rest)
+            for choice in self.choices
+        ]
+
+    def named(self, point: Point) -> dict[str, float]:
+        """The coordinates of a point by the names of its dimensions, idle ones left out."""
+        return {
+            choice.dimension.name: quantile
+            for choice, quantile in zip(self.searched, point, strict=True) if quantile is not None
+        }
+
+
+def _without_branches(choice: Choice, fixed: Collection[str]) -> Choice:
+    """The choice less the branches of choices that overrides leave without effect.
+
+    What it does by way of such a branch is without effect too, so if there is no other one, it is
+    fixed itself.
+    """
+    dimension = choice.dimension
+    when = tuple(branch for branch in dimension.when if branch.parent not in fixed)
+    return dataclasses.replace(choice, dimension=dataclasses.replace(dimension, when=when))

@@ -1,0 +1,424 @@
+"""Scenes of a Scenic program, drawn in a child process that may hang or die without harm here."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, Self
+
+from taxinet_ros.campaign.samplers.space import Point, Space
+from taxinet_ros.campaign.scenes.overrides import (
+    WEATHER,
+    Contradiction,
+    apply_overrides,
+    check_overrides,
+    impossible_keys,
+)
+from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
+from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
+from taxinet_ros.campaign.scenes.search_space import SearchSpace
+from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
+from taxinet_ros.core.world import last_step
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
+
+MEMORY_BYTES = 4 << 30
+"""Address space that the child may use; Scenic itself takes about a tenth of it."""
+
+START_TIMEOUT_S = 120.0
+"""For importing Scenic: 1.5 s on a quiet machine, many times that on a loaded one."""
+
+MAX_ANSWER_BYTES = 16 << 20
+"""Of one answer; a program's whole space takes some kilobytes."""
+
+GRACE_S = 3.0
+"""How long after its time the child may take to say which line hangs, before it is killed."""
+
+_PROBED_SCENES = 64
+"""Scenes looked at for rain under an overridden sky; S_falsif would hide it with (2/3)**64."""
+
+_FIRST_SCENES = 8
+"""Scenes looked at for how long a run is; each that is rejected may take seconds."""
+
+_FROM_OUTSIDE = (
+    signal.SIGHUP, signal.SIGINT, signal.SIGKILL, signal.SIGQUIT, signal.SIGTERM,
+)
+"""Signals that people, and a system short of memory, send to end a process; no limit of ours does.
+"""
+
+_NO_OVERRIDES: Mapping[str, str] = MappingProxyType({})
+
+
+class Rejected(Exception):  # noqa: N818 (an outcome, not a fault)
+    """There is no such scene to be run; the run's outcome is ``REJECTED``.
+
+    No draw met the program's requirements, or the program has drawn what no scenario can be: a
+    start beside the runway, rain from a clear sky. That is what the program says, so nothing else
+    is drawn in its stead.
+
+    Attributes:
+        refused: draws or points that the requirements refused.
+    """
+
+    def __init__(self, why: str, refused: int = 0) -> None:
+        super().__init__(why)
+        self.refused = refused
+
+
+class Refused(Rejected):
+    """A point does not meet the program's requirements; another may, for the same scene."""
+
+
+class SceneSource:
+    """The scenes of one program and seed; a context manager that owns the child process.
+
+    Scene ``i`` depends on the program's text, the seed, ``i`` and the point, if any, only: any
+    number of workers, in any order, after any interruption, draw the same scenes. Not for use by
+    several threads at once.
+
+    Attributes:
+        refused: draws of the last scene without a point that the requirements refused before it.
+        sampler: what the program asks for by ``verifaiSamplerType``; None where it asks for none.
+        notes: lines on what it may mean otherwise than it says.
+    """
+
+    def __init__(
+        self, program: str | Path, *, seed: int, overrides: Mapping[str, str] = _NO_OVERRIDES,
+        laid_over: Mapping[str, str] = _NO_OVERRIDES, timeout_s: float = 60.0,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Check the arguments; the child starts, and the program is compiled, on ``with``.
+
+        Args:
+            program: word of a shipped program, or path of a ``.scenic`` file.
+            seed: of the campaign, 0..2^63-1.
+            overrides: human keys and values that replace what is drawn; choices that they make
+                idle are no dimensions.
+            laid_over: likewise, but the dimensions are those without them, so a point gives the
+                scene that it gives without them, with these values changed.
+            timeout_s: most wall-clock time for compiling, and for each scene [s].
+            meanwhile: is called while the child imports Scenic, which takes seconds.
+
+        Raises:
+            UsageError: unknown program, bad seed or bad override.
+        """
+        if not 0 <= seed < 1 << 63:
+            raise UsageError(f'seed is {seed}; it has to be within 0..2^63-1')
+        check_overrides({**overrides, **laid_over})
+        self.program = find_program(program)
+        self._seed = seed
+        self._overrides = dict(overrides)
+        self._values = {**overrides, **laid_over}
+        self._timeout_s = timeout_s
+        self._meanwhile = meanwhile
+        self._child: subprocess.Popen[bytes] | None = None
+        self._fds: tuple[int, int] = (-1, -1)
+        self._unread = b''
+        self._space: SearchSpace | None = None
+        self.refused = 0
+        self.sampler: ProgramSampler | None = None
+        self.notes: tuple[str, ...] = ()
+
+    def __enter__(self) -> Self:
+        """Start the child, compile, and look ahead for overrides that contradict the program.
+
+        Raises:
+            UsageError: ``file:line: message`` of what is wrong with the program.
+            InfraError: somebody else has killed the child; any later request may raise it, too.
+        """
+        self._start()
+        try:
+            self._meanwhile()
+            self._receive('', START_TIMEOUT_S)
+            self._ask({'op': 'compile', 'program': str(self.program)})
+            self._read_asked(**self._ask({'op': 'asked'}))
+            self._probe_weather()
+        except BaseException:
+            self._stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the child."""
+        self._stop()
+
+    def _read_asked(self, *, sampler: Mapping[str, Any], notes: Sequence[Sequence[Any]]) -> None:
+        places = {name: _at(*place) for name, place in sampler['places'].items()}
+        self.sampler = program_sampler(sampler['kind'], sampler['params'], places)
+        self.notes = tuple(f'{_at(file, line)}: {text}' for file, line, text in notes)
+
+    @property
+    def fixed_length(self) -> Mapping[str, str]:
+        """The duration among the overrides, if it is there."""
+        return {key: value for key, value in self._values.items() if key == 'duration'}
+
+    @property
+    def drawn_notes(self) -> tuple[str, ...]:
+        """The notes, and that a sampler is not used, where scenes are drawn without one."""
+        if self.sampler is None or self.sampler.word == 'random':
+            return self.notes
+        said, place = self.sampler.said, self.sampler.place
+        return (*self.notes, f'scenes are drawn as the program has them, without a sampler: {said} '
+                             f'of {place} is for taxinet falsify')
+
+    def search_space(self) -> SearchSpace:
+        """The program's random choices, and which of them a point decides.
+
+        Raises:
+            UsageError: the program failed, hung or died.
+        """
+        if self._space is None:
+            self._space = SearchSpace.from_json(self._ask({'op': 'space'}), self._overrides)
+        return self._space
+
+    def space(self) -> Space:
+        """The dimensions of a point.
+
+        Raises:
+            UsageError: as :meth:`search_space`, or there is nothing to search.
+        """
+        return self.search_space().dimensions
+
+    def scene(self, index: int, point: Point | None = None, attempt: int = 0) -> Scenario:
+        """Scene ``index`` (from 0) with the overrides laid over it.
+
+        Args:
+            index: decides, with the seed, all that the point does not.
+            point: a quantile in [0, 1) of its own prior for each dimension of :meth:`space` that
+                is not idle there, None for the others.
+            attempt: points that were refused for this scene before; what the point does not decide
+                is drawn anew for each.
+
+        Raises:
+            Refused: this point does not meet the requirements.
+            Rejected: no draw met them, or what was drawn is no scenario.
+            UsageError: the program failed, hung or died, or says what is no scenario in any scene.
+            ValueError: the point is none of this space.
+        """
+        values = self._drawn(index, point, attempt)
+        where = f'{self.program.name}: scene {index}'
+        try:
+            return apply_overrides(values, self._values, where)
+        except UsageError as error:
+            if self._by_chance({**values, **self._values}):
+                raise Rejected(str(error), self.refused) from error
+            raise
+
+    def _drawn(self, index: int, point: Point | None, attempt: int) -> dict[str, Any]:
+        """Human values of a scene as the program has them."""
+        request: dict[str, Any] = {'op': 'scene', 'index': index}
+        if point is not None:
+            request |= {'point': self.search_space().spread(point), 'attempt': attempt}
+        answer = self._ask(request)
+        where = f'{self.program.name}: scene {index}'
+        if 'values' in answer:
+            self.refused = answer['refused']
+            return dict(answer['values'])
+        if point is not None:
+            raise Refused(f'{where}: the point does not meet the requirements', 1)
+        tries = answer['rejected']
+        raise Rejected(f'{where}: no draw met the requirements in {tries} tries', tries)
+
+    def _by_chance(self, values: Mapping[str, Any]) -> bool:
+        """Whether the program, which says what is no scenario, would not say so in every scene."""
+        drawn = self.search_space().drawn - set(self._values)
+        impossible = impossible_keys(values)
+        if impossible:
+            return impossible <= drawn & set(HUMAN_KEYS)
+        return bool(drawn & set(WEATHER))  # two that contradict each other
+
+    def _probe_weather(self) -> None:
+        # One wet scene in three would else be rejected for an override that a person can mend.
+        if sum(key in self._values for key in WEATHER) != 1:
+            return
+        for index in range(_PROBED_SCENES):
+            try:
+                apply_overrides(
+                    self._drawn(index, None, 0), self._values, f'{self.program.name}: scene {index}'
+                )
+            except Contradiction:
+                raise
+            except (Rejected, UsageError):
+                continue  # another matter
+
+    def _start(self) -> None:
+        fill_standard_descriptors()
+        request_read, request_write = os.pipe()
+        response_read, response_write = os.pipe()
+        arguments = {
+            'request-fd': request_read, 'response-fd': response_write, 'seed': self._seed,
+            'memory-bytes': MEMORY_BYTES, 'timeout-s': self._timeout_s, 'shipped': shipped_folder(),
+        }
+        # -P: a random.py in the user's folder must not become the standard library's.
+        command = [sys.executable, '-P', '-m', 'taxinet_ros.campaign.scenes.scenic_child']
+        command += [f'--{name}={value}' for name, value in arguments.items()]
+        try:
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=2, env=child_environment(),
+                pass_fds=(request_read, response_write), start_new_session=True,
+            )
+        finally:
+            os.close(request_read)
+            os.close(response_write)
+            self._fds = (response_read, request_write)
+
+    def _stop(self) -> None:
+        for fd in self._fds:
+            if fd >= 0:
+                os.close(fd)
+        self._fds = (-1, -1)
+        if self._child is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._child.pid, signal.SIGKILL)  # it is the leader of its own group
+            self._child.wait()
+        self._child = None
+
+    def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        if self._child is None:
+            raise RuntimeError('SceneSource: not running; use it in a with statement')
+        # What a program writes to the pipe itself must not pass for an answer, nor an answer that
+        # comes late for one to the next request.
+        ticket = secrets.token_hex(8)
+        with contextlib.suppress(BrokenPipeError):  # then the answer says how it died
+            os.write(self._fds[1], json.dumps({**request, 'ticket': ticket}).encode() + b'\n')
+        try:
+            return self._receive(ticket, self._timeout_s + GRACE_S)
+        except (UsageError, InfraError):
+            raise
+        except BaseException:
+            self._stop()  # interrupted: its late answer must not pass for the next scene's
+            raise
+
+    def _receive(self, ticket: str, allowed_s: float) -> dict[str, Any]:
+        deadline = time.monotonic() + allowed_s
+        while b'\n' not in self._unread:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0 or not select.select([self._fds[0]], [], [], left_s)[0]:
+                self._stop()
+                raise UsageError(f'{_shown(self.program)}: Scenic hung for {allowed_s:g} s')
+            part = os.read(self._fds[0], 65536)
+            if not part:
+                raise self._lost()
+            self._unread += part
+            if len(self._unread) > MAX_ANSWER_BYTES:
+                self._stop()
+                raise UsageError(f'{_shown(self.program)}: the Scenic process says too much')
+        line, _, self._unread = self._unread.partition(b'\n')
+        try:
+            answer = dict(load_json(line))
+            if answer.pop('ticket') != ticket:
+                raise ValueError('not an answer to this request')
+            if 'error' in answer:
+                raise UsageError(self._error_line(**answer['error']))
+            return answer
+        except (KeyError, ValueError, TypeError):
+            self._stop()
+            text = f'{_shown(self.program)}: the program has meddled with the Scenic process'
+            raise UsageError(text) from None
+
+    def _lost(self) -> UsageError | InfraError:
+        """What to raise about a child that is gone."""
+        assert self._child is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(GRACE_S)  # its pipe closes a moment before it is gone
+        status = self._child.poll() or 0
+        self._stop()
+        program = _shown(self.program)
+        if -status in _FROM_OUTSIDE:
+            how = f'killed by {signal.Signals(-status).name}'
+            return InfraError('died', f'the Scenic process of {program}', -1, how)
+        if status < 0:
+            how = f'was ended by {signal.Signals(-status).name}'
+        else:
+            how = f'ended with status {status}; a program must not end it'
+        return UsageError(f'{program}: the Scenic process {how}')
+
+    def _error_line(self, *, file: str, line: int, message: str) -> str:
+        return f'{_at(file or str(self.program), line)}: {message}'
+
+
+def accepted_scene(
+    source: SceneSource, index: int, point: Point, again: Callable[[], Point]
+) -> tuple[Scenario, int]:
+    """The scene at the first of a sampler's points that meets the program's requirements.
+
+    Args:
+        source: of the scenes.
+        index: of the scene.
+        point: to begin with.
+        again: gives another one for the same scene.
+
+    Returns:
+        The scene, and how many points were refused before it.
+
+    Raises:
+        Rejected: as :meth:`SceneSource.scene`, or too many points were refused.
+        UsageError: as :meth:`SceneSource.scene`.
+    """
+    for attempt in range(MAX_ITERATIONS):
+        try:
+            return source.scene(index, point, attempt), attempt
+        except Refused:
+            point = again()
+        except Rejected as error:
+            raise Rejected(str(error), attempt) from error
+    raise Rejected(
+        f'{source.program.name}: scene {index}: no point met the requirements in '
+        f'{MAX_ITERATIONS} tries', MAX_ITERATIONS,
+    )
+
+
+def first_duration_s(source: SceneSource) -> float:
+    """Length of a program's first scene that is accepted [s], the usual one where none is.
+
+    Raises:
+        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+    """
+    first = apply_overrides({}, source.fixed_length, source.program.name)
+    for index in range(_FIRST_SCENES):
+        with contextlib.suppress(Rejected):
+            first = source.scene(index)
+            break
+        if source.fixed_length:
+            break
+    last_step(first)
+    return first.duration_s
+
+
+def sample_scenarios(
+    program: str | Path, seed: int, n: int, overrides: Mapping[str, str] = _NO_OVERRIDES
+) -> list[Scenario]:
+    """The first ``n`` scenes of a program, to look at before a campaign.
+
+    Raises:
+        Rejected, UsageError: as :meth:`SceneSource.scene`.
+    """
+    with SceneSource(program, seed=seed, overrides=overrides) as source:
+        return [source.scene(index) for index in range(n)]
+
+
+def _at(file: str, line: int) -> str:
+    shown = _shown(Path(file))
+    return f'{shown}:{line}' if line else shown
+
+
+def _shown(path: Path) -> str:
+    """The shortest path that leads there from where the user stands."""
+    with contextlib.suppress(ValueError):
+        return str(path.resolve().relative_to(Path.cwd()))
+    return str(path)

@@ -1,0 +1,247 @@
+"""Scenic's words for choices that an outside sampler searches, without VerifAI.
+
+A program marks them with ``VerifaiRange``, ``VerifaiDiscreteRange``, ``VerifaiOptions`` or
+``VerifaiParameter.withPrior``. Scenic's own classes of these names need the package VerifAI, whose
+last version (2.2.0) wants pandas < 3 and cannot be installed beside this one. So the Scenic child
+puts functions in their place, whether or not VerifAI is there: each makes an ordinary choice with
+the same prior, and marks it. Programs written for VerifAI compile unchanged, keep the weights of
+their options under every sampler, and are searched by the samplers here. What a program asks of
+Scenic's samplers by its global parameters is read by :func:`sampler_request`.
+
+The child also notes where in a program's text each choice is made (:func:`place_of`), for the
+search to write a learned distribution back. Only the Scenic child may import this module.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import scenic
+from scenic.core import distributions, external_params
+from scenic.syntax import veneer
+
+from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.campaign.scenes.program_sampler import BUCKETED, PARAMS, TYPE, VERIFAI_BUCKETS
+from taxinet_ros.campaign.scenes.values import Place, ProgramError
+
+_MARK, _PIECES, _PLACE = '_taxinet_buckets', '_taxinet_pieces', '_taxinet_place'
+_NO_PROGRAMS = (str(Path(scenic.__file__).parent), __file__)
+
+
+class _Buckets:
+    """Into how many parts the program at hand has ranges cut that do not say so themselves."""
+
+    number = Dimension(name='').buckets
+    some_say = False
+
+
+
+def install() -> None:
+    """Put the words in place of Scenic's, and have choices remember where they were made."""
+    words = {
+        'VerifaiRange': verifai_range, 'VerifaiDiscreteRange': verifai_discrete_range,
+        'VerifaiOptions': verifai_options, 'VerifaiParameter': VerifaiParameter,
+    }
+    for module in (veneer, external_params):
+        for name, word in words.items():
+            setattr(module, name, word)
+    for kind in (distributions.Range, distributions.Normal, distributions.DiscreteRange):
+        kind.__init__ = _remembering(kind.__init__)
+
+
+def begin() -> None:
+    """Forget the program before."""
+    _Buckets.number, _Buckets.some_say = Dimension(name='').buckets, False
+
+
+def sampler_request(
+    params: Mapping[str, Any], places: Mapping[str, Place]
+) -> dict[str, Any]:
+    """What a compiled program asks for by its global parameters, in plain values.
+
+    Args:
+        params: the program's global parameters.
+        places: where each of them is set.
+
+    Raises:
+        ProgramError: a sampler of the program's own, or parameters that are no plain values.
+    """
+    own = params.get('externalSampler', external_params.VerifaiSampler)
+    if own is not external_params.VerifaiSampler:
+        raise ProgramError(
+            "externalSampler: a sampler of the program's own cannot be used; name one by "
+            f'"param {TYPE} = …" or by --sampler', places.get('externalSampler'),
+        )
+    if 'externalSamplerRejectionFeedback' in params:
+        raise ProgramError(
+            'externalSamplerRejectionFeedback has no effect here: samplers are never told of '
+            'rejected scenes; leave it out', places.get('externalSamplerRejectionFeedback'),
+        )
+    kind, given = params.get(TYPE), params.get(PARAMS) or {}
+    if not isinstance(kind, (str, type(None))):
+        raise ProgramError(f'{TYPE} is a {type(kind).__name__}; it has to be a word',
+                           places.get(TYPE))
+    if not isinstance(given, Mapping):
+        raise ProgramError(f'{PARAMS} is a {type(given).__name__}; it has to be a DotMap or a dict',
+                           places.get(PARAMS))
+    plain = _plain(given, places.get(PARAMS))
+    if kind in BUCKETED:
+        _cut_ranges(plain, places.get(PARAMS))
+    return {
+        'kind': kind, 'params': plain,
+        'places': {name: places[name] for name in (TYPE, PARAMS) if name in places},
+    }
+
+
+def _plain(values: Mapping[str, Any], place: Place | None) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if name.startswith('_'):
+            continue  # Scenic looks for attributes of its own, and a DotMap makes them
+        if isinstance(value, Mapping):
+            found[name] = _plain(value, place)
+        elif value is None or isinstance(value, (bool, int, float, str)):
+            found[name] = value
+        elif isinstance(value, (list, tuple, np.ndarray)):
+            found[name] = str(value)  # only to be shown: no sampler here takes one
+        else:
+            raise ProgramError(f'{PARAMS}.{name} is a {type(value).__name__}; it has to be a '
+                               'plain number', place)
+    return found
+
+
+def _cut_ranges(params: Mapping[str, Any], place: Place | None) -> None:
+    """Cut ranges that do not say so themselves as the sampler does that a program asks for."""
+    of_ranges = params.get('cont')
+    if not isinstance(of_ranges, Mapping) or 'buckets' not in of_ranges:
+        _Buckets.number = VERIFAI_BUCKETS
+        return
+    asked, where = of_ranges['buckets'], f'{PARAMS}.cont.buckets'
+    if type(asked) is not int or asked < 1:
+        raise ProgramError(f'{where} is {asked}; it has to be a whole number above 0; where ranges '
+                           'differ write VerifaiRange(low, high, buckets=…)', place)
+    if _Buckets.some_say:
+        raise ProgramError(f'{where}: a VerifaiRange has buckets of its own, too; leave one of '
+                           'them out', place)
+    _Buckets.number = asked
+
+
+def buckets_of(choice: Any) -> int | None:
+    """Buckets of a choice that is marked for search; None for any other."""
+    if _MARK not in vars(choice):
+        return None
+    return vars(choice)[_MARK] or _Buckets.number
+
+
+def default_buckets() -> int:
+    """Buckets of a choice that is not marked, where none is."""
+    return _Buckets.number
+
+
+def pieces_of(choice: Any) -> list[list[float]]:
+    """Of a ``VerifaiRange`` with weights, its parts: quantiles from and to, values from and to."""
+    pieces: list[list[float]] = vars(choice).get(_PIECES, [])
+    return pieces
+
+
+def place_of(choice: Any) -> list[Any] | None:
+    """File, line, column, last line and end column (characters) of the call that made a choice."""
+    place: list[Any] | None = vars(choice).get(_PLACE)
+    return place
+
+
+def verifai_range(
+    low: Any, high: Any, buckets: int | None = None, weights: Iterable[float] | None = None
+) -> Any:
+    """``VerifaiRange``: a real interval, with ``weights`` for equal parts of it."""
+    if weights is None:
+        return _marked(distributions.Range(low, high), buckets)
+    weights = tuple(weights)
+    if buckets not in (None, len(weights)):
+        raise ValueError(f'VerifaiRange has {len(weights)} weights, but {buckets} buckets')
+    sums = np.array([0.0, *itertools.accumulate(weights)])
+    quantiles, values = sums / sums[-1], np.linspace(low, high, len(sums))
+    unit = _marked(distributions.Range(0, 1), len(weights))
+    ends = (quantiles[:-1], quantiles[1:], values[:-1], values[1:])
+    setattr(unit, _PIECES, np.transpose(ends).tolist())
+
+    def value_at(quantile: float) -> float:
+        return float(np.interp(quantile, quantiles, values))
+
+    return distributions.distributionFunction(value_at, valueType=float)(unit)
+
+
+def verifai_discrete_range(
+    low: int, high: int, weights: Iterable[float] | None = None
+) -> Any:
+    """``VerifaiDiscreteRange``: an integer interval, its ends included."""
+    return _marked(distributions.DiscreteRange(low, high, weights and tuple(weights)), None)
+
+
+def verifai_options(options: Mapping[Any, float] | Iterable[Any]) -> Any:
+    """``VerifaiOptions``: one of several values, with weights where it is a dict."""
+    chosen = distributions.Options(options)
+    _marked(chosen.index, None)
+    return chosen
+
+
+class VerifaiParameter:
+    """The one use that programs make of Scenic's class of this name."""
+
+    @staticmethod
+    def withPrior(prior: Any, buckets: Any = None) -> Any:  # noqa: N802 (Scenic's name)
+        """A choice with any prior: a range, a normal or options. It is not approximated.
+
+        ``buckets`` may be a list of their ends; the search here has none but equal ones.
+        """
+        number = buckets if isinstance(buckets, int) else None
+        _marked(prior.index if _is_options(prior) else prior, number)
+        return prior
+
+
+def _is_options(prior: Any) -> bool:
+    return isinstance(prior, distributions.MultiplexerDistribution)
+
+
+def _marked(choice: Any, buckets: int | None) -> Any:
+    setattr(choice, _MARK, buckets)
+    _Buckets.some_say |= buckets is not None
+    return choice
+
+
+def _remembering(initialise: Callable[..., None]) -> Callable[..., None]:
+    @functools.wraps(initialise)
+    def init(self: Any, *args: Any, **kwargs: Any) -> None:
+        initialise(self, *args, **kwargs)
+        _check_spread(self)
+        frame: FrameType | None = sys._getframe(1)
+        while frame is not None and frame.f_code.co_filename.startswith(_NO_PROGRAMS):
+            frame = frame.f_back
+        if frame is not None:
+            setattr(self, _PLACE, _place(frame))
+
+    return init
+
+
+def _check_spread(choice: Any) -> None:
+    if isinstance(choice, distributions.Normal):
+        spread, least = choice.stddev, distributions.supportInterval(choice.stddev)[0]
+        if least is not None and least < 0:
+            said = f'{spread:g}' if isinstance(spread, (int, float)) else f'{least:g} in some draws'
+            raise ValueError(f'the standard deviation of a {type(choice).__name__} is {said}; it '
+                             'has to be 0 or more')
+
+
+def _place(frame: FrameType) -> list[Any] | None:
+    positions = itertools.islice(frame.f_code.co_positions(), frame.f_lasti // 2, None)
+    line, end_line, column, end_column = next(positions)
+    if None in (line, end_line, column, end_column):
+        return None
+    return [frame.f_code.co_filename, line, column, end_line, end_column]

@@ -1,0 +1,309 @@
+"""What shrinking a failed run is asked to do, and the scenarios that it may run.
+
+It changes the run's parameters step by step towards nominal, which is what the bench's own
+program ``nominal`` calls plain taxiing: on the centreline, straight ahead, under a clear dry
+sky at 10 h (a high sun that casts the aircraft's shadow beside it, in the hours at which both
+shipped networks were trained), on a stretch without rubber and away from the crossing. There
+are two such stretches; the one on the run's own side of the crossing is taken, for otherwise
+the way to nominal would lead across it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.campaign.options import DEFAULT_ROOT, CampaignOptions, make_options, new_folder
+from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
+from taxinet_ros.campaign.samplers.sampler import LAG, split_options
+from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
+from taxinet_ros.core.controller import STEERING, check_controller
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.place.runway import CROSSING_X_M
+from taxinet_ros.core.scenario import (
+    AIRCRAFT,
+    CLOUDS,
+    RAIN_CLOUDS,
+    Scenario,
+    scenario_from_human,
+)
+from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.errors import UsageError
+
+DISTANCES_M = (1000.0, 1800.0)
+"""Nominal starts before and beyond the crossing, each within a stretch of ``nominal.scenic``."""
+NOMINAL_HOUR = 10.0
+STEPS = {'cross_track': 0.1, 'distance': 10.0, 'heading': 0.5, 'rain': 1.0, 'time_of_day': 0.05}
+"""Step of each parameter that is a number: m, m, degrees, percent, h (that is 3 min)."""
+_FIELDS = {
+    'cross_track': 'cross_track_m', 'heading': 'heading_rad', 'distance': 'distance_m',
+    'time_of_day': 'time_of_day_s', 'clouds': 'clouds', 'rain': 'rain', 'shadows': 'shadows',
+    'crossing': 'crossing', 'date': 'date', 'aircraft': 'aircraft',
+}
+KEYS = tuple(_FIELDS)
+"""What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
+_ORDERED: Mapping[str, tuple[str, ...]] = {'clouds': CLOUDS, 'aircraft': AIRCRAFT}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Parameter:
+    """One parameter, in human units.
+
+    Attributes:
+        key: one of :data:`KEYS`.
+        values: from nominal to the failed run's; just one where the two are equal.
+    """
+
+    key: str
+    values: tuple[Any, ...]
+
+    @property
+    def axis(self) -> Axis:
+        """The parameter as the search sees it."""
+        return Axis(steps=len(self.values) - 1, scan=self.key not in STEPS)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ShrinkSpace:
+    """The scenarios between nominal and a failed run's.
+
+    Attributes:
+        original, nominal: its two ends.
+        parameters: all that were looked at, those that are nominal already included.
+    """
+
+    original: Scenario
+    nominal: Scenario
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def moving(self) -> tuple[Parameter, ...]:
+        """The parameters that are not nominal: one for each axis of a point."""
+        return tuple(one for one in self.parameters if len(one.values) > 1)
+
+    def steps(self, point: Point) -> dict[str, int]:
+        """Steps away from nominal by key, 0 for what is nominal already."""
+        moved = dict(zip((one.key for one in self.moving), point, strict=True))
+        return {one.key: moved.get(one.key, 0) for one in self.parameters}
+
+    def scenario(self, point: Point) -> Scenario:
+        """The scenario at a point. What is not moved is the original's to the last bit."""
+        steps = self.steps(point)
+        changed = {
+            one.key: one.values[steps[one.key]]
+            for one in self.moving if steps[one.key] < one.axis.steps
+        }
+        built = scenario_from_human({**self.original.to_human(), **changed})
+        fields = {_FIELDS[key]: getattr(built, _FIELDS[key]) for key in changed}
+        return dataclasses.replace(self.original, **fields)
+
+    def possible(self, point: Point, axis: int) -> Point:
+        """``point``, or where its sky has no rain for it, clouds or rain taken to nominal.
+
+        Args:
+            point: steps away from nominal.
+            axis: number of the parameter that was moved; the other one of the two gives way.
+        """
+        keys = [one.key for one in self.moving]
+        values = {
+            key: next(one for one in self.parameters if one.key == key).values[steps]
+            for key, steps in self.steps(point).items() if key in ('clouds', 'rain')
+        }
+        if values['clouds'] in RAIN_CLOUDS or values['rain'] == 0:
+            return point
+        other = keys.index('clouds' if keys[axis] == 'rain' else 'rain')
+        return (*point[:other], 0, *point[other + 1:])
+
+
+def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> ShrinkSpace:
+    """The space of a failed run.
+
+    Args:
+        original: its scenario.
+        settings: ``key=value`` of the nominal scenario, in human units.
+
+    Raises:
+        UsageError: a setting is wrong, or the run's scenario is nominal already.
+    """
+    chosen = _chosen(settings)
+    drawn = original.to_human()
+    beyond = original.distance_m > CROSSING_X_M
+    usual = {
+        'cross_track': 0.0, 'heading': 0.0, 'clouds': 'clear', 'rain': 0.0,
+        'time_of_day': NOMINAL_HOUR, 'distance': DISTANCES_M[beyond],
+    }
+    try:
+        nominal = scenario_from_human({**drawn, **usual, **chosen})
+    except UsageError as error:
+        raise UsageError(f'--nominal: {str(error).removeprefix("scenario: ")}') from None
+    wanted = nominal.to_human()
+    parameters = tuple(
+        Parameter(key=key, values=_values(key, wanted[key], drawn[key]))
+        for key in KEYS if key in usual or key in chosen
+    )
+    space = ShrinkSpace(original=original, nominal=nominal, parameters=parameters)
+    if not space.moving:
+        raise UsageError('the run is nominal already: there is nothing to shrink; see --nominal')
+    return space
+
+
+def _chosen(settings: Iterable[str]) -> dict[str, str]:
+    try:
+        chosen = split_options(settings)
+    except UsageError as error:
+        text = str(error).removeprefix('sampler option ')
+        raise UsageError(f'--nominal {text}') from None
+    for key in chosen:
+        if key not in KEYS:
+            raise UsageError(f'--nominal {key}: unknown; known: {", ".join(KEYS)}')
+    return chosen
+
+
+def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
+    if nominal == original:
+        return (nominal,)
+    if key in _ORDERED:
+        return _words(_ORDERED[key], nominal, original)
+    if key not in STEPS:
+        return nominal, original
+    step = math.copysign(STEPS[key], original - nominal)
+    # A whole number of steps must not come out one more for a rounding error.
+    whole = math.ceil(round(abs(original - nominal) / abs(step), 6))
+    return (*(round(nominal + k * step, 9) for k in range(max(whole, 1))), original)
+
+
+def _words(order: tuple[str, ...], nominal: str, original: str) -> tuple[str, ...]:
+    first, last = order.index(nominal), order.index(original)
+    step = 1 if last > first else -1
+    return tuple(order[place] for place in range(first, last + step, step))
+
+
+PROGRAM = 'shrink'
+"""Stands for the program of runs that come of no program, in their names and in the table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShrinkOptions:
+    """One failed run to be shrunk.
+
+    Attributes:
+        run: the failed run.
+        space: the scenarios that may be run.
+        campaign: judged how, with which perception, and where to; ``runs`` is the most that the
+            search may rest on.
+        workers: graphs that run at once.
+        resume: continue what was interrupted.
+    """
+
+    run: JudgedRun
+    space: ShrinkSpace
+    campaign: CampaignOptions
+    workers: int = 1
+    resume: bool = False
+
+    @property
+    def headline(self) -> str:
+        """Name of the formula that has to stay violated."""
+        return parse_spec(self.campaign.specs[0]).name
+
+
+def make_shrink_options(
+    path: Path, *, perception: str | None, specs: Sequence[str], nominal: Sequence[str], runs: int,
+    workers: int, out: Path | None, resume: bool, images: str, controller: str | None = None,
+) -> ShrinkOptions:
+    """Check what a person typed.
+
+    Args:
+        path: folder of the failed run.
+        perception: where not that of the run.
+        specs: formulas as text; the run's where empty.
+        nominal: ``key=value`` of the nominal scenario.
+        runs: most runs that the search may rest on.
+        workers: graphs that run at once.
+        out: folder; where None, a new one below ``bags/`` that says what it holds.
+        resume: ``out`` holds a shrinking that is to be continued.
+        images: ``all`` or ``none`` of the camera frames go into the bags.
+        controller: where not that of the run.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    if not 1 <= workers <= LAG:
+        raise UsageError(f'--workers {workers}: needs to be within 1..{LAG}')
+    if runs < LEAST_ASKED:
+        raise UsageError(f'--runs {runs}: needs to be {LEAST_ASKED} or more')
+    run = find_run(path)
+    if run.timing.free:
+        raise UsageError(
+            f'{path}: a free run: {NOT_REPRODUCIBLE}, so nothing tells a scenario that matters '
+            'from chance; shrink a run that failed with --latency'
+        )
+    _check_failed(path, run, other_specs=bool(specs))
+    space = make_shrink_space(run.scenario, nominal)
+    if out is None and not resume:
+        out = new_folder(DEFAULT_ROOT / f'{PROGRAM}-{run.run_id}')
+    campaign = make_options(
+        program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
+        controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
+        processes=False, images=images, resume=resume,
+    )
+    gains = dict(run.gains) if campaign.controller == STEERING else {}
+    return ShrinkOptions(
+        run=run, space=space,
+        campaign=dataclasses.replace(campaign, gains=gains, timing=run.timing),
+        workers=workers, resume=resume,
+    )
+
+
+def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
+    if not run.outcome.judged:
+        raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
+    if other_specs:
+        return
+    rho = run.rho.get(run.headline, 0.0)
+    if rho > 0:
+        raise UsageError(
+            f'{path}: satisfied {run.headline} with rho {rho:+.2f}; name a run that failed, or '
+            'with --spec what it failed'
+        )
+
+
+def _perception(run: JudgedRun, asked: str | None) -> str:
+    """The perception to shrink with: the one that failed, unless another is asked for."""
+    if asked is not None:
+        return asked
+    try:
+        now = check_perception(run.perception, graph=True)
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}; say with --perception where it is') from error
+    if is_node_elsewhere(run.perception):
+        return run.perception
+    if now != run.fingerprint:
+        raise UsageError(
+            f'{run.run_id}: perception {run.perception} is {now[:12] or "without weights"} now, it '
+            f'was {run.fingerprint[:12] or "without weights"}; --perception {run.perception} takes '
+            'it as it is'
+        )
+    return run.perception
+
+
+def _controller(run: JudgedRun) -> str:
+    """What steered when it failed."""
+    try:
+        now = check_controller(run.controller, graph=True)
+    except UsageError as error:
+        raise UsageError(
+            f'{run.run_id}: {error}; say with --controller what to steer with'
+        ) from error
+    if now != run.controller_fingerprint and not is_node_elsewhere(run.controller):
+        raise UsageError(
+            f'{run.run_id}: controller {run.controller} is {now[:12]} now, it was '
+            f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
+        )
+    return run.controller

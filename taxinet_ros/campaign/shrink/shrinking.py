@@ -1,0 +1,456 @@
+"""The shrinking of a failed run on disk: a campaign whose scenes :mod:`.algorithm` chooses.
+
+Its folder is a campaign's. What comes next depends on the answers only, so a resumed shrinking
+finds those that it has in its ledger and goes on where it was. Runs that have no verdict are
+done anew under their old numbers, so that the table is that of an undisturbed one. Below it
+what came of it, parameter by parameter, and the lines that say so.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+from rich.table import Table
+from rich.text import Text
+
+from taxinet_ros import __version__
+from taxinet_ros.campaign.options import DEFAULT_SPECS
+from taxinet_ros.campaign.record.book import (
+    CampaignBook,
+    check_resumable,
+    finished_row,
+    rename_broken,
+    run_request,
+)
+from taxinet_ros.campaign.record.facts import (
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    recorded_stacks,
+    stack_difference,
+    this_stack_record,
+)
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
+from taxinet_ros.campaign.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
+from taxinet_ros.campaign.summary import participants_words, scene_words
+from taxinet_ros.core.controller import check_controller, controller_options
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.scenario import HUMAN_KEYS, RAIN_CLOUDS, Scenario
+from taxinet_ros.errors import UsageError
+
+_MAY_DIFFER = frozenset({'runs', STACKS})
+"""Facts that may differ when a shrinking is resumed: more runs may be asked for."""
+
+
+class Shrinking:
+    """Asks for runs and takes their answers; a context manager.
+
+    Attributes:
+        options: what to do.
+        search: what is known of which point.
+        rows: one row per run that is done, those of before included, by the order in which they
+            were needed or ended.
+        broken: the run that the bench broke for good; None while it can go on.
+        interrupted: whether :meth:`interrupt` was called.
+    """
+
+    def __init__(
+        self, options: ShrinkOptions, participants: tuple[str, ...],
+        on_row: Callable[[RunRow], None] = lambda row: None,
+    ) -> None:
+        """Nothing is written before the ``with``.
+
+        Args:
+            options: what to do.
+            participants: node names that take part in every run.
+            on_row: called with each new row as soon as it is on disk; not with those of before.
+        """
+        self.options = options
+        self.search = ShrinkSearch(
+            [one.axis for one in options.space.moving], most=options.campaign.runs,
+            rule=options.space.possible,
+        )
+        self.rows: list[RunRow] = []
+        self.broken: RunRow | None = None
+        self.interrupted = False
+        self.warning = ''
+        self.controller_sha256 = ''
+        self._participants = participants
+        self._on_row = on_row
+        self._campaign = options.campaign
+        self._earlier: dict[str, RunRow] = {}
+        self._by_point: dict[Point, RunRow] = {}
+        self._under_way: dict[int, Point] = {}
+        self._again: list[RunRequest] = []
+        self._retried: set[int] = set()
+        self._broken_before: dict[str, int] = {}
+        self._undone: list[int] = []
+        self._next = 0
+        self._stacks: dict[str, dict[str, str]] = {}
+
+    def __enter__(self) -> Self:
+        """Make the folder, or see that it holds this shrinking.
+
+        Raises:
+            UsageError: the folder cannot be used, or what it holds is something else.
+        """
+        out, facts = self._campaign.out, self._facts()
+        self.controller_sha256 = str(facts['controller_sha256'])
+        if self.options.resume:
+            check_resumable(out)
+        names = [parse_spec(text).name for text in self._campaign.specs]
+        self._record = CampaignBook(out, names, resume=self.options.resume)
+        try:
+            self._read_earlier(facts)
+            facts[STACKS] = {**self._stacks, **facts[STACKS]}
+            self._record.facts(facts)
+        except BaseException:
+            self._record.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write the table of what there is, whatever happened."""
+        self._record.__exit__(kind, error, trace)
+
+    def next(self) -> RunRequest | None:
+        """A run to begin now; None where there is none before another run has ended, or at all."""
+        if self.interrupted or self.broken is not None:
+            return None
+        if self._again:
+            return self._again.pop()
+        while (point := self._point()) is not None:
+            row = self._earlier.get(self._key(point))
+            if row is None:
+                return self._begun(point)
+            self._remember(point, row)
+        return None
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        """Keep one answer. A run that the bench broke gets a second chance; then the bench is."""
+        index = request.index
+        infra = result.outcome is Outcome.INFRA_ERROR
+        if infra and index not in self._retried:
+            self._retried.add(index)
+            self._put_down(request)
+            self._again.append(request)
+            return
+        key = self._key(self._under_way[index])
+        row = finished_row(self._campaign, request, result).chosen(
+            sampler=PROGRAM, point={}, weight=None,
+            retries=self._broken_before.get(key, 0) + (index in self._retried),
+        )
+        point = self._under_way.pop(index)
+        if row.outcome.judged:
+            self._remember(point, row)
+        elif row.outcome is Outcome.INTERRUPTED:
+            self.interrupted = True
+        else:
+            self.broken = row
+        try:
+            self._record.result(row)
+        finally:
+            self._on_row(row)
+
+    def interrupt(self) -> None:
+        """Ask for no more runs, not for second chances either. A signal handler may call it."""
+        self.interrupted = True
+
+    def row(self, point: Point) -> RunRow | None:
+        """The judged run of a point, if there is one."""
+        return self._by_point.get(point)
+
+    def _point(self) -> Point | None:
+        """The most urgent point that nobody is at, or one that may become so."""
+        under_way = set(self._under_way.values())
+        wanted = self.search.wanted(len(under_way) + 1)
+        return next((point for point in wanted if point not in under_way), None)
+
+    def _begun(self, point: Point) -> RunRequest:
+        if self._undone:
+            index = self._undone.pop(0)
+        else:
+            index, self._next = self._next, self._next + 1
+        scenario = self.options.space.scenario(point)
+        request = run_request(self._campaign, index, scenario, self._participants)
+        self._put_down(request)
+        self._under_way[index] = point
+        return request
+
+    def _put_down(self, request: RunRequest) -> None:
+        rename_broken(self._campaign.out / request.run_id)
+        self._record.intent(request.index, request.run_id)
+
+    def _remember(self, point: Point, row: RunRow) -> None:
+        self.rows.append(row)
+        self._by_point[point] = row
+        self.search.tell(point, row.rho[self.options.headline])
+
+    def _key(self, point: Point) -> str:
+        return json.dumps(self.options.space.scenario(point).to_human())
+
+    def _read_earlier(self, facts: dict[str, Any]) -> None:
+        out = self._campaign.out
+        content = read_ledger(out / LEDGER_NAME)
+        before, now = {'timing': '', **content.campaign}, json.loads(json.dumps(facts))
+        for name in now:
+            if content.campaign and name not in _MAY_DIFFER and before.get(name) != now[name]:
+                raise UsageError(
+                    f'--resume: {out / FACTS_NAME} has another {name}; repeat what was typed '
+                    'before, or name another --out'
+                )
+        self._record.rows.update({row.index: row for row in content.rows})
+        self._stacks = recorded_stacks(before)
+        self.warning = stack_difference(before, str(out)) if content.rows else ''
+        self._next = 1 + max((*content.unfinished, *self._record.rows), default=-1)
+        self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
+        undone = [row for row in content.rows if not row.outcome.judged]
+        self._undone = sorted([*content.unfinished, *(row.index for row in undone)])
+        self._broken_before = {
+            _scene(row): row.retries + (row.outcome is Outcome.INFRA_ERROR) for row in undone
+        }
+
+    def _facts(self) -> dict[str, Any]:
+        options, campaign = self.options, self._campaign
+        specs = [parse_spec(text) for text in campaign.specs]
+        return {
+            'taxinet_ros_version': __version__,
+            STACKS: this_stack_record(),
+            'program': PROGRAM,
+            'shrinks': options.run.run_id,
+            'original': options.space.original.to_human(),
+            'nominal': options.space.nominal.to_human(),
+            'parameters': [one.key for one in options.space.parameters],
+            'steps': STEPS,
+            'runs': campaign.runs,
+            'seed': campaign.seed,
+            'perception': campaign.perception,
+            'perception_sha256': check_perception(campaign.perception, graph=True),
+            'controller': campaign.controller,
+            'controller_sha256': check_controller(
+                campaign.controller, campaign.gains, graph=True
+            ),
+            'overrides': {},
+            'gains': dict(campaign.gains),
+            'specs': {spec.name: str(spec.formula) for spec in specs},
+            'processes': False,
+            'images': campaign.images,
+            'timing': campaign.timing.words,
+        }
+
+
+def _scene(row: RunRow) -> str:
+    """The scene of a run, as :meth:`Shrinking._key` has that of a point."""
+    return json.dumps({key: getattr(row, key) for key in HUMAN_KEYS})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """What is known of one parameter. Values are in human units; None is what was not run.
+
+    Attributes:
+        key: name of the parameter.
+        original, nominal, shrunk: its value in the failed run, in plain taxiing, and in the nearest
+            scenario to that which still fails.
+        rho_in_original, rho_in_shrunk: robustness of either with this parameter made nominal, where
+            it is not.
+        passes_at: the neighbour of ``shrunk``, one step nearer to nominal, that does not fail.
+        rho_passes_at: robustness there.
+    """
+
+    key: str
+    original: Any
+    nominal: Any
+    shrunk: Any
+    rho_in_original: float | None = None
+    rho_in_shrunk: float | None = None
+    passes_at: Any = None
+    rho_passes_at: float | None = None
+
+    @property
+    def matters(self) -> bool:
+        """Whether the failure needs it to be other than nominal."""
+        return bool(self.shrunk != self.nominal)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Report:
+    """The whole outcome.
+
+    Attributes:
+        state: how far the search has come, and why it ended.
+        findings: one for each parameter.
+        scenario: the shrunk one.
+        original, nominal, shrunk: the runs of the three; None where there is none.
+        dry: clouds made nominal take the rain with them, for no rain falls from that sky.
+    """
+
+    state: State
+    findings: tuple[Finding, ...]
+    scenario: Scenario
+    original: RunRow | None
+    nominal: RunRow | None
+    shrunk: RunRow | None
+    dry: bool
+
+
+def make_report(shrinking: Shrinking) -> Report:
+    """What is known by now."""
+    space, search = shrinking.options.space, shrinking.search
+    state = search.state
+    axes = {one.key: number for number, one in enumerate(space.moving)}
+    return Report(
+        state=state,
+        findings=tuple(
+            _finding(shrinking, one, axes[one.key], state.at) if one.key in axes
+            else Finding(key=one.key, original=one.values[0], nominal=one.values[0],
+                         shrunk=one.values[0])
+            for one in space.parameters
+        ),
+        scenario=space.scenario(state.at),
+        original=shrinking.row(search.start), nominal=shrinking.row(search.origin),
+        shrunk=shrinking.row(state.at),
+        dry=space.original.rain > 0 and space.nominal.clouds not in RAIN_CLOUDS,
+    )
+
+
+def _finding(shrinking: Shrinking, one: Parameter, axis: int, at: Point) -> Finding:
+    search, steps = shrinking.search, at[axis]
+    beside = search.moved(at, axis, max(steps - 1, 0))
+    return Finding(
+        key=one.key, original=one.values[-1], nominal=one.values[0], shrunk=one.values[steps],
+        rho_in_original=search.rho(search.moved(search.start, axis, 0)),
+        rho_in_shrunk=search.rho(search.moved(at, axis, 0)) if steps else None,
+        passes_at=one.values[steps - 1] if steps and search.rho(beside) is not None else None,
+        rho_passes_at=search.rho(beside) if steps else None,
+    )
+
+
+_UNITS = {
+    'cross_track': '{:+.1f} m', 'distance': '{:.0f} m', 'heading': '{:+.1f} deg',
+    'rain': '{:.0f} %',
+}
+_MATTERS = {True: Text('matters', style='bold red'), False: Text('does not matter', style='dim')}
+
+
+def shrink_heading(options: ShrinkOptions) -> str:
+    """What is about to be done."""
+    campaign, run = options.campaign, options.run
+    workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
+    verb = 'resuming to shrink' if options.resume else 'shrinking'
+    rho = f', rho {run.rho[options.headline]:+.2f}' if options.headline in run.rho else ''
+    return (
+        f'{verb} {run.run_id} ({options.headline}{rho}), {participants_words(campaign)}, '
+        f'{workers} -> {campaign.out}'
+    )
+
+
+def parameter_table(report: Report) -> Table:
+    """Every parameter with its three values, and whether it matters."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column('parameter', no_wrap=True)
+    for name in ('original', 'nominal', 'shrunk', 'rho in\noriginal', 'rho in\nshrunk'):
+        table.add_column(name, justify='right', no_wrap=True)
+    table.add_column('verdict', no_wrap=True)
+    for one in report.findings:
+        verdict = _MATTERS[one.matters]
+        if one.original == one.nominal:
+            verdict = Text('nominal already', style='dim')
+        table.add_row(
+            one.key, *(value_words(one.key, value) for value in (
+                one.original, one.nominal, one.shrunk)),
+            _rho(one.rho_in_original), _rho(one.rho_in_shrunk), verdict,
+        )
+    return table
+
+
+def finding_lines(report: Report) -> list[str]:
+    """How the table is to be read, and where the failure begins."""
+    lines = ['rho in original, in shrunk: of that run with this one parameter made nominal']
+    if report.dry:
+        lines[0] += ' (a clear sky is dry too)'
+    for one in report.findings:
+        if one.matters and one.passes_at is not None and one.rho_passes_at is not None:
+            lines.append(f'{one.key}: {edge_words(one)}')
+        if one.matters and one.rho_in_original is not None and one.rho_in_original <= 0:
+            lines.append(f'{one.key}: the original fails without it too, so it has another cause')
+    return lines
+
+
+def edge_words(one: Finding) -> str:
+    """Where along one parameter the failure begins, all others as in the shrunk run."""
+    fails, passes = value_words(one.key, one.shrunk), value_words(one.key, one.passes_at)
+    return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
+
+
+def off_nominal(report: Report) -> str:
+    """The shrunk scenario in a few words: what in it is not nominal."""
+    words = [
+        f'{one.key} {value_words(one.key, one.shrunk)}' for one in report.findings if one.matters
+    ]
+    return ', '.join(words) or 'everything nominal'
+
+
+def result_lines(report: Report, options: ShrinkOptions, runs: int, wall_s: float) -> list[str]:
+    """How it ended and what it took."""
+    lines = [_ended(report)] if report.state.end is not End.MINIMAL else []
+    if report.shrunk is not None:
+        rho = report.shrunk.rho[options.headline]
+        lines.append(
+            f'shrunk: run {report.shrunk.index}, rho {rho:+.2f}: {scene_words(report.shrunk)}'
+        )
+    ahead = runs - report.state.asked
+    guesses = f' ({ahead} of them ahead on a guess)' if ahead > 0 else ''
+    took = ' in all' if options.resume else f' in {wall_s:.0f} s'
+    lines.append(f'{runs} runs{guesses}{took}')
+    return lines
+
+
+def run_command(options: ShrinkOptions, program: str) -> str:
+    """What to type to run the shrunk scenario."""
+    campaign = options.campaign
+    words = ['taxinet', 'run', program, '--perception', campaign.perception]
+    words += controller_options(campaign.controller)
+    specs = [parse_spec(text) for text in campaign.specs]
+    if specs != [parse_spec(text) for text in DEFAULT_SPECS]:
+        words += [word for text in campaign.specs for word in ('--spec', text)]
+    words += [word for name, value in campaign.gains.items()
+              for word in ('--set', f'steering.{name}={value!r}')]
+    return shlex.join([*words, *campaign.timing.options])
+
+
+def value_words(key: str, value: Any) -> str:
+    """A value as people say it."""
+    if key == 'time_of_day':
+        hours, minutes = divmod(round(value * 60), 60)
+        return f'{hours:02d}:{minutes:02d}'
+    if isinstance(value, bool):
+        return 'on' if value else 'off'
+    if key not in _UNITS:
+        return str(value)
+    words = _UNITS[key].format(value)
+    return words.removeprefix('+') if value == 0 else words
+
+
+def _rho(value: float | None) -> str:
+    return '' if value is None else f'{value:+.2f}'
+
+
+def _ended(report: Report) -> str:
+    if report.state.end is End.NOMINAL_FAILS:
+        return 'the nominal scenario fails itself, so no parameter matters; see --nominal'
+    if report.state.end is End.SPENT:
+        return 'ended before it was minimal: --runs are spent; --resume with more goes on'
+    return 'ended before it was minimal; --resume goes on'

@@ -1,0 +1,202 @@
+"""The lines that a campaign prints: what is run, one line per run, what came of it."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+
+from rich.text import Text
+
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.rates import ProgramRate, count_outcomes, failure_rate
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.judge import SpecCheck
+from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.pacing.free_run import free_run_line
+
+_MOST_NAMED = 5
+"""Most runs that one line names."""
+
+ON_STANDING_GRAPH = 'on the graph that runs'
+"""Said where the nodes were started by somebody else."""
+
+_STYLES = {
+    Outcome.PASS: 'green',
+    Outcome.FAIL: 'red',
+    Outcome.REJECTED: 'yellow',
+    Outcome.INFRA_ERROR: 'bold magenta',
+    Outcome.INTERRUPTED: 'yellow',
+}
+
+
+def campaign_heading(options: CampaignOptions) -> str:
+    """What is about to run."""
+    runs = 'run' if options.runs == 1 else 'runs'
+    layout = 'separate processes' if options.processes else 'one process'
+    graph = f'{participants_words(options)}, {layout}'
+    return (
+        f'{options.runs} {runs} of {options.program}, seed {options.seed}, '
+        f'{ON_STANDING_GRAPH if options.standing_graph else graph} -> {options.out}'
+    )
+
+
+def participants_words(options: CampaignOptions) -> str:
+    """Perception and controller in words; the steering law goes without saying."""
+    steers = '' if options.controller == STEERING else f', controller {options.controller}'
+    late = f', {options.timing.words}' if options.timing.words else ''
+    return f'perception {options.perception}{steers}{late}'
+
+
+def requirement_lines(check: SpecCheck, *, quiet: bool = False) -> list[Text]:
+    """How the requirements are understood, and what they may say other than was meant."""
+    lines = [] if quiet else [Text(line, style='dim') for line in check.lines]
+    return [*lines, *(Text(f'warning: {line}', style='yellow') for line in check.warnings)]
+
+
+def row_line(row: RunRow) -> Text:
+    """One run: outcome, robustness, worst deviation, speed, scene."""
+    text = Text(f'{row.index:5d}  ')
+    text.append(f'{row.outcome:<5}', style=_STYLES[row.outcome])
+    if row.outcome.judged:
+        text.append(f' {rho_words(row, 7)}  |CTE| <= {row.max_cross_track_m:4.1f} m  ')
+        text.append('off runway  ' if row.left_runway else ' ' * 12, style='red')
+        text.append(f'{row.real_time_factor:5.1f}x  ')
+        if row.stopped_early:
+            text.append(f'stopped at {row.stopped_s:.1f} s  ')
+        if row.unusable_share > MOST_UNUSABLE_SHARE:
+            text.append(
+                f'{row.unusable_estimates} of {row.steps} estimates unusable  ', style='yellow'
+            )
+        text.append(f'{free_run_line(row.free)}  ' if row.free else '')
+    else:
+        words = [word for word in (row.kind, row.who) if word]
+        text.append(f' {" ".join(words)}: ' if words else ' ')
+        text.append(f'{row.detail}  ')
+    text.append(scene_words(row), style='dim')
+    return text
+
+
+def rho_words(row: RunRow, width: int = 0) -> str:
+    """The headline's robustness, or the bounds that a run that was stopped early has of it."""
+    lower, upper = row.headline or (math.nan, math.nan)
+    if math.isfinite(lower) and lower < upper < math.inf:
+        return f'rho {lower:+.2f} to {upper:+.2f}'
+    sign = '<=' if lower < upper < math.inf else '>=' if lower < upper else ''
+    value = lower if sign == '>=' else upper
+    return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
+
+
+def scene_words(row: RunRow) -> str:
+    """A scene in a few words, in the units people read; empty where none was drawn."""
+    if row.time_of_day is None or row.rain is None:
+        return ''
+    hours, minutes = divmod(round(row.time_of_day * 60), 60)
+    rain = f' rain {_percent(row.rain)} %' if row.rain > 0 else ''
+    return (
+        f'CTE {row.cross_track:+.1f} m  HE {row.heading:+.0f} deg  at {row.distance:.0f} m  '
+        f'{hours:02d}:{minutes:02d} {row.clouds}{rain}'
+    )
+
+
+def _percent(value: float) -> str:
+    """A percentage without decimals, but never 0 for what is more."""
+    return f'{value:.0f}' if value >= 1 else f'{value:.1g}'
+
+
+def table_line(rows: Sequence[RunRow], options: CampaignOptions) -> str:
+    """Where table and bags are."""
+    here = not options.standing_graph or any(row.bag for row in rows)
+    bags = f'{options.out}/<run>/' if here else "where the graph's recorder puts them"
+    return f'table: {options.out / "runs.csv"}, runs.parquet; bags: {bags}'
+
+
+def campaign_summary(rows: Sequence[RunRow], options: CampaignOptions) -> str:
+    """What came of it all: counts, rate with its interval, speed, and where the table is."""
+    lines = [count_outcomes(rows)]
+    speeds = [row.real_time_factor for row in rows if row.outcome.judged]
+    if speeds:
+        found = failure_rate(rows, options.runs)
+        speed = statistics.median(speeds)
+        lines.append(
+            f'{_satisfied_words(found)}, {off_runway_words(rows)}, median {speed:.1f}x real time'
+        )
+        lines += [*stopped_words(rows), *blind_words(rows)]
+    lines += free_words(rows)
+    lines += refused_words(rows)
+    lines.append(table_line(rows, options))
+    return '\n'.join(line for line in lines if line)
+
+
+def _satisfied_words(failed: ProgramRate) -> str:
+    if failed.rate is None:
+        return failed.why_not
+    value, low, high = failed.rate.other
+    when = ' that holds wherever a campaign stops' if failed.anytime else ''
+    return f'satisfied {value:.0%} (95 % interval{when} {low:.0%}-{high:.0%})'
+
+
+def blind_words(rows: Sequence[RunRow]) -> list[str]:
+    """How many runs passed though the perception was blind; no line where none did."""
+    blind = [row.index for row in rows if row.passed_blind]
+    if not blind:
+        return []
+    named = ', '.join(map(str, blind[:_MOST_NAMED])) + (', …' if len(blind) > _MOST_NAMED else '')
+    return [
+        f'warning: {len(blind)} passed with more than {MOST_UNUSABLE_SHARE:.0%} of their frames '
+        f'without a usable estimate (run {named}); --spec usable fails them'
+    ]
+
+
+def refused_words(rows: Sequence[RunRow]) -> list[str]:
+    """What the program's requirements refused, and what it drew that could not be run."""
+    rejected = [row for row in rows if row.outcome is Outcome.REJECTED]
+    refused = sum(row.refused for row in rows)
+    lines = []
+    if refused:
+        lines.append(f'{refused} draws refused by the requirements and replaced')
+    if rejected:
+        lines.append(
+            f'{len(rejected)} of {len(rows)} scenes rejected; shares are among the judged runs; '
+            f'the first: {rejected[0].detail}'
+        )
+    return lines
+
+
+def free_words(rows: Sequence[RunRow]) -> list[str]:
+    """How free runs went; no line where none did."""
+    free = [row.free for row in rows if row.free and 'loop_wall_median_s' in row.free]
+    if not free:
+        return []
+    frames, unanswered, overruns = (
+        sum(one[name] for one in free) for name in ('frames', 'unanswered', 'overruns')
+    )
+    late = f'; {overruns:.0f} frames out late: not the pace asked for' if overruns else ''
+    return [
+        f'free runs, which need not come out so again: {unanswered:.0f} of {frames:.0f} frames '
+        f'unanswered, loop {statistics.median(one["loop_wall_median_s"] for one in free):.3f} s by '
+        f'the clock, at most {max(one["loop_wall_max_s"] for one in free):.3f} s, '
+        f'{statistics.median(one.get("factor", math.nan) for one in free):.2f}x real time{late}'
+    ]
+
+
+def off_runway_words(rows: Sequence[RunRow]) -> str:
+    """How many runs left the runway; of a run that was stopped before, nobody knows."""
+    off = sum(bool(row.left_runway) for row in rows)
+    stopped = any(row.stopped_early and not row.left_runway for row in rows)
+    return f'{off} off the runway{" before they were stopped" if stopped else ""}'
+
+
+def stopped_words(rows: Sequence[RunRow]) -> list[str]:
+    """How many runs were stopped early and what that saved; no line where none was."""
+    stopped = [row for row in rows if row.stopped_early]
+    if not stopped:
+        return []
+    whole_s = sum(row.duration or 0.0 for row in rows if row.outcome.judged)
+    saved_s = sum((row.duration or 0.0) - row.sim_s for row in stopped)
+    return [
+        f'{len(stopped)} stopped early, which saved {saved_s:.0f} of {whole_s:.0f} s of simulated '
+        f'time ({saved_s / whole_s:.0%})'
+    ]

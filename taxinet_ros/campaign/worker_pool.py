@@ -1,0 +1,377 @@
+"""The workers of a campaign: started when there is work, watched, replaced when they break.
+
+A worker is a process with a pipe each way. It gets ``{"run": …}`` lines on its standard input,
+and an ``{"interrupt": true}`` line where it shall end the run at hand; the end of the input
+ends it. It writes to another descriptor: ``{"seq": n}`` now and then, ``{"result": …}`` after
+each run, and ``{"error": text}`` before it leaves for a mistake of the user's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
+
+
+def encode_line(message: Mapping[str, Any]) -> bytes:
+    """One line. Floats come back as they were, NaN and infinities too."""
+    return json.dumps(message, separators=(',', ':')).encode() + b'\n'
+
+
+def request_to_json(request: RunRequest) -> dict[str, Any]:
+    """Plain values; the inverse of :func:`request_from_json`."""
+    return dataclasses.asdict(request)
+
+
+def request_from_json(values: Mapping[str, Any]) -> RunRequest:
+    """Read back what :func:`request_to_json` gave.
+
+    Raises:
+        UsageError: the scenario is out of range.
+        KeyError, TypeError, ValueError: a field is missing or unknown.
+    """
+    return RunRequest(**{
+        **values,
+        'scenario': Scenario(**values['scenario']),
+        'specs': tuple(values['specs']),
+        'participants': tuple(values['participants']),
+        'bounds': tuple(values['bounds']),
+        'rates': tuple(values['rates']),
+        'stop_on': StopOn(values['stop_on']),
+    })
+
+
+def result_to_json(result: RunResult) -> dict[str, Any]:
+    """Plain values; the inverse of :func:`result_from_json`."""
+    return dataclasses.asdict(result)
+
+
+def result_from_json(values: Mapping[str, Any]) -> RunResult:
+    """Read back what :func:`result_to_json` gave.
+
+    Raises:
+        KeyError, TypeError, ValueError: a field is missing or unknown, or the outcome is none of
+            the five.
+    """
+    return RunResult(**{
+        **values,
+        'outcome': Outcome(values['outcome']),
+        'statistics': _statistics_from_json(values.get('statistics')),
+    })
+
+
+def _statistics_from_json(values: Mapping[str, Any] | None) -> RunStatistics | None:
+    if values is None:
+        return None
+    errors = {name: ErrorStatistics(**values[name]) for name in ('cte_error', 'he_error')}
+    return RunStatistics(**{**values, **errors})
+
+
+_GRACE_S = 5.0
+
+
+class WorkerProcess:
+    """A process that runs what it is given.
+
+    Attributes:
+        request: the run that it is at, or None.
+        seq: the control step that it last reported.
+        silent_since: when its last sign of life came, by the monotonic clock [s].
+        answers: descriptor to wait on; what comes is read with :meth:`read`.
+    """
+
+    def __init__(self, command: Sequence[str], log: Path) -> None:
+        """Start it.
+
+        Args:
+            command: arguments; ``--parent=<pid>`` and ``--answers=<descriptor>`` are added.
+            log: file that takes, at its end, what the process prints.
+        """
+        self.request: RunRequest | None = None
+        self.seq = -1
+        self.silent_since = time.monotonic()
+        self._log = log
+        self._unread = b''
+        fill_standard_descriptors()
+        self.answers, answers_write = os.pipe()
+        own = [f'--parent={os.getpid()}', f'--answers={answers_write}']
+        try:
+            with log.open('ab') as printed:
+                self._process = subprocess.Popen(
+                    [*command, *own], stdin=subprocess.PIPE, stdout=printed,
+                    stderr=subprocess.STDOUT, pass_fds=(answers_write,), env=child_environment(),
+                    # Ctrl-C in the terminal is for the campaign, which then ends its workers.
+                    start_new_session=True,
+                )
+        except BaseException:
+            os.close(self.answers)
+            raise
+        finally:
+            os.close(answers_write)
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it is still there."""
+        return self._process.poll() is None
+
+    def give(self, request: RunRequest) -> None:
+        """Have it run something; if it is dead, its answers' end says so."""
+        self.request, self.seq, self.silent_since = request, -1, time.monotonic()
+        self._send({'run': request_to_json(request)})
+
+    def interrupt(self) -> None:
+        """Have it end the run at hand in order."""
+        self.silent_since = time.monotonic()
+        self._send({'interrupt': True})
+
+    def read(self) -> list[Mapping[str, Any]] | None:
+        """What it has said since the last time; None when it is gone."""
+        part = os.read(self.answers, 65536)
+        if not part:
+            return None
+        *lines, self._unread = (self._unread + part).split(b'\n')
+        messages = [json.loads(line) for line in lines]
+        for message in messages:
+            if 'error' in message:
+                raise UsageError(message['error'])
+            if message.get('seq', self.seq) != self.seq:
+                self.seq, self.silent_since = message['seq'], time.monotonic()
+        return messages
+
+    def bury(self, kind: str, detail: str = '') -> RunResult:
+        """End it at once; the result of the run that it was at."""
+        self.end(0.0 if detail else 1.0)
+        return RunResult(
+            outcome=Outcome.INFRA_ERROR, kind=kind, who='worker',
+            detail=detail or self._how_it_died(), last_seq=self.seq,
+        )
+
+    def hang_up(self) -> None:
+        """Tell it that there is no more to do."""
+        with contextlib.suppress(BrokenPipeError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+
+    def end(self, grace_s: float = _GRACE_S) -> None:
+        """Wait for it to leave, at most ``grace_s``, then kill it."""
+        self.hang_up()
+        try:
+            self._process.wait(grace_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self.answers >= 0:
+            os.close(self.answers)
+        self.answers = -1
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(encode_line(message))
+            self._process.stdin.flush()
+
+    def _how_it_died(self) -> str:
+        code = self._process.returncode
+        if code < 0:
+            return f'killed by {signal.Signals(-code).name}'
+        lines = self._log.read_text(errors='replace').strip().splitlines()
+        return f'exit code {code}' + (f': {lines[-1]}' if lines and code > 0 else '')
+
+
+SILENCE_S = 120.0
+"""A worker whose run gets nowhere for so long is killed. Its start counts too."""
+_INTERRUPT_S = 20.0
+"""How long a run may take to end in order."""
+Answer = tuple[RunRequest, RunResult]
+
+
+class WorkerPool:
+    """Up to ``size`` worker processes; a context manager that leaves none behind.
+
+    After an infrastructure error the worker is not used again: a graph that broke once is not to
+    be trusted with the next run.
+
+    Attributes:
+        workers: those that live, idle or at work.
+        interrupted: whether :meth:`interrupt` was called.
+    """
+
+    def __init__(
+        self, command: Sequence[str], size: int, logs: Path, silence_s: float = SILENCE_S
+    ) -> None:
+        """Nothing is started before the first :meth:`give`.
+
+        Args:
+            command: what starts a worker, see :class:`.worker_process.WorkerProcess`.
+            size: most workers.
+            logs: folder for what they print.
+            silence_s: how long a run may get nowhere [s of wall clock].
+        """
+        self.workers: list[WorkerProcess] = []
+        self.interrupted = False
+        self._command = tuple(command)
+        self._size = size
+        self._logs = logs
+        self._silence_s = silence_s
+        self._started = 0
+
+    def __enter__(self) -> Self:
+        """Make the folder for logs.
+
+        Raises:
+            UsageError: that is not possible.
+        """
+        try:
+            self._logs.mkdir(exist_ok=True)
+        except OSError as error:
+            raise UsageError(f'{self._logs}: cannot be written: {error.strerror}') from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End them all: the idle ones in order, those at work at once."""
+        for worker in self.workers:
+            worker.hang_up()
+        for worker in self.workers:
+            if worker.request is None:
+                worker.end()
+            else:
+                worker.end(0.0)
+        self.workers.clear()
+
+    @property
+    def busy(self) -> int:
+        """Number of runs under way."""
+        return sum(worker.request is not None for worker in self.workers)
+
+    @property
+    def free(self) -> bool:
+        """Whether one more run could be under way."""
+        return self.busy < self._size and not self.interrupted
+
+    def give(self, request: RunRequest) -> None:
+        """Have a free worker, or a new one, run something."""
+        idle = [worker for worker in self.workers if worker.request is None]
+        for worker in idle:
+            if not worker.alive:
+                self._dismiss(worker)
+        idle = [worker for worker in idle if worker in self.workers]
+        worker = idle[0] if idle else self._start()
+        worker.give(request)
+
+    def answers(self, timeout_s: float) -> list[Answer]:
+        """The runs that have ended since the last call; waits for one, at most ``timeout_s``.
+
+        Raises:
+            UsageError: a worker found a mistake of the user's.
+        """
+        busy = {worker.answers: worker for worker in self.workers if worker.request is not None}
+        readable, _, _ = select.select(list(busy), [], [], timeout_s)
+        found = [answer for fd in readable if (answer := self._listen(busy[fd])) is not None]
+        return found + self._overdue()
+
+    def interrupt(self) -> None:
+        """Have every run under way end in order; there will be no more."""
+        self.interrupted = True
+        for worker in self.workers:
+            if worker.request is not None:
+                worker.interrupt()
+
+    def _start(self) -> WorkerProcess:
+        self._started += 1
+        worker = WorkerProcess(self._command, self._logs / f'worker-{self._started}.log')
+        self.workers.append(worker)
+        return worker
+
+    def _dismiss(self, worker: WorkerProcess) -> None:
+        worker.end(0.0)
+        self.workers.remove(worker)
+
+    def _listen(self, worker: WorkerProcess) -> Answer | None:
+        messages = worker.read()
+        if messages is None:
+            return self._lost(worker, 'died')
+        results = [message['result'] for message in messages if 'result' in message]
+        return self._answered(worker, results[0]) if results else None
+
+    def _answered(self, worker: WorkerProcess, values: Mapping[str, Any]) -> Answer:
+        request, result = worker.request, result_from_json(values)
+        assert request is not None
+        worker.request = None
+        if result.outcome is Outcome.INFRA_ERROR:
+            self._dismiss(worker)
+        return request, result
+
+    def _overdue(self) -> list[Answer]:
+        limit_s = _INTERRUPT_S if self.interrupted else self._silence_s
+        now = time.monotonic()
+        late = [
+            worker for worker in self.workers
+            if worker.request is not None and now - worker.silent_since > limit_s
+        ]
+        return [self._lost(worker, 'timeout', f'silent for {limit_s:g} s') for worker in late]
+
+    def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
+        request = worker.request
+        assert request is not None
+        result = worker.bury(kind, detail)
+        self.workers.remove(worker)
+        if self.interrupted:
+            result = RunResult(outcome=Outcome.INTERRUPTED, last_seq=worker.seq)
+        return request, result
+
+
+_POLL_S = 0.2
+
+
+class RunSource(Protocol):
+    """What decides which run comes next: a search, or the shrinking of a failed run."""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the runs under way are to be ended, and no others begun."""
+
+    def next(self) -> RunRequest | None:
+        """A run to begin now; None where there is none before another run has ended, or at all."""
+
+    def take(self, request: RunRequest, result: RunResult) -> None:
+        """Take the answer to a run."""
+
+
+def run_search(search: RunSource, crew: WorkerPool) -> None:
+    """Run a search to its end, or until it is interrupted and the runs under way have ended.
+
+    Raises:
+        UsageError: program or perception failed in a way that the user has to mend.
+    """
+    while True:
+        if search.interrupted and not crew.interrupted:
+            crew.interrupt()
+        while crew.free and (request := search.next()) is not None:
+            crew.give(request)
+        if not crew.busy:
+            return
+        for request, result in crew.answers(_POLL_S):
+            search.take(request, result)

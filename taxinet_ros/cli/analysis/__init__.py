@@ -1,0 +1,1 @@
+"""Commands that analyse: analyze, explain, gate, localize, monitor, spec."""

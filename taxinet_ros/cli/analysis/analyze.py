@@ -1,0 +1,113 @@
+"""``taxinet analyze``: from a table of runs to why they fail."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.analysis.campaign.findings import Findings, analyse
+from taxinet_ros.analysis.campaign.folder import PAGE_NAME, check_folder, json_text, write_analysis
+from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentences, summary
+from taxinet_ros.analysis.causes.program import confirmation_command
+from taxinet_ros.analysis.runs.campaign import Weighting, distinct_labels, read_runs
+from taxinet_ros.campaign.record.table import PARQUET_NAME
+from taxinet_ros.cli.analysis.gate import INCONCLUSIVE
+from taxinet_ros.errors import UsageError
+
+_LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
+
+
+def run_analyze(
+    campaign: Path, baselines: Sequence[Path], out: Path | None, *, spec: str | None, alpha: float,
+    viewers: int, as_json: bool,
+) -> int:
+    """Analyse a campaign, write the analysis down and print its summary.
+
+    Args:
+        campaign: folder or table.
+        baselines: others to hold it against.
+        out: folder for the analysis, or None for the one beside the table.
+        spec: formula that says which runs failed, or None for the headline.
+        alpha: level of the causes.
+        viewers: most failed runs that the page shows step by step.
+        as_json: print ``analysis.json`` in place of the summary.
+
+    Returns:
+        Exit code: 0, or 3 where the campaign tells no rate: its shares are of the runs made.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if not _LOWEST_ALPHA <= alpha <= _HIGHEST_ALPHA:
+        raise UsageError(f'--alpha {alpha:g}: not within {_LOWEST_ALPHA:g}..{_HIGHEST_ALPHA:g}')
+    folder = out or _beside(campaign)
+    first = read_runs(campaign, spec)
+    runs, *others = distinct_labels([first, *(read_runs(path, first.spec) for path in baselines)])
+    check_folder(folder)
+    console = Console(highlight=False)
+    with _progress() as show:
+        findings = analyse(runs, others, alpha=alpha, on_progress=show)
+        report = campaign_report(findings, viewers=viewers)
+        values = write_analysis(findings, report, folder, on_progress=show)
+    if as_json:
+        print(json_text(values), end='')
+    else:
+        _print(console, findings, folder)
+        console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
+    return INCONCLUSIVE if runs.weighting is Weighting.UNKNOWN else 0
+
+
+def _print(console: Console, findings: Findings, folder: Path) -> None:
+    """The summary; the causes as a table in place of their sentences."""
+    in_table = set(cause_sentences(findings)[1:])
+    for sentence in summary(findings):
+        if sentence not in in_table:
+            console.print(sentence, soft_wrap=True, markup=False)
+    if findings.causes.found:
+        console.print(_causes(findings))
+        # A region that was picked for its rate says too much of itself: fresh scenes do not.
+        for cause in findings.causes.found:
+            if (command := confirmation_command(findings.runs, cause, folder)) is not None:
+                console.print(f'test cause {cause.rank} on fresh scenes: {command}',
+                              soft_wrap=True, markup=False)
+
+
+def _causes(findings: Findings) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    table.add_column('#', justify='right')
+    table.add_column('cause')
+    for title in ('runs', 'fail', 'elsewhere', 'holds', 'goes with it', 'p'):
+        table.add_column(title, justify='right', no_wrap=True)
+    for cause in findings.causes.found:
+        inside = cause.inside
+        known = f' ({100 * inside.low:.0f}–{100 * inside.high:.0f})' if inside.low >= 0 else ''
+        table.add_row(
+            str(cause.rank), cause.region.words(), f'{inside.runs:,}',
+            f'{100 * inside.rate:.0f} %{known}', f'{100 * cause.outside.rate:.1f} %',
+            f'{100 * cause.share:.0f} %', f'{100 * cause.attributable[0]:.0f} %',
+            cause.p_words().removeprefix('p ').lstrip('= '),
+        )
+    return table
+
+
+def _beside(campaign: Path) -> Path:
+    if campaign.is_dir() or campaign.suffix != '.parquet':
+        return campaign / 'analysis'
+    if campaign.name == PARQUET_NAME:
+        return campaign.parent / 'analysis'
+    return campaign.with_name(f'{campaign.stem}-analysis')
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """What is being done, on one line that is gone in the end; only a terminal gets to see it."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status('reading') as status:
+        yield lambda text: status.update(text)

@@ -1,0 +1,166 @@
+"""``taxinet explain``: why the network failed in one recorded run."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
+from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
+from taxinet_ros.analysis.explain.report import explain_json, explain_report
+from taxinet_ros.bag.run.facts import RecordedRun, read_run
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
+from taxinet_ros.cli.bag.input import perception_of, readable_bags
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.perception.network import shrink
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
+
+JSON_NAME, PAGE_NAME = 'explain.json', 'explain.html'
+
+MOST_IMAGES = 4000
+"""Of a data set so many images are looked at, evenly spread; reading them takes 4 ms each."""
+
+_THREADS = 2
+_SCENE = ('time_of_day', 'clouds', 'rain')
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainOptions:
+    """What a person asked for.
+
+    Attributes:
+        bag: a run folder or an ``.mcap`` file.
+        perception: word or file; the run's own where None.
+        dataset: folder of training images, or None.
+        frames: most moments to look into.
+        out: new folder for page and pictures; where None, one below ``bags/``.
+        as_json: print the JSON in place of the summary.
+    """
+
+    bag: Path
+    perception: str | None
+    dataset: Path | None
+    frames: int
+    out: Path | None
+    as_json: bool
+
+
+def run_explain(options: ExplainOptions) -> int:
+    """Look into the run, write page, pictures and JSON, and print the summary.
+
+    Returns:
+        Exit code: 0.
+
+    Raises:
+        UsageError: bad input.
+    """
+    console = Console(highlight=False, stderr=options.as_json)
+    with readable_bags():
+        run = read_run(options.bag)
+        word = _network(run, options.perception)
+        out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
+        check_new(out)
+        folder = None if options.dataset is None else open_folder(options.dataset)
+        with stage_bars(console) as show:
+            training = None if folder is None else _training(folder, show)
+            found = explain(
+                options.bag, run, make_perception(word), frames=options.frames,
+                training=training, on_progress=show,
+            )
+    _make(out)
+    written = _write(found, out)
+    if options.as_json:
+        print(json.dumps(explain_json(found), indent=2, allow_nan=False))
+        return 0
+    console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
+    for sentence in explain_sentences(found):
+        console.print(sentence, soft_wrap=True, markup=False)
+    console.print(f'page: {written}', soft_wrap=True, markup=False)
+    return 0
+
+
+def _network(run: RecordedRun, asked: str | None) -> str:
+    """Word or file of the network to ask: the run's own, if it is here."""
+    name = run.request.run_id
+    if asked == 'truth':
+        raise UsageError('--perception truth: looks at no picture; name a network')
+    if asked is None and run.perception == 'truth':
+        raise UsageError(
+            f'{name}: the truth took part, and no network; name one with --perception')
+    word, fingerprint = perception_of(run, asked)
+    if asked is None and fingerprint != run.fingerprint:
+        raise UsageError(
+            f"{name}: was driven by a {word} of sha256 {run.fingerprint[:12]}…, and today's has "
+            f'{fingerprint[:12]}…; name the file, or another network, with --perception'
+        )
+    return word
+
+
+def _training(folder: ImageFolder, show: Callable[[str, int, int], None]) -> NearestImages:
+    """An even sample of a data set, as networks see it."""
+    total = len(folder)
+    if total < 2:
+        raise UsageError(f'--dataset {folder.path}: holds {total} image; needs two or more')
+    rows = np.unique(np.linspace(0, total - 1, min(total, MOST_IMAGES)).astype(int)).tolist()
+    pictures = []
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            for picture in pool.map(lambda row: shrink(folder.picture(row)[0]), rows):
+                pictures.append(picture)
+                show('training', len(pictures), len(rows))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return NearestImages(TrainingImages(
+        name=folder.path.resolve().name, total=total, pictures=np.array(pictures),
+        scenes=_scenes(folder, rows),
+    ))
+
+
+def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
+    """Labels of rows, and what else of the scene the table tells."""
+    frames = [folder.frames[row] for row in rows]
+    scenes = pd.DataFrame({
+        'image': [frame.image for frame in frames],
+        'cte_m': [frame.truth.cte_m for frame in frames],
+        'heading_error_deg': [math.degrees(frame.truth.he_rad) for frame in frames],
+        'distance_m': [frame.distance_m for frame in frames],
+    })
+    if folder.table.suffix == '.parquet':
+        table = pd.read_parquet(folder.table)
+        for name in _SCENE:
+            if name in table:
+                scenes[name] = table[name].to_numpy()[rows]
+    return scenes
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'--out {out}: cannot be written: {error.strerror}') from error
+
+
+def _write(found: Explanation, out: Path) -> Path:
+    """Pictures, JSON and page; the page's path."""
+    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+
+    report = explain_report(found)
+    for section in report.sections:
+        for picture in section.pictures:
+            write_png(picture, out, LIGHT)
+    write_atomically(
+        out / JSON_NAME, json.dumps(explain_json(found), indent=2, allow_nan=False) + '\n')
+    write_report_page(report, out / PAGE_NAME)
+    return out / PAGE_NAME

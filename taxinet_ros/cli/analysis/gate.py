@@ -1,0 +1,105 @@
+"""``taxinet gate``: a campaign held against what continuous integration asks of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.analysis.gate import GateOptions, GateResult, Verdict, gate_result, junit_xml
+from taxinet_ros.bag.check.findings import ranges
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
+from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
+from taxinet_ros.campaign.record.table import check_tables
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.pacing.timing import is_free
+from taxinet_ros.core.provenance import differences
+from taxinet_ros.errors import UsageError
+
+FAILED, INCONCLUSIVE = 1, 3
+INCONCLUSIVE_WORDS = {'pass': 0, 'fail': FAILED, 'report': INCONCLUSIVE}
+"""What ``--inconclusive`` makes of the exit code."""
+
+
+def run_gate(
+    folder: Path, options: GateOptions, *, inconclusive: str, junit: Path | None, as_json: bool
+) -> int:
+    """Print the answer, and write it as JUnit XML if asked.
+
+    Returns:
+        Exit code: 0 PASS, 1 FAIL, 3 INCONCLUSIVE unless ``inconclusive`` says otherwise.
+
+    Raises:
+        UsageError: it is no campaign, or it cannot answer.
+    """
+    if inconclusive not in INCONCLUSIVE_WORDS:
+        known = ', '.join(INCONCLUSIVE_WORDS)
+        raise UsageError(f'--inconclusive {inconclusive}: unknown; known: {known}')
+    path = folder / LEDGER_NAME
+    if not path.is_file():
+        raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
+    check_tables(folder)
+    content = read_ledger(path)
+    planned = content.campaign.get('first_runs', content.campaign.get('runs', 0))
+    answer = gate_result(content.rows, options, planned=int(planned))
+    answer = replace(answer, notes=(*answer.notes, *_record_notes(content)))
+    if junit is not None:
+        document = junit_xml(
+            content.rows, answer, folder, content.campaign,
+            inconclusive_passes=inconclusive == 'pass',
+        )
+        if not junit.parent.is_dir():
+            raise UsageError(f'--junit {junit}: there is no folder {junit.parent}')
+        write_whole(junit, lambda draft: draft.write_bytes(document))
+    print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
+    codes = {Verdict.PASS: 0, Verdict.FAIL: FAILED}
+    return codes.get(answer.verdict, INCONCLUSIVE_WORDS[inconclusive])
+
+
+def _record_notes(content: LedgerContent) -> Iterator[str]:
+    """What the record itself has that a reader has to know."""
+    if found := differences(*recorded_stacks(content.campaign).values()):
+        yield f'the runs were made on different machines or versions: {found}'
+    if content.finished and content.unfinished:
+        yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
+    if content.unasked:
+        yield f'run {ranges(content.unasked)}: has a result, but nothing says that it was begun'
+    for timing in sorted({row.timing for row in content.rows if row.timing}):
+        again = ', so their verdicts need not come again' if is_free(timing) else ''
+        yield f'timing of the runs: {timing}{again}'
+    yield from content.lost
+
+
+def _words(answer: GateResult, folder: Path) -> str:
+    counts = ', '.join(f'{n} {outcome}' for outcome, n in answer.counts.items() if n)
+    lines = [f'{answer.verdict}: {folder} ({counts or "no run"})']
+    lines += [f'  {one.verdict:<12} {one.name}: {one.sentence}' for one in answer.criteria]
+    lines += [f'  note: {note}' for note in answer.notes]
+    return '\n'.join(lines)
+
+
+def _json(answer: GateResult, options: GateOptions) -> dict[str, Any]:
+    return {
+        'verdict': answer.verdict.value,
+        'confidence': options.confidence,
+        'bounds': 'one-sided, each at this confidence over all looks at the campaign',
+        'judged': answer.judged,
+        'effective': answer.effective,
+        'outcomes': {outcome.value: answer.counts[outcome] for outcome in Outcome},
+        'criteria': [
+            {
+                'name': one.name, 'verdict': one.verdict.value, 'sentence': one.sentence,
+                **({} if one.bounds is None else {
+                    'share': None if math.isnan(one.bounds.share) else one.bounds.share,
+                    'low': one.bounds.low, 'high': one.bounds.high,
+                    'more_runs': one.more_runs,
+                }),
+            }
+            for one in answer.criteria
+        ],
+        'notes': list(answer.notes),
+    }

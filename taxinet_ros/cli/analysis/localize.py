@@ -1,0 +1,89 @@
+"""``taxinet localize``: whether network or controller is to blame for a campaign's failures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.analysis.fault_localisation import (
+    JSON_NAME,
+    Localisation,
+    localisation,
+    localisation_json,
+    localisation_report,
+    localisation_sentences,
+    write_cases,
+)
+from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
+from taxinet_ros.campaign.record.facts import stack_difference
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.processes.interrupts import interrupts
+
+
+def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
+    """Make the trials, write down what came of them, and print that.
+
+    Returns:
+        Exit code: 0 done, 130 interrupted; the same command goes on.
+
+    Raises:
+        UsageError: bad input.
+        InfraError: a worker process died.
+    """
+    console = Console(highlight=False, stderr=as_json)
+    console.print(_heading(options), soft_wrap=True, markup=False)
+    if warning := stack_difference(options.failed.facts, str(options.failed.folder)):
+        console.print(warning, soft_wrap=True, markup=False)
+    asked: list[bool] = []
+    with (
+        stage_bars(console) as show,
+        interrupts(lambda: asked.append(True)),
+    ):
+        trials = localize(
+            options, lambda done: show('trials', done, options.wanted), lambda: bool(asked)
+        )
+    failed = options.failed
+    found = localisation(
+        options.rows, trials, words=options.words, spec=parse_spec(failed.specs[0]).name,
+        specs=len(failed.specs), perception=Path(options.perception).name,
+        failed=len(failed.rows), runs=failed.runs, chosen_by=failed.chosen_by,
+    )
+    unfinished = len(trials) < options.wanted
+    written = _write(found, options.out)
+    if as_json:
+        print(json.dumps(localisation_json(found) | {'complete': not unfinished}, indent=2))
+    else:
+        lines = [*localisation_sentences(found), f'written: {", ".join(map(str, written))}']
+        console.print('\n'.join(lines), soft_wrap=True, markup=False)
+    if unfinished:
+        left = options.wanted - len(trials)
+        console.print(f'interrupted, {left} trials left; the same command goes on', soft_wrap=True)
+    return 130 if unfinished else 0
+
+
+def _heading(options: LocalizeOptions) -> str:
+    rows, words = len(options.rows), ', '.join(options.words)
+    return (
+        f'{rows} of {len(options.failed.rows)} failed runs of {options.failed.folder}, '
+        f'perception {options.perception}, each with {words} -> {options.out}'
+    )
+
+
+def _write(found: Localisation, out: Path) -> list[Path]:
+    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+
+    report = localisation_report(found)
+    path, tables = out / JSON_NAME, write_cases(found, out)
+    write_sealed(path, localisation_json(found), tables, [out / TRIALS_NAME])
+    pictures = [
+        write_png(picture, out, LIGHT) for section in report.sections
+        for picture in section.pictures
+    ]
+    page = out / 'localize.html'
+    write_report_page(report, page)
+    return [page, *pictures, *tables, path]

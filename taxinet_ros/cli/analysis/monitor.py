@@ -1,0 +1,397 @@
+"""``taxinet monitor`` and ``spec``: judge recorded runs by requirements, explain those."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from taxinet_ros.bag.check.judge import (
+    BagVerdict,
+    JudgedBag,
+    SpecVerdict,
+    judge_bags,
+    judge_spec,
+    signals_of_specs,
+)
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.samples import read_run_samples
+from taxinet_ros.campaign.options import check_assumptions, read_specs, split_settings
+from taxinet_ros.campaign.past_runs.added_requirements import (
+    add_requirements,
+    addable,
+    campaign_bags,
+)
+from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.summary import requirement_lines
+from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs
+from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
+from taxinet_ros.core.pacing.timing import timing_words
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+
+
+def show_specs(
+    formulas: Iterable[str], *, duration_s: float, settings: Iterable[str], as_json: bool
+) -> None:
+    """Print how requirements are understood, and what is to be minded.
+
+    Args:
+        formulas: requirements as text, or files of them.
+        duration_s: length of the runs that they will judge [s].
+        settings: gains of the controller, ``steering.<gain>=value``.
+        as_json: print one JSON document.
+
+    Raises:
+        UsageError: one is none, or no run of this length can be judged by it.
+    """
+    specs = [parse_spec(text) for text in read_specs(formulas)]
+    others, gains = split_settings(settings)
+    if others:
+        raise UsageError(f'--set {next(iter(others))}: only gains of the controller matter here')
+    Scenario(duration_s=duration_s)
+    found = check_specs(specs, duration_s, SteeringGains(**gains))
+    if as_json:
+        print(json.dumps({
+            'specs': [
+                {'spec': spec.name, 'formula': spec.text, 'understood': line}
+                for spec, line in zip(specs, found.lines, strict=True)
+            ],
+            'warnings': list(found.warnings),
+        }, indent=2))
+        return
+    for line in requirement_lines(found):
+        Console(highlight=False).print(line, soft_wrap=True)
+
+
+_STYLES = {
+    BagVerdict.SATISFIED: 'green', BagVerdict.VIOLATED: 'red', BagVerdict.MARGINAL: 'red',
+    BagVerdict.INCOMPLETE: 'yellow', BagVerdict.INVALID: 'bold magenta',
+    BagVerdict.UNCLEAR: 'yellow',
+}
+
+
+def bag_lines(bag: JudgedBag) -> Iterator[Text]:
+    """A line for each requirement, and one for what is wrong with the bag."""
+    name = bag.name
+    width = max((len(one.spec.name) for one in bag.verdicts), default=0)
+    for one in bag.verdicts:
+        line = Text(f'{name}  {one.spec.name:<{width}}  ')
+        line.append(f'{one.verdict:<10}', style=_STYLES[one.verdict])
+        line.append(f'  {_rho(one)}  {_time_words(one)}  ')
+        line.append(_recorded(one), style='red' if one.same is False else 'dim')
+        line.append(f'  {bag.timing}' if bag.timing else '', style='cyan')
+        yield line
+        if one.breach_s is not None:
+            text = f'a bound or rate broken at {one.breach_s:g} s counts no more'
+            yield Text(f'{name}  {one.spec.name:<{width}}  {text}', style='yellow')
+        if one.verdict is BagVerdict.UNCLEAR:
+            yield Text(f'{name}  {one.why}', style='yellow')
+    if bag.blind:
+        text = f'{bag.blind} of {bag.frames} frames without a usable estimate'
+        yield Text(f'{name}  warning: {text}', style='yellow')
+    if bag.stopped_early:
+        yield Text(f'{name}  stopped early, at {bag.end_s:g} of {bag.duration_s:g} s', style='dim')
+    elif 0 <= bag.end_s < bag.duration_s:
+        yield Text(f'{name}  ends at {bag.end_s:g} of {bag.duration_s:g} s', style='yellow')
+    for words in filter(None, (bag.trouble, bag.note)):
+        yield Text(f'{name}  {words}', style='yellow')
+
+
+def summary_lines(bags: Sequence[JudgedBag]) -> list[str]:
+    """How many bags say what of each requirement, and how many repeat what was recorded.
+
+    Runs whose answers took effect at different times are never counted together.
+    """
+    lines = []
+    unit = 'runs' if any(bag.run for bag in bags) else 'bags'
+    groups = dict.fromkeys((one.spec.name, bag.timing) for bag in bags for one in bag.verdicts)
+    mixed = len({timing for _, timing in groups}) > 1
+    for name, timing in groups:
+        own = [
+            one for bag in bags for one in bag.verdicts
+            if (one.spec.name, bag.timing) == (name, timing)
+        ]
+        counts = Counter(one.verdict for one in own)
+        words = ', '.join(f'{counts[each]} {each}' for each in BagVerdict if counts[each])
+        recorded = [one for one in own if one.same is not None]
+        same = sum(bool(one.same) for one in recorded)
+        again = f'; {same} of {len(recorded)} as recorded, to the bit' if recorded else ''
+        when = f' ({timing_words(timing)})' if mixed or timing else ''
+        lines.append(f'{name}{when}: {words} of {len(own)} {unit}{again}')
+    unread = sum(not bag.verdicts for bag in bags)
+    return lines + ([f'{unread} bags tell of no run'] if unread else [])
+
+
+def as_document(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> str:
+    """All of it as JSON; an end of an interval that is not known is null."""
+    values = {'warnings': list(warnings), 'bags': [_bag_document(bag) for bag in bags]}
+    return json.dumps(values, indent=2, allow_nan=False)
+
+
+def _rho(one: SpecVerdict) -> str:
+    if one.lower == one.upper:
+        return f'rho {one.lower:+9.3f}'
+    return f'rho within [{one.lower:+.3f}, {one.upper:+.3f}]'
+
+
+def _time_words(one: SpecVerdict) -> str:
+    return 'not decided' if one.decided_s is None else f'decided at {one.decided_s:4.1f} s'
+
+
+def _recorded(one: SpecVerdict) -> str:
+    if one.recorded is None:
+        return 'not recorded'
+    if one.same:
+        return 'as recorded'
+    lower, upper = one.recorded
+    ends = f'{lower:+.17g}' if lower == upper else f'[{lower:+.17g}, {upper:+.17g}]'
+    return f'{"DIFFERS from the " if one.same is False else ""}recorded {ends}'
+
+
+def _bag_document(bag: JudgedBag) -> dict[str, Any]:
+    return {
+        'bag': str(bag.path), 'run': bag.run or None, 'end_s': bag.end_s,
+        'duration_s': _known(bag.duration_s), 'timing': bag.timing,
+        'stopped_early': bag.stopped_early,
+        'trouble': bag.trouble, 'note': bag.note, 'unusable_estimates': bag.blind or None,
+        'verdicts': [
+            {
+                'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
+                'rho_lower': _known(one.lower), 'rho_upper': _known(one.upper),
+                'decided_s': one.decided_s, 'breach_s': one.breach_s,
+                'recorded': None if one.recorded is None else [*map(_known, one.recorded)],
+                'as_recorded': one.same, 'why_unclear': one.why,
+            }
+            for one in bag.verdicts
+        ],
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+VIOLATED, LOSSY = 1, 3
+_PICTURE = '.png'
+
+
+def run_monitor(
+    places: Sequence[Path], *, specs: Iterable[str], plot: Path | None, add: bool, as_json: bool,
+    workers: int, bounds: Sequence[str] = (), rates: Sequence[str] = (), run: str | None = None,
+) -> int:
+    """Judge bags and print what they say.
+
+    Args:
+        places: run folders, ``.mcap`` files, or folders of campaigns.
+        specs: requirements as text or files of them; where empty, each bag's own.
+        plot: PNG file, or where there are several bags a folder, to draw to.
+        add: put the requirements into the tables of the campaigns.
+        as_json: print one JSON document.
+        workers: processes that judge.
+        bounds: what is vouched for of the signals' values; without any, and without rates, what
+            each bag says was.
+        rates: of their change per second.
+        run: which run of the one bag that is named; all of them where None.
+
+    Returns:
+        Exit code: 1 where a run violates a requirement in a bag that holds several; 3 where a bag
+        is incomplete, damaged, or contradicts what was recorded in it; else 1 where a requirement
+        is violated; else 0.
+
+    Raises:
+        UsageError: bad input.
+        InfraError: a worker process died.
+    """
+    chosen = [parse_spec(text) for text in read_specs(specs)]
+    vouched = check_assumptions(bounds, rates) if bounds or rates else None
+    found = {place: _bags(place) for place in places}
+    bags = list(dict.fromkeys(bag for group in found.values() for bag in group))
+    if run is not None and len(bags) > 1:
+        raise UsageError(f'--run {run}: there are {len(bags)} bags; name the one that holds it')
+    to_add = {place: addable(place, chosen) for place in places} if add else {}
+    if add and not chosen:
+        raise UsageError('--add: say with --spec which requirement to add')
+    told = _RequirementNotes(chosen)
+    if plot is not None:
+        _check_plot(plot, bags)
+    judged = _judged(
+        bags, chosen, workers, vouched, as_json=as_json, named=places, run=run, told=told,
+    )
+    if plot is not None:
+        _check_one(plot, judged)
+    notes = []
+    for place, new in to_add.items():
+        counts = add_requirements(place, new, {bag.path: bag for bag in judged if not bag.run})
+        notes += [f'{place}: rho_{name} added for {count} runs' for name, count in counts.items()]
+    if plot is not None:
+        notes += [f'picture: {_draw(bag, vouched, plot)}' for bag in judged
+                  if bag.verdicts and bag.end_s >= 0]
+    if as_json:
+        print(as_document(judged, told.warnings))
+    else:
+        lines = summary_lines(judged) if len(judged) > 1 else []
+        for line in (*lines, *notes):
+            Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return _exit_code(judged)
+
+
+def _bags(place: Path) -> list[Path]:
+    """The bags at a place that the user named."""
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise UsageError(f'{place}: no such bag; give a run folder, an .mcap file or a campaign')
+    # What is compressed, or of another storage, is to be refused by name.
+    if any(path for kind in (f'*.{STORAGE_ID}*', '*.db3') for path in place.glob(kind)):
+        return [place]
+    bags = campaign_bags(place)
+    if not bags:
+        what = 'no run of it left a bag' if (place / LEDGER_NAME).is_file() else 'holds no bag'
+        raise UsageError(f'{place}: {what}')
+    return bags
+
+
+def _judged(
+    bags: Sequence[Path], specs: Sequence[Spec], workers: int, vouched: Assumptions | None, *,
+    as_json: bool, named: Sequence[Path], run: str | None, told: _RequirementNotes,
+) -> list[JudgedBag]:
+    """Judge all of them, and print each as soon as it is known."""
+    console = Console(highlight=False, stderr=as_json)
+    chosen = None if run is None else read_recording(bags[0]).choose(run).name
+    judged: list[JudgedBag] = []
+    places = BagPlaces()
+    with stage_bars(console) as show:
+        for bag in judge_bags(bags, specs, workers, vouched):
+            if bag.foreign and bag.path in named:
+                raise UsageError(bag.trouble)
+            if chosen is not None and bag.run not in ('', chosen):
+                continue
+            if bag.verdicts and not bag.run:
+                places.check(bag.path, whole=not bag.trouble)
+            judged.append(bag)
+            news = told.of(bag)
+            if not as_json:
+                for line in (*news, *bag_lines(bag)):
+                    console.print(line, soft_wrap=True)
+            if len(bags) > 1:
+                show('judging', len({one.path for one in judged}), len(bags))
+    if not judged:
+        raise UsageError(f'--run {run}: there is not one step of it in {bags[0]}')
+    return judged
+
+
+class _RequirementNotes:
+    """Says of each requirement once how it is understood, and of each length of run what to mind.
+
+    Attributes:
+        warnings: all that there were.
+    """
+
+    def __init__(self, specs: Sequence[Spec]) -> None:
+        self.warnings: list[str] = []
+        self._specs = specs
+        self._lengths_s: set[float] = set()
+
+    def of(self, bag: JudgedBag) -> list[Text]:
+        """What is to be said before the verdicts of a bag."""
+        if bag.duration_s in self._lengths_s or not bag.duration_s > 0:
+            return []
+        found = describe_specs(self._specs, bag.duration_s, _gains(bag.path))
+        new = tuple(line for line in found.warnings if line not in self.warnings)
+        self.warnings += new
+        lines = requirement_lines(
+            SpecCheck(lines=found.lines, warnings=new), quiet=bool(self._lengths_s)
+        )
+        self._lengths_s.add(bag.duration_s)
+        return lines
+
+
+def _gains(bag: Path) -> SteeringGains | None:
+    """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
+    try:
+        return SteeringGains(**read_run(bag).gains)
+    except (BagError, UsageError):
+        return None
+
+
+def _exit_code(bags: Iterable[JudgedBag]) -> int:
+    judged = list(bags)
+    violated = [bag for bag in judged if any(one.verdict.failed for one in bag.verdicts)]
+    # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
+    # Nor does a topic that is missing unsay what others tell: damage leaves no verdict at all.
+    if any(bag.run or bag.trouble for bag in violated):
+        return VIOLATED
+    if not all(bag.sound for bag in judged):
+        return LOSSY
+    return VIOLATED if violated else 0
+
+
+def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
+    if plot.suffix == _PICTURE and len(bags) > 1:
+        raise UsageError(f'--plot {plot}: there are {len(bags)} bags; name a folder')
+    if plot.suffix not in ('', _PICTURE):
+        raise UsageError(f'--plot {plot}: write NAME.png, or name a folder')
+    folder = plot.parent if plot.suffix else plot
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f'--plot {plot}: cannot be written: {error.strerror}') from error
+
+
+def _check_one(plot: Path, judged: Sequence[JudgedBag]) -> None:
+    if plot.suffix == _PICTURE and len(judged) > 1:
+        names = ', '.join(bag.run or bag.name for bag in judged)
+        raise UsageError(f'--plot {plot}: the bag holds {names}; name a folder, or one with --run')
+
+
+def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
+    from taxinet_ros.analysis.one_run.robustness import JudgedSpec, robustness_picture
+
+    specs = [one.spec for one in bag.verdicts]
+    runs = read_run_samples(bag.path, signals_of_specs(specs))
+    samples = next(one for one in runs if one.run == bag.run)
+    judged = []
+    for spec in specs:
+        verdict, readings = judge_spec(samples, spec, vouched)
+        # Where a topic that it reads is missing, no more is known than before.
+        at = dict(zip(samples.seen_by(spec).stamps_ns, readings, strict=False))
+        known = accumulate(
+            (at.get(stamp) for stamp in samples.stamps_ns), lambda old, new: new or old,
+            initial=readings[0],
+        )
+        judged.append(JudgedSpec(verdict=verdict, readings=[*known][1:]))
+    path = plot if plot.suffix else plot / f'{_file_name(bag)}{_PICTURE}'
+    try:
+        robustness_picture(
+            samples.stamps_ns, samples.samples, judged, path, title=_title(bag),
+            end_s=bag.duration_s,
+        )
+    except OSError as error:
+        raise UsageError(f'--plot {path}: cannot be written: {error.strerror}') from error
+    return path
+
+
+def _file_name(bag: JudgedBag) -> str:
+    return re.sub(r'[^A-Za-z0-9_.-]+', '_', bag.name)
+
+
+def _title(bag: JudgedBag) -> str:
+    if bag.end_s >= bag.duration_s:
+        return bag.name
+    why = 'stopped early' if bag.stopped_early else 'incomplete'
+    return f'{bag.name}   ({why}: {bag.end_s:g} of {bag.duration_s:g} s)'

@@ -1,0 +1,1 @@
+"""Commands on bags: taxinet bag ..., and taxinet doctor."""

@@ -1,0 +1,95 @@
+"""``taxinet bag compare``: where two bags begin to differ, topic by topic."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.bag.check.compare import TopicComparison, compare_bags, first_step
+from taxinet_ros.bag.layout import storage_files
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.facts import made_on
+from taxinet_ros.cli.bag.input import readable_bags, warn_of_stacks
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.errors import UsageError
+
+EQUAL, DIFFERENT = 0, 1
+
+
+def run_compare(one: Path, other: Path, *, tolerance: float, skip: Collection[str]) -> int:
+    """Compare two bags and print the differences.
+
+    Returns:
+        Exit code: 0 the same within the tolerance, 1 different.
+
+    Raises:
+        UsageError: a bag cannot be read, or an option makes no sense.
+    """
+    if not 0 <= tolerance < float('inf'):
+        raise UsageError(f'--tolerance {tolerance:g}: needs to be 0 or more')
+    console = Console(highlight=False)
+    with readable_bags():
+        left_out = _topics(skip, one, other)
+        topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
+        if not topics:
+            raise UsageError(f'{one} and {other}: no messages to compare')
+        warn_of_stacks(console, made_on(read_info(one)), made_on(read_info(other)))
+        print_comparison(console, topics, tolerance)
+        if _bytes(one) == _bytes(other):
+            console.print('the files are the same byte for byte')
+    return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
+
+
+def print_comparison(
+    console: Console, topics: Sequence[TopicComparison], tolerance: float
+) -> None:
+    """Print a line for every topic that differs, and what it comes to."""
+    differing = [topic for topic in topics if not topic.equal]
+    within = f' within {tolerance:g}' if tolerance else ''
+    messages = sum(max(topic.counts) for topic in topics)
+    if not differing:
+        console.print(f'the same{within}: {messages} messages on {len(topics)} topics')
+        return
+    width = max(len(topic.topic) for topic in differing)
+    for topic in differing:
+        console.print(f'{topic.topic:<{width}}  {_words(topic)}', soft_wrap=True, markup=False)
+    step = first_step(differing)
+    when = '' if step is None else (
+        f'; first at step {step} ({step * CONTROL_PERIOD_NS / 1e9:.1f} s)'
+    )
+    console.print(
+        f'different{within and f" beyond {tolerance:g}"} on {len(differing)} of {len(topics)} '
+        f'topics{when}', soft_wrap=True,
+    )
+
+
+def _words(topic: TopicComparison) -> str:
+    one, other = topic.counts
+    if not (one and other):
+        return f'{one} | {other} messages'
+    both = min(one, other)
+    counts = f'{one} | {other} messages, ' if one != other else ''
+    if topic.first is None:
+        return f'{counts}the first {both} are the same'
+    greatest = f' by up to {topic.greatest:.3g}' if topic.greatest else ''
+    return f'{counts}{topic.differing} of {both} differ{greatest}, first: {topic.first}'
+
+
+def _topics(names: Collection[str], *bags: Path) -> list[str]:
+    """Names as bags have them.
+
+    Raises:
+        UsageError: no bag has such a topic.
+    """
+    known = {name for bag in bags for name in read_info(bag).counts}
+    for name in names:
+        if '/' + name.lstrip('/') not in known:
+            words = ', '.join(sorted(known))
+            raise UsageError(f'--skip {name}: neither bag has it; they have {words}')
+    return ['/' + name.lstrip('/') for name in names]
+
+
+def _bytes(bag: Path) -> list[bytes]:
+    return [file.read_bytes() for file in storage_files(bag)]

@@ -1,0 +1,153 @@
+"""``taxinet bag doctor`` and ``taxinet doctor``: check a bag, or a folder of results."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from taxinet_ros.bag.check.doctor import check_bag, check_recorded_frames
+from taxinet_ros.bag.check.findings import Check, Finding
+from taxinet_ros.campaign.doctor import Examination, examine, mend
+from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of, one_run
+
+
+def run_bag_doctor(
+    bag: Path, *, as_json: bool, images: bool = False, run: str | None = None
+) -> int:
+    """Check a bag and print what was found.
+
+    Args:
+        bag: a run folder or an ``.mcap`` file.
+        as_json: print one JSON object.
+        images: render every frame once more, and compare.
+        run: of which run, where the bag holds several.
+
+    Returns:
+        Exit code: 0 nothing is wrong, 3 something is, 1 not readable.
+
+    Raises:
+        UsageError: there is nothing at ``bag``.
+    """
+    return exit_code_of(bag, lambda: _check_bag(bag, as_json, images, run))
+
+
+def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
+    checks = check_bag(bag).checks
+    if images:
+        with one_run(bag, run) as whole:
+            checks += (check_recorded_frames(whole),)
+    print_checks(bag, checks, as_json=as_json)
+    return LOSSY if any(check.findings for check in checks) else WHOLE
+
+
+def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
+    """Print a line for each check, what each found, and what mends it."""
+    findings = [finding for check in checks for finding in check.findings]
+    if as_json:
+        print(json.dumps({
+            'bag': str(bag), 'sound': not findings,
+            'checks': [
+                {**asdict(check), 'findings': [_plain(finding, bag) for finding in check.findings]}
+                for check in checks
+            ],
+        }, indent=2))
+        return
+    console = Console(highlight=False)
+    for check in checks:
+        console.print(_check_line(check), soft_wrap=True)
+        for finding in check.findings:
+            console.print(
+                f'        {finding.where}: {finding.what}', soft_wrap=True, markup=False
+            )
+    console.print(_conclusion(findings, bag), soft_wrap=True, markup=False)
+
+
+def _conclusion(findings: Sequence[Finding], bag: Path) -> str:
+    if not findings:
+        return 'nothing is wrong'
+    mends = Counter(_mend(finding, bag) for finding in findings)
+    lost = mends.pop('', 0)
+    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
+    if lost:
+        parts.append(f'{lost} by nothing but running the scene again')
+    return f'{len(findings)} found, {"; ".join(parts)}'
+
+
+def _check_line(check: Check) -> Text:
+    if check.skipped:
+        word, style = 'skip', 'dim'
+    elif check.findings:
+        word, style = 'BAD', 'bold red'
+    else:
+        word, style = 'ok', 'green'
+    text = Text()
+    text.append(f'{word:<5}', style=style)
+    text.append(f'{check.name:<12}{check.looked_at}')
+    return text
+
+
+def _plain(finding: Finding, bag: Path) -> dict[str, str]:
+    return {'where': finding.where, 'what': finding.what, 'mend': _mend(finding, bag)}
+
+
+def _mend(finding: Finding, bag: Path) -> str:
+    return finding.mend.replace('{bag}', shlex.quote(str(bag)))
+
+
+def run_results_doctor(folder: Path, *, mended: bool, as_json: bool) -> int:
+    """Check a folder, after mending it if asked, and print a line for each finding.
+
+    Returns:
+        Exit code: 0 all is sound, 3 something is not whole.
+
+    Raises:
+        UsageError: there is nothing to be checked, or somebody is at work on it.
+    """
+    done = mend(folder) if mended else []
+    found = examine(folder, _show_bag_name)
+    if sys.stderr.isatty():
+        print('\r\033[K', end='', file=sys.stderr)
+    print(_results_json(found, done, folder) if as_json else _results_words(found, done, folder))
+    return LOSSY if found.findings else WHOLE
+
+
+def _show_bag_name(bag: Path) -> None:
+    if sys.stderr.isatty():
+        print(f'\r\033[K{bag.name}', end='', file=sys.stderr, flush=True)
+
+
+def _results_words(found: Examination, done: list[str], folder: Path) -> str:
+    looked_at = ', '.join(f'{count:,} {what}' for what, count in found.looked_at.items())
+    mends = Counter(_mend_command(one.mend, folder) for one in found.findings)
+    lost = mends.pop('', 0)
+    parts = [f'{number} mended by: {command}' for command, number in mends.items()]
+    parts += [f'{lost} by nothing but making it again'] if lost else []
+    summary = f'{len(found.findings)} found; {"; ".join(parts)}' if found.findings else 'sound'
+    return '\n'.join([
+        *(f'mended  {line}' for line in done),
+        *(f'BAD     {one.where}: {one.what}' for one in found.findings),
+        *(f'note    {line}' for line in found.notes),
+        f'{folder}: {looked_at}: {summary}',
+    ])
+
+
+def _results_json(found: Examination, done: list[str], folder: Path) -> str:
+    return json.dumps({
+        'folder': str(folder), 'sound': not found.findings, 'looked_at': found.looked_at,
+        'mended': done, 'notes': found.notes, 'not_checked': list(map(str, found.unchecked)),
+        'findings': [
+            {**asdict(one), 'mend': _mend_command(one.mend, folder)} for one in found.findings
+        ],
+    }, indent=2)
+
+
+def _mend_command(command: str, folder: Path) -> str:
+    return command.replace('{folder}', shlex.quote(str(folder)))

@@ -1,0 +1,124 @@
+"""``taxinet bag export``: tables of topics, or a film of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.recording import is_run_topic
+from taxinet_ros.bag.run.tables import read_tables, read_trace_table, titles
+from taxinet_ros.cli.bag.input import WHOLE, exit_code_of, one_run
+from taxinet_ros.errors import UsageError
+
+TABLES = ('csv', 'parquet')
+FILMS = ('mp4', 'gif')
+_PICTURES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+
+
+def run_export(
+    bag: Path, out: Path, *, topics: Sequence[str], file_format: str | None, run: str | None = None
+) -> int:
+    """Write what is asked for and say where.
+
+    Args:
+        bag: a bag's folder or an ``.mcap`` file.
+        out: file or folder.
+        topics: to make tables of; where empty, the run's trace or all topics.
+        file_format: where the name of ``out`` does not tell.
+        run: which run, where the bag holds several.
+
+    Returns:
+        Exit code: 0, 3 the bag is damaged, 1 not readable, 4 no room.
+
+    Raises:
+        UsageError: bad input, or a topic that is not in the bag.
+    """
+    kind = _format(out, file_format, topics)
+    _check_new(out)
+    if topics and not any(map(is_run_topic, topics)):  # Of others, as /rosout: as recorded.
+        return exit_code_of(bag, lambda: _export(bag, out, kind, topics))
+
+    def export() -> int:
+        with one_run(bag, run) as whole:
+            return _export(whole, out, kind, topics)
+
+    return exit_code_of(bag, export)
+
+
+def _export(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+    if kind in FILMS:
+        return _film(bag, out, kind)
+    return _one_table(bag, out, kind, topics) if out.suffix else _tables(bag, out, kind, topics)
+
+
+def _format(out: Path, named: str | None, topics: Sequence[str]) -> str:
+    known = ', '.join((*TABLES, *FILMS))
+    suffix = out.suffix.lower().removeprefix('.')
+    kind = named or suffix or 'csv'
+    if kind not in (*TABLES, *FILMS):
+        raise UsageError(f'export: {kind!r} is no format; known: {known}')
+    if suffix and suffix != kind:
+        raise UsageError(f'--out {out}: is not named as {kind}; name it {out.stem}.{kind}')
+    if kind in FILMS and not suffix:
+        raise UsageError(f'--out {out}: a film is one file; name it {out.name}.{kind}')
+    if kind in FILMS and topics:
+        raise UsageError('--topics: a film is of the run, not of topics; leave it out')
+    if kind in TABLES and suffix and len(topics) > 1:
+        raise UsageError(f'--out {out}: a file takes one topic; name a folder for several')
+    return kind
+
+
+def _check_new(out: Path) -> None:
+    if out.exists() or out.is_symlink():
+        raise UsageError(f'--out {out}: exists already and is not overwritten; name a new one')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
+
+
+def _one_table(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+    if topics:
+        found = read_tables(bag, topics)
+        if len(found) > 1:
+            raise UsageError(f'--topics {topics[0]}: that is {", ".join(found)}; name one')
+        (table,) = found.values()
+    else:
+        table = read_trace_table(bag)
+    _save(table, out, kind)
+    return WHOLE
+
+
+def _tables(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+    wanted = list(topics) or [
+        topic.name for topic in read_info(bag).topics if topic.type not in _PICTURES
+    ]
+    tables = read_tables(bag, wanted)
+    try:
+        out.mkdir()
+    except OSError as error:
+        raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
+    for name, table in tables.items():
+        _save(table, out / f'{name.strip("/").replace("/", ".")}.{kind}', kind)
+    return WHOLE
+
+
+def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
+    if kind == 'csv':
+        # A CSV file has no other place for units.
+        titled = table.rename(columns=titles(table))
+        write_whole(path, lambda draft: titled.to_csv(draft, index=False))
+    else:
+        write_whole(path, lambda draft: table.to_parquet(draft, index=False))
+    print(f'table: {path} ({len(table)} rows, {len(table.columns)} columns)')
+
+
+def _film(bag: Path, out: Path, kind: str) -> int:
+    from taxinet_ros.analysis.one_run.film import ACCENTS, film_frames, write_gif, write_mp4
+
+    frames = film_frames(bag)
+    count = write_mp4(frames, out) if kind == 'mp4' else write_gif(frames, out, ACCENTS)
+    print(f'film: {out} ({count} frames)')
+    return WHOLE

@@ -1,0 +1,215 @@
+"""``taxinet bag info``: what is in a bag, for people or as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from taxinet_ros.bag.layout import storage_files
+from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.run.facts import (
+    Judged,
+    NodeFacts,
+    RunFacts,
+    free_account,
+    is_steering_law,
+    made_on,
+    read_all_facts,
+    read_facts,
+)
+from taxinet_ros.bag.run.recording import Recording, read_recording
+from taxinet_ros.bag.writer import RUN_METADATA
+from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.core.pacing.free_run import free_run_line
+from taxinet_ros.core.provenance import words as stack_words
+from taxinet_ros.core.types import NS_PER_S
+
+_LABEL_WIDTH = 11
+_LONGEST_S = 86_400
+"""No recording of runs is as long [s]."""
+
+
+def show_info(bag: Path, *, as_json: bool) -> int:
+    """Print what a bag holds.
+
+    Returns:
+        Exit code: 0 whole, 3 unfinished or damaged, 1 not readable.
+
+    Raises:
+        UsageError: there is nothing at ``bag``.
+    """
+    return exit_code_of(bag, lambda: _show(bag, as_json))
+
+
+def _show(bag: Path, as_json: bool) -> int:
+    info = read_info(bag)
+    recording = read_recording(bag)
+    if recording.plain or not recording.runs:
+        runs = {'': read_facts(bag)}
+    else:
+        runs = {run.words(): facts for run, facts in zip(
+            recording.runs, read_all_facts(recording).values(), strict=True)}
+    if as_json:
+        print(json.dumps(_plain(info, recording, list(runs.values())), indent=2))
+    else:
+        lines = [line for words, facts in runs.items() for line in _run_lines(info, words, facts)]
+        console = Console(highlight=False)
+        for label, text in [*lines, *_bag_lines(info, recording)]:
+            console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
+    return WHOLE if info.complete else LOSSY
+
+
+def _run_lines(
+    info: BagInfo, words: str, facts: RunFacts | None
+) -> Iterator[tuple[str, str]]:
+    if facts is None:
+        why = 'there is no scenario in it'
+        yield 'run', f'{words}: {why}' if words else f'none of taxinet_ros: {why}'
+        return
+    version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
+    drawn = f'{facts.program}, seed {facts.seed}, index {facts.index}' if facts.program else 'alone'
+    by = '' if words else f', recorded by taxinet_ros {version}'
+    yield 'run', f'{words or facts.run_id} ({drawn}){by}'
+    yield 'outcome', _outcome(facts)
+    for name, judged in facts.judged.items():
+        yield '', f'{name}: {_rho(judged)}, of {judged.formula}'
+    yield 'scene', scene_words(facts.scene)
+    perception = facts.nodes.get('perception')
+    if perception is not None:
+        yield 'perception', _who(perception)
+    law = facts.nodes.get('steering_controller')
+    if law is not None and is_steering_law(law.implementation):
+        yield 'gains', law.implementation or 'as shipped'
+    elif law is not None:
+        yield 'controller', _who(law)
+    world = facts.nodes.get('simulator')
+    if world is not None and world.implementation:
+        yield 'timing', world.implementation
+        account = free_account(info)
+        if account is not None and not words:
+            yield '', free_run_line(account.figures())
+    if facts.figures:
+        yield 'figures', ', '.join(_figures(facts.figures))
+    if not words:
+        yield 'made on', stack_words(made_on(info)) or 'not told'
+
+
+def _who(node: NodeFacts) -> str:
+    hashed = f', weights {node.fingerprint}' if node.fingerprint else ''
+    return (node.implementation or 'unnamed') + hashed
+
+
+def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:
+    yield 'bag', 'whole' if info.complete else f'NOT WHOLE: {info.trouble}'
+    if not info.complete:
+        yield '', f'taxinet bag recover {info.path} --out NEW'
+    if info.unchecked:
+        yield '', info.unchecked
+    for number, file in enumerate(storage_files(info.path)):
+        yield ('' if number else 'files'), f'{file.name}  {file.stat().st_size / 1e6:.1f} MB'
+    start, end = info.start_ns / 1e9, info.end_ns / 1e9
+    clock = 'simulated' if recording.plain or not recording.runs else "by the recorder's clock"
+    yield 'time', f'{info.duration_s:.1f} s {clock}, from {start:.1f} to {end:.1f} s'
+    if info.duration_s > _LONGEST_S:
+        yield '', 'more than a day: some stamps must be wrong'
+    if info.back_ns >= NS_PER_S:
+        yield '', f'stamps go back by {info.back_ns / NS_PER_S:g} s from a message to the next'
+    if recording.runs and not recording.plain:
+        yield '', f'a bag of each run: taxinet bag split {info.path} --out DIR'
+    yield 'messages', str(sum(info.counts.values()))
+    width = max((len(topic.name) for topic in info.topics), default=0)
+    for number, topic in enumerate(info.topics):
+        label = '' if number else 'topics'
+        yield label, f'{topic.name:<{width}} {info.counts[topic.name]:6d}  {topic.type}'
+    if info.attachments:
+        yield 'attached', ', '.join(info.attachments)
+
+
+def scene_words(scene: Mapping[str, Any]) -> str:
+    """A scenario, given in the units people read, in one line."""
+    minutes = round(scene['time_of_day'] * 60)
+    rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
+    return (
+        f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
+        f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
+        f'{minutes // 60:02d}:{minutes % 60:02d}, {scene["clouds"]}{rain}, '
+        f'shadows {"on" if scene["shadows"] else "off"}, '
+        f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
+        f'{scene["duration"]:g} s'
+    )
+
+
+def _outcome(facts: RunFacts) -> str:
+    why = ' '.join(word for word in (facts.kind, facts.who) if word)
+    words = facts.outcome or 'unknown: the bag ends before the run does'
+    detail = f' ({": ".join(part for part in (why, facts.detail) if part)})' if why else ''
+    return f'{words}{detail}, {facts.steps} control steps judged'
+
+
+def _rho(judged: Judged) -> str:
+    if judged.final:
+        return f'rho {judged.lower:+.3f}'
+    return f'rho within [{judged.lower:+.3f}, {judged.upper:+.3f}]'
+
+
+_FIGURES = {
+    'max_cross_track_error': ('|CTE| at most', 1.0, 'm'),
+    'settle_time': ('settled after', 1.0, 's'),
+    'estimate_cte_error_mean_abs': ('estimate of CTE off by', 1.0, 'm'),
+    'estimate_he_error_mean_abs': ('of HE by', 180 / math.pi, 'deg on average'),
+}
+"""Words, factor and unit for some fields of a verdict."""
+
+
+def _figures(figures: Mapping[str, float | bool]) -> Iterator[str]:
+    yield 'left the runway' if figures.get('left_runway') else 'stayed on the runway'
+    if figures.get('stopped_early'):
+        yield 'stopped early'
+    for name, (words, factor, unit) in _FIGURES.items():
+        value = figures.get(name)
+        if value is not None and math.isfinite(value):
+            yield f'{words} {value * factor:.2f} {unit}'
+    if figures.get('unusable_estimates'):
+        yield f'{figures["unusable_estimates"]:.0f} frames without estimate'
+
+
+def _plain(
+    info: BagInfo, recording: Recording, runs: Sequence[RunFacts | None]
+) -> dict[str, Any]:
+    only = runs[0] if len(runs) == 1 else None
+    return {
+        'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,
+        'unchecked': info.unchecked, 'stamps_go_back_ns': info.back_ns,
+        'run': None if only is None else finite(asdict(only)),
+        'runs': [finite(asdict(facts)) for facts in runs if facts is not None],
+        'own_recorder': recording.plain,
+        'files': [
+            {'name': file.name, 'bytes': file.stat().st_size} for file in storage_files(info.path)
+        ],
+        'start_ns': info.start_ns, 'end_ns': info.end_ns,
+        'messages': sum(info.counts.values()),
+        'topics': [
+            {'name': topic.name, 'type': topic.type, 'messages': info.counts[topic.name],
+             'type_hash': topic.type_hash}
+            for topic in info.topics
+        ],
+        'attachments': list(info.attachments),
+        'metadata': {name: words for name, words in info.metadata.items() if name != 'rosbag2'},
+    }
+
+
+def finite(value: Any) -> Any:
+    """``value`` with every number that JSON has no word for as text: ``inf``, ``-inf``, ``nan``."""
+    if isinstance(value, Mapping):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value

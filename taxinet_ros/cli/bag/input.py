@@ -1,0 +1,166 @@
+"""Bags as input of commands: the one run that is meant, who flew it, and exit codes on errors."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated, BagWriteError
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.rewrite.split import write_runs
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
+from taxinet_ros.core.controller import STEERING, check_controller
+from taxinet_ros.core.perception.perception import PERCEPTION, check_perception
+from taxinet_ros.core.provenance import Provenance, differences
+from taxinet_ros.errors import UsageError
+
+WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 2, 3, 4
+"""Exit codes. 1 is kept for verdicts and for recordings that differ."""
+
+
+def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
+    """Do ``work`` on ``bag``; a typed error becomes one line and an exit code.
+
+    Returns:
+        What ``work`` returned; or, after an error, :data:`LOSSY` where some of the bag could be
+        saved, :data:`UNREADABLE` where none could, :data:`NO_ROOM` where something could not be
+        written.
+    """
+    try:
+        return work()
+    except BagWriteError as error:
+        return _complain(str(error), NO_ROOM)
+    except (BagTruncated, BagCorrupt) as error:
+        save = f'save what is sound: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
+        return _complain(f'{error}; {save}', LOSSY)
+    except BagError as error:
+        return _complain(str(error), UNREADABLE)
+
+
+def _complain(text: str, code: int) -> int:
+    print(f'taxinet: error: {" ".join(text.split())}', file=sys.stderr)
+    return code
+
+
+@contextlib.contextmanager
+def readable_bags() -> Iterator[None]:
+    """Make a bag that cannot be read the user's mistake, for 1 is a difference here."""
+    try:
+        yield
+    except BagError as error:
+        raise UsageError(str(error)) from error
+
+
+@contextlib.contextmanager
+def one_run(bag: Path, run: str | None) -> Iterator[Path]:
+    """A bag of one run, as our recorder makes it: this one, or a copy of what it holds of a run.
+
+    Args:
+        bag: a bag's folder or an ``.mcap`` file, of whatever recorder.
+        run: which run, where it holds several.
+
+    Raises:
+        UsageError: it holds several runs and none is named, or none of that name.
+        BagError: it cannot be read, or is damaged and not our recorder's.
+    """
+    recording = read_recording(bag)
+    if recording.plain or not recording.runs:
+        if run is not None:
+            recording.choose(run)
+        yield bag
+        return
+    chosen = recording.choose(run)
+    if recording.damage:
+        raise recording.damage[0]
+    with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
+        folder = Path(scratch) / chosen.run_id
+        write_runs(recording, {chosen.name: folder})
+        yield folder
+
+
+@contextlib.contextmanager
+def readable_run(bag: Path, run: str | None) -> Iterator[Path]:
+    """:func:`one_run` for commands that do the run once more, in which 1 is a difference.
+
+    Raises:
+        UsageError: it cannot be read, or it lies where its campaign has another run.
+    """
+    with readable_bags(), one_run(bag, run) as whole:
+        if whole == bag:
+            BagPlaces().check(bag, whole=read_info(bag).complete)
+        yield whole
+
+
+def warn_of_stacks(console: Console, *stacks: Provenance) -> None:
+    """Say in a line what of machine, libraries and code differs between results that are compared.
+
+    Args:
+        console: to print to.
+        stacks: of each result; empty where nothing tells.
+    """
+    if not all(stacks):
+        line = 'nothing tells with which processor and versions all of this was made'
+    elif found := differences(*stacks):
+        line = f'made on different machines or versions: {found}'
+    else:
+        return
+    console.print(f'warning: {line}', soft_wrap=True, markup=False)
+
+
+def perception_of(
+    run: RecordedRun, asked: str | None, *, graph: bool = False
+) -> tuple[str, str]:
+    """Word or file of the perception to use, and its fingerprint.
+
+    Args:
+        run: the recorded run.
+        asked: what the user wants instead of the run's own, or None.
+        graph: it is for a graph, so a node elsewhere does too.
+
+    Raises:
+        UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
+    """
+    word = asked or run.perception
+    if not asked and word not in PERCEPTION:
+        of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
+        kind = f'{word!r}{of}, not one of ours' if word else 'not told'
+        raise UsageError(
+            f"{run.request.run_id}: the run's own perception is {kind}; name one with --perception"
+        )
+    return word, check_perception(word, graph=graph)
+
+
+def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -> str:
+    """Word of the controller to use.
+
+    Args:
+        run: the recorded run.
+        asked: what the user wants instead of the run's own, or None.
+        graph: it is for a graph, so a node elsewhere does too.
+
+    Raises:
+        UsageError: the run's own is somebody's, which nobody knows where to find; or a bad word.
+    """
+    if asked:
+        check_controller(asked, graph=graph)
+        return asked
+    if run.controller:
+        of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''
+        raise UsageError(
+            f"{run.request.run_id}: the run's own controller is {run.controller!r}{of}; name one "
+            'with --controller'
+        )
+    return STEERING
+
+
+def perception_words(word: str, fingerprint: str) -> str:
+    """A perception for people."""
+    return f'{word} ({fingerprint[:8]})' if fingerprint else word

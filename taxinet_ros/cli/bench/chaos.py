@@ -1,0 +1,106 @@
+"""``taxinet bench chaos``: what becomes of campaigns to which everything happens."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.bench.chaos import Chaos, Found, numbers
+from taxinet_ros.errors import UsageError
+
+CHAOS = 'chaos'
+"""What is typed in place of subjects."""
+
+MINUTES = 10.0
+_OWN = ('seed', 'trials', 'trial')
+_BROKE = 4
+
+
+def asks_for_chaos(words: Sequence[str], given: Collection[str]) -> bool:
+    """Whether the words after ``taxinet bench`` ask for chaos.
+
+    Raises:
+        UsageError: they ask for other things too, or the options do not belong to them.
+    """
+    chaos = CHAOS in words
+    if chaos and len(words) > 1:
+        raise UsageError(f'bench: {CHAOS} goes alone; leave out the other subjects')
+    allowed = {*_OWN, 'minutes', 'as_json', 'subjects'}
+    wrong = set(given) - allowed if chaos else set(given) & set(_OWN)
+    if wrong:
+        reason = f'not with {CHAOS}' if chaos else f'only with taxinet bench {CHAOS}'
+        raise UsageError(f'bench: --{min(wrong)}: {reason}')
+    if len(set(given) & {'minutes', 'trials', 'trial'}) > 1:
+        raise UsageError(f'bench: {CHAOS} takes one of --minutes, --trials and --trial')
+    return chaos
+
+
+def run_chaos(
+    *, seed: int, minutes: float | None, trials: int | None, trial: int | None, as_json: bool
+) -> int:
+    """Do the trials and print what came of them.
+
+    Returns:
+        Exit code: 0 nothing broke, 4 something did.
+
+    Raises:
+        UsageError: bad numbers.
+        InfraError: a campaign that nobody disturbs does not end as it should.
+    """
+    if minutes is not None and not 0 < minutes < float('inf'):
+        raise UsageError(f'bench: --minutes is {minutes:g}, needs to be more than 0')
+    if minutes is None and trials is None and trial is None:
+        minutes = MINUTES
+    console = Console(highlight=False, stderr=as_json)
+    folder = Path(tempfile.mkdtemp(prefix='taxinet-chaos-'))
+    chaos = Chaos(folder, _taxinet(), seed)
+    try:
+        for number in numbers(trials, minutes, trial):
+            before = len(chaos.found.broken)
+            chaos.trial(number)
+            for _, kind, words in chaos.found.broken[before:]:
+                console.print(f'trial {number}: {kind}: {words}', soft_wrap=True, markup=False)
+    finally:
+        if not chaos.found.broken:
+            shutil.rmtree(folder)
+    found = chaos.found
+    print(json.dumps(found.report(), indent=2)) if as_json else _print(console, found, folder)
+    return _BROKE if found.broken else 0
+
+
+def _taxinet() -> list[str]:
+    """The command as people have it, which holds signals back while Python starts."""
+    beside = Path(sys.executable).with_name('taxinet')
+    here = [sys.executable, '-P', '-c', 'from taxinet_ros.cli.start import main; main()']
+    return [str(beside)] if beside.exists() else here
+
+
+def _print(console: Console, found: Found, folder: Path) -> None:
+    report = found.report()
+    console.print(
+        f'{found.trials} trials, {found.sittings} commands, {found.rows} rows compared with those '
+        'of undisturbed campaigns', soft_wrap=True,
+    )
+    table = Table(box=None, pad_edge=False)
+    for heading in ('fault', 'times', 'ended with'):
+        table.add_column(heading, no_wrap=True)
+    for name, ends in report['faults'].items():
+        words = ', '.join(f'{code}: {times}' for code, times in sorted(ends.items()))
+        table.add_row(name, str(sum(ends.values())), words)
+    console.print(table)
+    if not found.broken:
+        console.print('nothing broke')
+        return
+    words = ', '.join(f'{times} {kind}' for kind, times in report['found'].items())
+    first = found.broken[0][0]
+    console.print(
+        f'broke: {words}; to repeat one: taxinet bench chaos --seed {found.seed} --trial {first}; '
+        f'what is left of it: {folder}', soft_wrap=True,
+    )

@@ -1,0 +1,105 @@
+"""``taxinet bench intervals`` and ``searches``: tables of how well samplers and intervals do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from taxinet_ros.bench.intervals import measure_intervals
+from taxinet_ros.bench.searches import APART, LANDSCAPES, measure_searches
+from taxinet_ros.cli.progress import run_with_progress
+
+
+def run_intervals(samplers: Sequence[str], *, repeats: int, as_json: bool) -> int:
+    """Measure and print.
+
+    Args:
+        samplers: words; none for the usual ones.
+        repeats: searches for each sampler and failure rate.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: an unknown sampler, or no repetition.
+    """
+    return run_with_progress(
+        partial(measure_intervals, samplers, repeats), _print_intervals, as_json=as_json
+    )
+
+
+def _print_intervals(found: dict[str, Any], console: Console) -> None:
+    runs = ', '.join(f'{number:,}' for number in found['runs'])
+    console.print(
+        f'{found["repeats"]} searches for each line, {", ".join(found["landscapes"])} in turn; '
+        f'after {runs} runs', soft_wrap=True,
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column('sampler', no_wrap=True)
+    for heading in ('fail', 'runs', 'drawn', 'covers', 'width', 'gate', 'watched', 'gate, watched'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    for one in found['intervals']:
+        for number, runs_made in enumerate(found['runs']):
+            last = number + 1 == len(found['runs'])
+            table.add_row(
+                one['sampler'], f'{100 * one["rate"]:g} %', f'{runs_made:,}',
+                f'{one["drawn"][number]:.0f}',
+                *(f'{100 * one[name][number]:.1f} %' for name in ('covers', 'width', 'passes')),
+                *(f'{100 * one[name]:.1f} %' if last else ''
+                  for name in ('watched_covers', 'watched_passes')),
+            )
+    console.print(table)
+    console.print(
+        'covers: the 95 % interval holds the rate, and has that width in the median. gate: passes '
+        'when asked for the very rate, so at most 5 %. watched: the same by somebody who looks '
+        f'every {found["look"]} runs and stops when it suits', style='dim', soft_wrap=True,
+    )
+
+
+def run_searches(words: Sequence[str], *, repeats: int, as_json: bool) -> int:
+    """Measure and print.
+
+    Args:
+        words: samplers and landscapes; none for the usual ones.
+        repeats: searches for each landscape and sampler.
+        as_json: print JSON.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        UsageError: an unknown word, or no repetition.
+    """
+    return run_with_progress(
+        partial(measure_searches, words, repeats), _print_searches, as_json=as_json
+    )
+
+
+def _print_searches(found: dict[str, Any], console: Console) -> None:
+    console.print(f'{found["repeats"]} searches of {found["runs"]} runs for each line')
+    table = Table(box=None, pad_edge=False)
+    for heading in ('landscape', 'sampler'):
+        table.add_column(heading, no_wrap=True)
+    for heading in ('found', 'regions', 'failures', 'distinct', 'ask'):
+        table.add_column(heading, justify='right', no_wrap=True)
+    last = ''
+    for one in found['searches']:
+        table.add_row(
+            '' if one['landscape'] == last else one['landscape'], one['sampler'],
+            f'{one["found"]:.0%}', f'{one["regions"]:.0%}', f'{one["failures"]:.1f}',
+            f'{one["distinct"]:.1f}', f'{1e3 * one["ask_s"]:.2f} ms',
+        )
+        last = one['landscape']
+    console.print(table)
+    console.print(
+        'found: searches with a failure; regions: share of the failure regions found; distinct: '
+        f'failures of another category, or {APART:g} of a dimension apart; ask: processor time',
+        style='dim', soft_wrap=True,
+    )
+    for name in dict.fromkeys(one['landscape'] for one in found['searches']):
+        console.print(f'{name}: {LANDSCAPES[name].meaning}', style='dim', soft_wrap=True)

@@ -1,0 +1,1 @@
+"""Commands that run the graph: run, falsify, shrink, experiment, demo, up, check-node."""

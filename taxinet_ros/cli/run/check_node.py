@@ -1,0 +1,164 @@
+"""``taxinet check-node``: whether somebody's node keeps the contract of the lockstep."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import shutil
+import sys
+import tempfile
+import textwrap
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.node_process import NodeProcess
+from taxinet_ros.nodes.node_check.clauses import Finding, Status, judge
+from taxinet_ros.nodes.node_check.driver import CheckOptions, Starter, check_node, command_starter
+from taxinet_ros.nodes.node_check.record import ROLES, Record, Role
+from taxinet_ros.nodes.steering_controller import SteeringController
+from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+
+_NAME_WIDTH, _LINE_WIDTH = 14, 100
+
+
+def run_check(
+    command: str | None, *, role: str | None, external: bool, domain: int | None, frames: int,
+    patience_s: float, log: Path | None, as_json: bool,
+) -> int:
+    """Drive a node and print what it keeps and what it breaks.
+
+    Args:
+        command: program and arguments as a shell splits them, or ``FILE.py:NAME``.
+        role: ``perception``, ``controller``, or None to find out.
+        external: the node stands already, or a person starts it.
+        domain: ROS domain; None for one of its own.
+        frames: how many messages an ordinary run asks.
+        patience_s: how long an answer is waited for [s].
+        log: file that takes what the node printed; None where nobody wants it.
+        as_json: print JSON.
+
+    Returns:
+        Exit code: 0, it keeps all that was tried.
+
+    Raises:
+        UsageError: it does not, or what was typed cannot be.
+    """
+    if role is not None and role not in ROLES:
+        raise UsageError(f'--role {role}: unknown; known: {", ".join(ROLES)}')
+    if (command is None) is not external:
+        raise UsageError(
+            'check-node: name a COMMAND, or say --external of a node that you start'
+        )
+    if not math.isfinite(patience_s):
+        raise UsageError(f'--patience {patience_s:g}: not a number of seconds')
+    if log is not None:
+        _check_log(log)
+    with tempfile.TemporaryDirectory(prefix='taxinet-') as scratch:
+        printed = Path(scratch) / 'node.log'
+        printed.touch()
+        options = CheckOptions(
+            start=None if command is None else _starter(command, role, Path(scratch)),
+            role=role, domain=domain, frames=frames, patience_s=patience_s, log=printed,
+        )
+        record = check_node(options, _say)
+        findings = judge(record)
+        print(_json(record, findings) if as_json else _words(record, findings), flush=True)
+        if log is not None:
+            shutil.copyfile(printed, log)
+    broken = [one.clause.name for one in findings if one.status is Status.FAIL]
+    if broken:
+        raise UsageError(f'check-node: the {record.role.word} breaks: {", ".join(broken)}')
+    return 0
+
+
+def _check_log(log: Path) -> None:
+    """Whether what the node prints can be put there, before a minute is spent on it."""
+    if log.is_dir():
+        raise UsageError(f'--log {log}: is a folder; name a file')
+    if not log.parent.is_dir():
+        raise UsageError(f'--log {log}: there is no folder {log.parent}')
+    if not os.access(log if log.exists() else log.parent, os.W_OK):
+        raise UsageError(f'--log {log}: cannot be written')
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _starter(command: str, role: str | None, scratch: Path) -> Starter:
+    words = command_of(COMMAND + command) or []
+    program = len(words) == 1 and os.access(words[0], os.X_OK) and Path(words[0]).is_file()
+    if len(words) > 1 or program or not names_user_code(command):
+        if shutil.which(words[0]) is None:
+            raise UsageError(f'check-node: {words[0]}: no such program')
+        return command_starter(words)
+    if command.endswith('.py'):
+        raise UsageError(
+            f"check-node: {command}: for a node say 'python3 {command}', for a function "
+            f'{command}:NAME'
+        )
+    if role is None:
+        raise UsageError(f'--role: {command} is a function; say perception or controller')
+    if role == 'perception':
+        check_perception(command)
+        return functools.partial(_start_ours, TaxinetPerception, {'weights': command}, scratch)
+    check_controller(command)
+    return functools.partial(_start_ours, SteeringController, {'controller': command}, scratch)
+
+
+def _start_ours(
+    kind: type[Any], parameters: dict[str, Any], scratch: Path, role: Role, domain: int, log: Path
+) -> NodeProcess:
+    """The shipped node with somebody's function in it."""
+    return NodeProcess.of_ours(
+        role.node, kind, parameters, domain=domain, log=log, scratch=scratch,
+    )
+
+
+def _words(record: Record, findings: list[Finding]) -> str:
+    count = Counter(one.status for one in findings)
+    left: dict[str, list[str]] = {}
+    for one in findings:
+        if one.status is Status.NOT_TRIED:
+            left.setdefault(one.came, []).append(one.clause.name)
+    return '\n'.join([
+        *(_line(one) for one in findings if one.status is not Status.NOT_TRIED),
+        *(_wrapped(f'{Status.NOT_TRIED} ', f'{", ".join(names)}: {why}')
+          for why, names in left.items()),
+        f'{record.role.word}: {count[Status.PASS]} kept, {count[Status.FAIL]} broken, '
+        f'{count[Status.NOT_TRIED]} not tried',
+    ])
+
+
+def _line(one: Finding) -> str:
+    text = f'{one.expected}: {one.came}'
+    if one.status is Status.FAIL:
+        text = f'expected: {one.expected}; came: {one.came}; mend: {one.clause.mend}'
+    return _wrapped(f'{one.status:<9} {one.clause.name:<{_NAME_WIDTH}} ', text)
+
+
+def _wrapped(head: str, text: str) -> str:
+    return textwrap.fill(
+        text, _LINE_WIDTH, initial_indent=head, subsequent_indent=' ' * len(head),
+        break_long_words=False, break_on_hyphens=False,
+    )
+
+
+def _json(record: Record, findings: list[Finding]) -> str:
+    return json.dumps({
+        'role': record.role.word,
+        'kept': not any(one.status is Status.FAIL for one in findings),
+        'clauses': [
+            {
+                'clause': one.clause.name, 'status': str(one.status), 'expected': one.expected,
+                'came': one.came, 'mend': one.clause.mend,
+            } for one in findings
+        ],
+    }, indent=2)

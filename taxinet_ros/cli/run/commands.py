@@ -1,0 +1,393 @@
+"""The commands that run the graph: arguments, options and help; the work is imported later."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from taxinet_ros.cli.options import (
+    BoundOption,
+    BudgetOption,
+    ControllerCommandOption,
+    ControllerOption,
+    FactorOption,
+    FailedRunArgument,
+    FoxgloveOption,
+    FreeOption,
+    FromOption,
+    ImagesOption,
+    JsonOption,
+    LatencyOption,
+    MostRunsOption,
+    NeededRunsOption,
+    NominalOption,
+    OutOption,
+    OwnControllerOption,
+    OwnPerceptionOption,
+    OwnSpecOption,
+    PerceptionCommandOption,
+    PerceptionOption,
+    ProcessesOption,
+    QuietOption,
+    RateOption,
+    ResumeOption,
+    RunOption,
+    RunsOption,
+    SamplerOption,
+    SamplerSettingOption,
+    ScenarioArgument,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    SpecOption,
+    StopOnOption,
+    UntilOption,
+    WorkersOption,
+    given_options,
+    word_of,
+)
+
+
+def run(
+    context: typer.Context,
+    scenario: SceneArgument = None,
+    bag: FromOption = None,
+    run_id: RunOption = None,
+    runs: RunsOption = 1,
+    seed: SeedOption = 0,
+    perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
+    settings: SetOption = None,
+    spec: SpecOption = None,
+    out: OutOption = None,
+    processes: ProcessesOption = False,
+    images: ImagesOption = 'all',
+    stop_on: StopOnOption = 'never',
+    bound: BoundOption = None,
+    rate: RateOption = None,
+    latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
+    foxglove: FoxgloveOption = None,
+) -> None:
+    """Run a Scenic program's scenes through the graph.
+
+    Every run ends in a bag of its own, and in a row of the campaign's table. With --from the run
+    of a bag is run once more instead, and the two are compared: exit code 0 the same run to the
+    bit, 1 it went another way.
+    """
+    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.cli.run.campaign import run_campaign
+    from taxinet_ros.errors import UsageError
+
+    if bag is not None and foxglove is not None:
+        raise UsageError('--foxglove: not with --from; the bag_player shows what a bag holds')
+    if bag is not None:
+        raise typer.Exit(_run_from(context, bag))
+    if run_id is not None:
+        raise UsageError('--run: says which run of the bag of --from; name one, or leave it out')
+    if scenario is None:
+        raise UsageError('run: name a SCENARIO, or a recorded run with --from BAG')
+    options = make_options(
+        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
+        settings=settings or (), specs=spec or (), out=out, processes=processes,
+        images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+        controller=word_of(context, 'controller'), latency=latency or (), free=free,
+        real_time_factor=real_time_factor,
+    )
+    raise typer.Exit(run_campaign(options, foxglove))
+
+
+def _run_from(context: typer.Context, bag: Path) -> int:
+    from taxinet_ros.cli.bag.input import readable_run
+    from taxinet_ros.cli.bag.rerun import check_options, run_again
+
+    given = given_options(context)
+    check_options(given)
+    with readable_run(bag, given.get('run_id')) as whole:
+        return run_again(
+            whole, perception=_word(context, given, 'perception'),
+            controller=_word(context, given, 'controller'), out=given.get('out'),
+            images=given.get('images'), processes=context.params['processes'],
+        )
+
+
+def _word(context: typer.Context, given: dict[str, Any], role: str) -> str | None:
+    return word_of(context, role) if {role, f'{role}_cmd'} & given.keys() else None
+
+
+def falsify(
+    context: typer.Context,
+    scenario: ScenarioArgument,
+    runs: MostRunsOption = 100,
+    sampler: SamplerOption = None,
+    sampler_option: SamplerSettingOption = None,
+    workers: WorkersOption = 1,
+    out: OutOption = None,
+    resume: ResumeOption = False,
+    seed: SeedOption = 0,
+    perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
+    settings: SetOption = None,
+    spec: SpecOption = None,
+    until: UntilOption = None,
+    budget: BudgetOption = None,
+    images: ImagesOption = 'failures',
+    stop_on: StopOnOption = 'never',
+    bound: BoundOption = None,
+    rate: RateOption = None,
+    latency: LatencyOption = None,
+    free: FreeOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Search a Scenic program for violating scenes.
+
+    The usual sampler goes for failures that are unlike those found, and draws every fourth run from
+    the program itself for its rates; `--sampler ce` also learns where failures are likely. Survives
+    Ctrl-C and power cuts.
+    """
+    from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.search_options import make_search_options
+    from taxinet_ros.cli.run.search import run_falsify
+    from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
+    from taxinet_ros.errors import UsageError
+
+    if free:
+        raise UsageError(
+            '--free: not in a search, which goes by verdicts that come again, and '
+            f'{NOT_REPRODUCIBLE}; taxinet run --runs N --free draws scenes, --latency searches'
+        )
+    campaign = make_options(
+        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
+        settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
+        resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+        controller=word_of(context, 'controller'), latency=latency or (),
+    )
+    options = make_search_options(
+        campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
+        resume=resume, until=until, budget_min=budget,
+    )
+    raise typer.Exit(run_falsify(options, quiet=quiet))
+
+
+def learned(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar='DIR...', help='--out of searches with ce or mab')
+    ],
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='DIMENSION=LOW:HIGH', help='how probable such values are; repeatable'
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
+) -> None:
+    """Put together what searches of several seeds have learned."""
+    from taxinet_ros.cli.run.learned import show_learned
+
+    show_learned(folders, within or (), out)
+
+
+def shrink(
+    run: FailedRunArgument,
+    nominal: NominalOption = None,
+    runs: NeededRunsOption = 100,
+    workers: WorkersOption = 1,
+    out: OutOption = None,
+    resume: ResumeOption = False,
+    perception: OwnPerceptionOption = None,
+    controller: OwnControllerOption = None,
+    spec: OwnSpecOption = None,
+    images: ImagesOption = 'none',
+    quiet: QuietOption = False,
+) -> None:
+    """Shrink a failed run to the nearest scenario that still fails.
+
+    Takes its parameters to plain taxiing one by one, and says which of them matter.
+    """
+    from taxinet_ros.campaign.shrink.options import make_shrink_options
+    from taxinet_ros.cli.run.search import run_shrink
+
+    options = make_shrink_options(
+        run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
+        workers=workers, out=out, resume=resume, images=images, controller=controller,
+    )
+    raise typer.Exit(run_shrink(options, quiet=quiet))
+
+
+def demo(
+    out: OutOption = None,
+    runs: RunsOption = 10,
+    seed: SeedOption = 1,
+) -> None:
+    """Run ten scenes with both networks and with the truth.
+
+    Draws their paths and their camera frames.
+    """
+    from taxinet_ros.cli.run.demo import run_demo
+
+    raise typer.Exit(run_demo(out, runs=runs, seed=seed))
+
+
+def up(
+    context: typer.Context,
+    perception: PerceptionOption = 'taxinet',
+    perception_cmd: PerceptionCommandOption = None,
+    controller: ControllerOption = 'steering',
+    controller_cmd: ControllerCommandOption = None,
+    out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
+    record: Annotated[
+        bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
+    ] = True,
+    images: ImagesOption = 'all',
+    latency: LatencyOption = None,
+    free: FreeOption = False,
+    real_time_factor: FactorOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE',
+            help='a gain of the controller (steering.heading_gain=1.2); repeatable',
+        ),
+    ] = None,
+    restart: Annotated[
+        str,
+        typer.Option(
+            metavar='RULE',
+            help='when a node dies: on-failure starts it again, at most 3 times in 60 s; never '
+            'ends the graph',
+        ),
+    ] = 'on-failure',
+    domain: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=232,
+            help='ROS domain; else ROS_DOMAIN_ID, else one that no other graph of ours uses',
+        ),
+    ] = None,
+    silent_after: Annotated[
+        float,
+        typer.Option(
+            min=0.5, max=3600.0, metavar='SECONDS',
+            help='name a node that has not answered for so long; on-failure kills it after three '
+            'times that',
+        ),
+    ] = 10.0,
+) -> None:
+    """Start every node but the sampler, each a process, and keep them up.
+
+    Another terminal has them run scenes: `ros2 run taxinet_ros scenario_sampler`, in the ROS domain
+    that is printed. Ctrl-C ends the run at hand in order, and the graph; a second one kills it.
+    Exit code 130 after Ctrl-C, 143 after SIGTERM, 4 if a node could not be kept up.
+    """
+    from taxinet_ros.cli.run.up import make_up_options, run_up
+
+    options = make_up_options(
+        perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
+        out=out, record=record, images=images, settings=settings or (), restart=restart,
+        domain=domain, silent_s=silent_after, latency=latency or (),
+        free=free, real_time_factor=real_time_factor,
+    )
+    raise typer.Exit(run_up(options))
+
+
+def check_node(
+    command: Annotated[
+        str | None,
+        typer.Argument(
+            metavar='COMMAND',
+            help="what starts your node, as in 'ros2 run my_pkg my_node'; or FILE.py:NAME",
+        ),
+    ] = None,
+    role: Annotated[
+        str | None,
+        typer.Option(
+            metavar='ROLE',
+            help='perception or controller; by default what the node seems to be',
+        ),
+    ] = None,
+    external: Annotated[
+        bool, typer.Option('--external', help='the node is started by you, not by COMMAND')
+    ] = False,
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help='ROS domain; else one of its own')
+    ] = None,
+    frames: Annotated[
+        int, typer.Option(min=8, max=500, help='messages that a run asks')
+    ] = 24,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0.1, max=3600.0, metavar='SECONDS',
+            help='how long an answer is waited for; READY three times as long',
+        ),
+    ] = 10.0,
+    log: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='takes what the node prints')
+    ] = None,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> None:
+    """Drive a node of your own through the protocol, and say what it does wrong.
+
+    The kit plays all other nodes: several runs of a few frames, an odd message, SIGINT and SIGTERM.
+    For each clause of the contract in docs/own_nodes.md a line: PASS, FAIL with what was expected,
+    what came and how to mend it, or not tried. Exit code: 0 nothing is broken, 2 something is.
+    """
+    from taxinet_ros.cli.run.check_node import run_check
+
+    raise typer.Exit(run_check(
+        command, role=role, external=external, domain=domain, frames=frames, patience_s=patience,
+        log=log, as_json=as_json,
+    ))
+
+
+def experiment(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar='FILE', help='shipped experiment (shadows, shadows_afternoon, crossing, '
+            'light) or a YAML file'
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(help='folder for the arms; must be new')] = None,
+    runs: Annotated[
+        int | None, typer.Option(min=1, help="number of scenes, instead of the file's")
+    ] = None,
+    perception: Annotated[
+        str | None, typer.Option(metavar='WORD|FILE', help="network, instead of the file's")
+    ] = None,
+    workers: Annotated[int, typer.Option(help='graphs that run at once; same results')] = 1,
+    resume: Annotated[
+        bool, typer.Option('--resume', help='continue what was interrupted in --out')
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Confirm a cause: run the same scenes with and without it.
+
+    Each arm of the experiment is a campaign of its own; the runs of a scene are compared in pairs.
+    """
+    from taxinet_ros.campaign.experiment import find_experiment, read_experiment, with_network
+    from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
+    from taxinet_ros.cli.run.search import run_experiment
+    from taxinet_ros.errors import UsageError
+
+    if resume and out is None:
+        raise UsageError('--resume: say with --out which experiment to continue')
+    asked = read_experiment(find_experiment(file))
+    if runs is not None:
+        asked = dataclasses.replace(asked, runs=runs)
+    if perception is not None:
+        asked = with_network(asked, perception)
+    raise typer.Exit(
+        run_experiment(
+            asked, out or new_folder(DEFAULT_ROOT / f'experiment-{asked.name}'),
+            workers=workers, resume=resume, as_json=as_json,
+        )
+    )

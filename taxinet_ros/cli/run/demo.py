@@ -1,0 +1,94 @@
+"""``taxinet demo``: the same scenes with both networks and with the truth, and pictures of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
+from taxinet_ros.analysis.one_run.trajectories import Trajectory, plot_trajectories
+from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.options import (
+    DEFAULT_ROOT,
+    CampaignOptions,
+    check_new,
+    make_options,
+    new_folder,
+)
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.summary import scene_words
+from taxinet_ros.cli.run.campaign import campaign_rows
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.types import NS_PER_S
+
+PROGRAM = 's_falsif'
+PERCEPTIONS = ('original', 'taxinet', 'truth')
+_SHEET_TIMES_S = (0, 3, 10)
+
+
+def run_demo(out: Path | None, *, runs: int, seed: int) -> int:
+    """Run it and make the pictures.
+
+    Args:
+        out: folder; where None or taken by an earlier demo, a new one beside it.
+        runs: scenes.
+        seed: of the scenes.
+
+    Returns:
+        Exit code. A network that violates the specification is what the demo shows, so it is no
+        failure of the demo; a ground truth that does is.
+    """
+    out = new_folder(out or DEFAULT_ROOT / 'demo')
+    check_new(out)
+    columns: list[Trajectory] = []
+    codes: dict[str, int] = {}
+    for perception in PERCEPTIONS:
+        options = make_options(
+            program=PROGRAM, runs=runs, seed=seed, perception=perception, settings=(), specs=(),
+            out=out / perception, processes=False,
+        )
+        rows = campaign_rows(options)
+        codes[perception] = exit_code(rows)
+        if codes[perception] > 1:
+            return codes[perception]
+        columns += trajectories(rows, options)
+        if perception == PERCEPTIONS[0]:
+            sheet = out / 'frames.png'
+            contact_sheet(frames(rows, options), len(_SHEET_TIMES_S), sheet)
+        print()
+    picture = out / 'trajectories.png'
+    plot_trajectories(columns, picture, f'{PROGRAM}, seed {seed}: the same scenes thrice')
+    print(f'pictures: {picture}, {sheet}')
+    return codes['truth']
+
+
+def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajectory]:
+    """The true path of every run with a bag."""
+    paths = []
+    for row in rows:
+        if row.bag:
+            trace = read_trace(options.out / row.bag)
+            paths.append(Trajectory(
+                label=options.perception,
+                t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
+                x_m=trace['x_m'].astype(np.float64),
+                cte_m=trace['cte_m'].astype(np.float64),
+                ok=row.outcome is Outcome.PASS if row.outcome.judged else None,
+            ))
+    return paths
+
+
+def frames(rows: list[RunRow], options: CampaignOptions) -> list[tuple[Picture, str]]:
+    """Camera frames of every run at a few times, captioned."""
+    wanted = {time_s * NS_PER_S: time_s for time_s in _SHEET_TIMES_S}
+    tiles = []
+    for row in rows:
+        if not row.bag:
+            continue
+        for stamp_ns, image in read_images(options.out / row.bag):
+            if stamp_ns in wanted:
+                caption = f'run {row.index}, {wanted[stamp_ns]} s: {row.outcome}'
+                tiles.append((image.copy(), f'{caption}\n{scene_words(row)}'))
+    return tiles

@@ -1,0 +1,374 @@
+"""``taxinet falsify``, ``experiment`` and ``shrink``: many runs on a pool of worker processes."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.table import Column
+from rich.text import Text
+
+from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.experiment import (
+    JSON_NAME,
+    PAGE_NAME,
+    PAIRS_NAME,
+    Experiment,
+    arm_rows,
+    arm_searches,
+    check_paired,
+)
+from taxinet_ros.campaign.rates import failure_rate
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
+from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.campaign.shrink.algorithm import End
+from taxinet_ros.campaign.shrink.options import ShrinkOptions
+from taxinet_ros.campaign.shrink.shrinking import (
+    Report,
+    Shrinking,
+    finding_lines,
+    make_report,
+    parameter_table,
+    result_lines,
+    run_command,
+    shrink_heading,
+)
+from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_words
+from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
+from taxinet_ros.cli.progress import print_rows_if_lost
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.sealed_json import write_sealed
+from taxinet_ros.nodes.graph.runner import campaign_graph
+from taxinet_ros.nodes.graph.worker import worker_command
+from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.running.domain import check_workers
+from taxinet_ros.processes.interrupts import interrupts
+
+_REFRESH_PER_S = 2.0
+
+
+@contextlib.contextmanager
+def search_view(console: Console, search: Search, *, shown: bool) -> Iterator[None]:
+    """Show the search while the ``with`` lasts; ``shown`` False shows nothing."""
+    columns = (
+        BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(), _Figures(search),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not shown,
+        refresh_per_second=_REFRESH_PER_S,
+    ) as progress:
+        progress.add_task('', total=search.options.campaign.runs)
+        yield
+
+
+class _Figures(ProgressColumn):
+    """Failures, pace, time left, least robustness and failure rate; moves the bar too."""
+
+    def __init__(self, search: Search) -> None:
+        super().__init__()
+        self._search = search
+        self._began = time.monotonic()
+        self._before = len(search.rows)
+
+    def render(self, task: Task) -> Text:
+        """The figures of this moment."""
+        rows = list(self._search.rows)
+        task.completed = len(rows)
+        failed = sum(row.outcome is Outcome.FAIL for row in rows)
+        least = min(
+            (row.headline[1] for row in rows if row.headline), default=math.nan
+        )
+        minutes = (time.monotonic() - self._began) / 60
+        pace = (len(rows) - self._before) / max(minutes, 1e-3)
+        words = [f'{failed} failed', f'{pace:.1f}/min']
+        if pace > 0:
+            left = self._search.options.campaign.runs - len(rows)
+            words.append(f'{datetime.timedelta(seconds=round(60 * left / pace))} left')
+        if rows:
+            words.append(f'least rho {least:+.2f}')
+        # Whoever watches may stop when it looks good: the interval that holds all along.
+        found = failure_rate(rows, 0).rate
+        if found is not None:
+            words.append(f'failing {found.words()}')
+        if self._search.interrupted:
+            words.append('ending the runs at hand')
+        return Text('  '.join(words))
+
+
+def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
+    """Search, and print what happened.
+
+    Args:
+        options: what to do.
+        quiet: print warnings and the summary only.
+
+    Returns:
+        Exit code: 0 all satisfied, 1 some violated, 4 the bench broke, 130 interrupted.
+
+    Raises:
+        UsageError: bad input, or every scene was rejected.
+    """
+    check_workers(options.workers)
+    console = Console(highlight=False)
+    live = console.is_terminal and not quiet
+
+    def show(row: RunRow) -> None:
+        # A terminal has the bar for what goes as it should.
+        if not quiet and (not live or not row.outcome.judged):
+            console.print(row_line(row), soft_wrap=True)
+
+    search = Search(options, PARTICIPANTS, show)
+    with print_rows_if_lost(console, search.rows, shown=not (quiet or live)), search:
+        if search.warning:
+            console.print(search.warning, soft_wrap=True, markup=False)
+        if not quiet:
+            lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
+            console.print('\n'.join(lines), soft_wrap=True, markup=False)
+        for line in requirement_lines(search.check, quiet=quiet):
+            console.print(line, soft_wrap=True)
+        with (
+            interrupts(search.interrupt),
+            search_view(console, search, shown=live),
+            WorkerPool(
+                _worker_command(search), options.workers, options.campaign.out / 'logs'
+            ) as crew,
+        ):
+            run_search(search, crew)
+        learned = write_learned(search)
+    lines = [*search_summary(search), *learned]
+    console.print('\n'.join(lines), soft_wrap=True)
+    if search.interrupted and len(search.rows) < options.campaign.runs:
+        return 130
+    return exit_code(search.rows)
+
+
+def _worker_command(search: Search) -> list[str]:
+    campaign = search.options.campaign
+    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
+
+
+INTERRUPTED, BROKEN = 130, 4
+
+
+def run_experiment(
+    experiment: Experiment, out: Path, *, workers: int, resume: bool, as_json: bool
+) -> int:
+    """Run every arm, compare them, and print what came of it.
+
+    Returns:
+        Exit code: 0 done, 4 the bench broke some run, 130 interrupted; ``--resume`` goes on. No
+        comparison is written before every arm has had all its runs.
+
+    Raises:
+        UsageError: bad input, or arms whose scenes are not the same.
+    """
+    console = Console(highlight=False, stderr=as_json)
+    check_workers(workers)
+    searches = arm_searches(experiment, out, workers=workers, resume=resume)
+    for number, (name, options) in enumerate(searches.items(), 1):
+        console.print(
+            f'arm {number} of {len(searches)}: {name}, {experiment.runs} scenes -> '
+            f'{options.campaign.out}', soft_wrap=True,
+        )
+        search = _run_arm(options, console, first=number == 1)
+        if search.interrupted and len(search.rows) < options.campaign.runs:
+            console.print('interrupted; --resume goes on')
+            return INTERRUPTED
+        if search.stopped and not search.exhausted:
+            console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
+            return BROKEN
+    rows = arm_rows(experiment, out)
+    check_paired(experiment, rows)
+    known = [row for arm in rows.values() for row in arm]
+    with print_rows_if_lost(console, known, shown=True):
+        _report(experiment, rows, out, console, as_json=as_json)
+    return BROKEN if any(row.outcome is Outcome.INFRA_ERROR for row in known) else 0
+
+
+def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
+    """Run one arm to its end, or until it is interrupted or the bench breaks.
+
+    The first one says how the requirements are understood, for they are the same in all.
+    """
+    live = console.is_terminal
+
+    def show(row: RunRow) -> None:
+        # A terminal has the bar for what goes as it should.
+        if not live or not row.outcome.judged:
+            console.print(row_line(row), soft_wrap=True)
+
+    search = Search(options, PARTICIPANTS, show)
+    with print_rows_if_lost(console, search.rows, shown=not live), search:
+        for line in requirement_lines(search.check, quiet=not first):
+            console.print(line, soft_wrap=True)
+        for note in (*search.notes, *filter(None, [search.warning])):
+            console.print(note, soft_wrap=True, markup=False)
+        with (
+            interrupts(search.interrupt),
+            search_view(console, search, shown=live),
+            WorkerPool(
+                _arm_worker_command(search), options.workers, options.campaign.out / 'logs'
+            ) as crew,
+        ):
+            run_search(search, crew)
+    return search
+
+
+def _report(
+    experiment: Experiment, rows: dict[str, tuple[RunRow, ...]], out: Path, console: Console, *,
+    as_json: bool,
+) -> None:
+    from taxinet_ros.analysis.experiment.arms import paired_arms, pairs_frame
+    from taxinet_ros.analysis.experiment.report import (
+        experiment_json,
+        experiment_report,
+        experiment_sentences,
+    )
+    from taxinet_ros.analysis.report.page import write_report_page
+    from taxinet_ros.analysis.report.pictures import LIGHT, write_png
+
+    found = paired_arms(experiment, rows)
+    values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
+    pairs = out / PAIRS_NAME
+    write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    # Two arms that change places would be sound campaigns, each with the other's name.
+    write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
+    pictures = [
+        write_png(picture, out, LIGHT) for section in report.sections
+        for picture in section.pictures
+    ]
+    write_report_page(report, out / PAGE_NAME)
+    if as_json:
+        print(json.dumps(values, indent=2))
+        return
+    names = [PAGE_NAME, *(path.name for path in pictures), PAIRS_NAME, JSON_NAME]
+    lines = [*experiment_sentences(found), f'written: {out / names[0]}, {", ".join(names[1:])}']
+    console.print('\n'.join(lines), soft_wrap=True, markup=False)
+
+
+def _arm_worker_command(search: Search) -> list[str]:
+    campaign = search.options.campaign
+    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
+
+
+def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
+    """Shrink it, write down what came of it, and print that.
+
+    Args:
+        options: what to do.
+        quiet: print the outcome only.
+
+    Returns:
+        Exit code: 0 shrunk, 130 interrupted.
+
+    Raises:
+        UsageError: bad input, or the run does not fail again.
+        InfraError: the bench broke.
+        RecordError: the record cannot be kept.
+    """
+    check_workers(options.workers)
+    console = Console(highlight=False)
+    begun = time.monotonic()
+    with _shrink_view(console, quiet=quiet) as show:
+        shrinking = Shrinking(options, PARTICIPANTS, show)
+        shown = not (quiet or console.is_terminal)
+        with print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking:
+            if shrinking.warning:
+                console.print(shrinking.warning, soft_wrap=True, markup=False)
+            if not quiet:
+                console.print(shrink_heading(options), soft_wrap=True)
+            with (
+                interrupts(shrinking.interrupt),
+                WorkerPool(
+                    _shrink_worker_command(shrinking),
+                    options.workers,
+                    options.campaign.out / 'logs',
+                ) as crew,
+            ):
+                run_search(shrinking, crew)
+    found = make_report(shrinking)
+    _check_bench(shrinking)
+    _check_reproduced(options, found)
+    with print_rows_if_lost(console, shrinking.rows, shown=True):
+        _print_shrunk(console, shrinking, found, time.monotonic() - begun)
+    return 130 if found.state.end is End.NOT_YET else 0
+
+
+def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
+    options, runs = shrinking.options, len(shrinking.rows)
+    lines = result_lines(found, options, runs, wall_s)
+    if found.original is not None:
+        from taxinet_ros.analysis.search.shrinking import PROGRAM_NAME, write_shrunk
+
+        out = options.campaign.out
+        names = write_shrunk(options, found, runs)
+        console.print(parameter_table(found))
+        console.print('\n'.join(finding_lines(found)), soft_wrap=True)
+        lines.append(f'written: {out / names[0]}, {", ".join(names[1:])}')
+        lines.append(f'run it: {run_command(options, str(out / PROGRAM_NAME))}')
+    console.print('\n'.join(lines), soft_wrap=True)
+
+
+def _check_bench(shrinking: Shrinking) -> None:
+    if (row := shrinking.broken) is not None:
+        detail = f'{row.detail or row.outcome} (twice in run {row.run_id}; --resume goes on)'
+        raise InfraError(row.kind or 'broken', row.who or 'bench', row.steps - 1, detail)
+
+
+def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
+    if found.state.end is not End.NOT_REPRODUCED:
+        return
+    assert found.original is not None
+    name = options.headline
+    before = f', it had {options.run.rho[name]:+.2f}' if name in options.run.rho else ''
+    raise UsageError(
+        f'{options.run.run_id}: not reproduced: run again, {name} has rho '
+        f'{found.original.rho[name]:+.2f}{before}; recorded by another version, or with another '
+        'perception or other gains?'
+    )
+
+
+def _shrink_worker_command(shrinking: Shrinking) -> list[str]:
+    campaign = shrinking.options.campaign
+    return worker_command(campaign_graph(campaign, shrinking.controller_sha256))
+
+
+@contextlib.contextmanager
+def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow], None]]:
+    """What shows a run that has ended: a line of its own; in a terminal one line for them all."""
+    live = console.is_terminal and not quiet
+    with Progress(
+        SpinnerColumn(), TextColumn('{task.completed} runs'), TimeElapsedColumn(),
+        TextColumn('{task.description}', table_column=Column(no_wrap=True, ratio=1)),
+        console=console, transient=True, expand=True, disable=not live,
+    ) as progress:
+        task = progress.add_task('', total=None)
+
+        def show(row: RunRow) -> None:
+            # A terminal has the bar for what goes as it should.
+            if not quiet and (not live or not row.outcome.judged):
+                progress.console.print(row_line(row), soft_wrap=True)
+            progress.update(task, advance=1, description=f'{row.outcome} {scene_words(row)}')
+
+        yield show

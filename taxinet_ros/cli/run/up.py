@@ -1,0 +1,231 @@
+"""``taxinet up``: a graph that stays up, each node a supervised process, and a live table of it."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import os
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from taxinet_ros.campaign.options import (
+    DEFAULT_ROOT,
+    IMAGES,
+    check_new,
+    check_timing,
+    new_folder,
+    split_settings,
+)
+from taxinet_ros.core.controller import check_controller
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.user_code import EXTERNAL
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.runner import GraphOptions
+from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
+from taxinet_ros.nodes.graph.supervisor import (
+    GraphLostError,
+    Restart,
+    State,
+    SupervisionOptions,
+    Supervisor,
+    WatchedNode,
+    memory_mb,
+)
+from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
+from taxinet_ros.processes.interrupts import INTERRUPTED, interrupts
+
+_REFRESH_PER_S = 2.0
+_STYLES = {
+    State.STARTING: 'yellow', State.READY: 'green', State.SILENT: 'red', State.DEAD: 'red',
+}
+
+
+class UpView:
+    """Shows one graph."""
+
+    def __init__(self, console: Console, options: UpOptions) -> None:
+        """Show it on ``console``."""
+        self._console, self._options = console, options
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        self._console.print(line, soft_wrap=True, markup=False)
+
+    @contextlib.contextmanager
+    def watching(self, supervisor: Supervisor, domain: int) -> Iterator[None]:
+        """Say where the graph is; a terminal gets a table that goes with it."""
+        for line in self._heading(domain):
+            self.say(line)
+        if not self._console.is_terminal:
+            yield
+            return
+        with Live(
+            console=self._console, refresh_per_second=_REFRESH_PER_S, transient=True,
+            get_renderable=lambda: self.picture(supervisor, time.monotonic()),
+        ):
+            yield
+
+    def _heading(self, domain: int) -> list[str]:
+        reach = os.environ[DISCOVERY_RANGE]
+        where = 'this machine only' if reach == LOCALHOST else f'discovery range {reach}'
+        what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
+        return [
+            f'ROS domain {domain}, {where}; perception {self._options.graph.perception}; '
+            f'{what} in {self._options.graph.out}',
+            *(
+                f'for you to start, in ROS domain {domain}: a node named {name}'
+                for name, word in self._options.graph.elsewhere.items() if word == EXTERNAL
+            ),
+            'to run scenes, in another terminal:',
+            f'  {self._invitation(domain)}',
+        ]
+
+    def _invitation(self, domain: int) -> str:
+        start = 'ros2 run taxinet_ros' if shutil.which('ros2') else 'taxinet node'
+        # Two nodes on one machine need not find each other where only one of them stays on it.
+        reach = f'{DISCOVERY_RANGE}={os.environ[DISCOVERY_RANGE]}'
+        words = f'{reach} ROS_DOMAIN_ID={domain} {start} scenario_sampler --ros-args -p runs:=10'
+        if not self._options.record:
+            names = f'participants:=[{",".join(self._options.participants)}]'
+            words += f' -p {shlex.quote(names)}'
+        return words
+
+    def picture(self, supervisor: Supervisor, now_s: float) -> RenderableType:
+        """The table of the nodes, and a line on the runs."""
+        table = Table(box=None, pad_edge=False, header_style='dim')
+        table.add_column('node', min_width=20)
+        table.add_column('state', min_width=10)
+        for name in ('since', 'process', 'memory', 'restarts'):
+            table.add_column(name, justify='right', min_width=9)
+        for watched in supervisor.nodes:
+            table.add_row(*_row(watched, now_s))
+        return Padding(Group(table, Text(), _runs(supervisor), Text(
+            'Ctrl-C ends the run at hand and the graph', style='dim',
+        )), (1, 0, 0, 0))
+
+
+def _row(watched: WatchedNode, now_s: float) -> list[RenderableType]:
+    pid = watched.process.process.pid
+    memory = memory_mb(pid)
+    return [
+        watched.name,
+        Text(watched.state, style=_STYLES[watched.state]),
+        _span(now_s - watched.since_s),
+        str(pid),
+        '' if memory is None else f'{memory:.0f} MB',
+        str(watched.restarts) if watched.restarts else '',
+    ]
+
+
+def _runs(supervisor: Supervisor) -> Text:
+    runs = supervisor.runs
+    if runs.running:
+        words = [f'run {runs.run_id}: step {runs.seq}']
+    elif runs.run_id:
+        words = [f'run {runs.run_id}: getting ready']
+    else:
+        words = ['no run at hand' if supervisor.ready else 'waiting for the nodes']
+    words += [f'{number} {outcome}' for outcome, number in sorted(dict(runs.outcomes).items())]
+    return Text('   '.join(words))
+
+
+def _span(seconds: float) -> str:
+    return str(datetime.timedelta(seconds=int(max(seconds, 0.0))))
+
+
+_INFRA = 4
+_GONE_S = 3.0
+"""How long the graph may take to be gone after a second interrupt."""
+
+
+def make_up_options(
+    *, perception: str, controller: str, out: Path | None, record: bool, images: str,
+    settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
+    latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
+) -> UpOptions:
+    """Check what a person typed.
+
+    Args:
+        perception: as of :class:`.graph.GraphOptions`.
+        controller: likewise.
+        out: folder of bags and logs, which must be new; where None, a new one below ``bags/``.
+        record: whether there is a recorder.
+        images: runs whose camera frames go into the bags.
+        settings: ``steering.<gain>=value``.
+        restart: a word of :class:`Restart`.
+        domain: ROS domain; where None, that of the environment, else one of its own.
+        silent_s: silence after which a node is named [s].
+        latency: ``NAME=LATENCY`` of perception or controller.
+        free: simulated time goes by the wall clock.
+        real_time_factor: simulated seconds per second then, or ``max``.
+
+    Raises:
+        UsageError: one line on the first that is wrong.
+    """
+    check_perception(perception, graph=True)
+    if images not in IMAGES:
+        raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
+    if restart not in list(Restart):
+        raise UsageError(f'--restart {restart}: unknown; known: {", ".join(Restart)}')
+    overrides, gains = split_settings(settings)
+    if overrides:
+        raise UsageError(
+            f"--set {next(iter(overrides))}: a scenario value is the sampler's to set; here: "
+            'steering.<gain>=value'
+        )
+    check_controller(controller, gains, graph=True)
+    if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
+        domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
+    out = out or new_folder(DEFAULT_ROOT / 'up')
+    check_new(out)
+    return UpOptions(
+        graph=GraphOptions(
+            perception=perception,
+            out=out,
+            images=images,
+            gains=gains,
+            controller=controller,
+            alone=False,
+            timing=check_timing(latency, free=free, factor=real_time_factor),
+        ),
+        record=record,
+        domain=domain,
+        care=SupervisionOptions(restart=Restart(restart), silent_s=silent_s),
+    )
+
+
+def run_up(options: UpOptions) -> int:
+    """Keep the graph up until somebody stops it.
+
+    Returns:
+        Exit code: that of an interrupt once it was stopped; 4 if it could not be kept up.
+    """
+    view = UpView(Console(highlight=False), options)
+    stops: list[Callable[[], None]] = []
+
+    def stop() -> None:
+        if not stops:
+            raise KeyboardInterrupt
+        stops[-1]()
+
+    # Every node dies with this process, so nothing is lost if the ways out of DDS take long.
+    with interrupts(stop, gone_s=_GONE_S):
+        try:
+            run_standing_graph(options, view, stops.append)
+            view.say('ended')
+        except KeyboardInterrupt:
+            view.say('killed')
+        except GraphLostError as error:
+            print(f'taxinet: error: {error}', file=sys.stderr)
+            return _INFRA
+    return INTERRUPTED

@@ -1,0 +1,157 @@
+"""``taxinet case-study``: the paper's whole story, stage by stage."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.stages.config import (
+    STUDY_NAME,
+    StudyConfig,
+    read_config,
+    read_study,
+    resized,
+    scaled,
+    shipped_config,
+    write_study,
+)
+from taxinet_ros.study.stages.log import StageLog, read_records
+from taxinet_ros.study.stages.plan import stages, stages_until
+from taxinet_ros.study.stages.progress import list_lines, study_heading
+from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.stage import Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseStudyOptions:
+    """What a person typed.
+
+    Attributes:
+        config: file of the study, or None for the shipped one, or with ``resume`` for the study's
+            own.
+        scale, runs, images, workers: sizes, or None as the file has them.
+        out: folder of the study, or None for a new one.
+        resume: go on with what is there.
+        until: name of the last stage to do, or None for all.
+        listed: print the stages only.
+        report_only: write the report of what is done only.
+        tables: folder of tables to write the report of, or None.
+    """
+
+    config: Path | None = None
+    scale: float | None = None
+    runs: int | None = None
+    images: int | None = None
+    workers: int | None = None
+    out: Path | None = None
+    resume: bool = False
+    until: str | None = None
+    listed: bool = False
+    report_only: bool = False
+    tables: Path | None = None
+
+
+def run_case_study(options: CaseStudyOptions) -> int:
+    """Do what is asked for, and print how it goes.
+
+    Returns:
+        Exit code: 0 done, 130 interrupted, else that of the stage that failed.
+
+    Raises:
+        UsageError: bad input.
+    """
+    if options.tables is not None:
+        return _report_tables(options, options.tables)
+    if options.report_only:
+        return _report(options)
+    console = Console(highlight=False)
+    config = _config(options)
+    found = stages(config)
+    wanted = stages_until(found, options.until) if options.until else found
+    if options.listed:
+        out = options.out or Path('OUT')
+        for line in list_lines(wanted, read_records(out), out):
+            console.print(line, soft_wrap=True, markup=False)
+        return 0
+    from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
+
+    check_workers(config.workers)
+    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
+    if not options.resume:
+        check_new(out)
+    return _run(config, wanted, out, console)
+
+
+def _run(config: StudyConfig, wanted: tuple[Stage, ...], out: Path, console: Console) -> int:
+    def show(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
+    make_out(out)
+    if not (out / STUDY_NAME).exists():
+        write_study(out, config)  # first, so that whatever is begun can be resumed
+    with StageLog(out) as log:
+        write_study(out, config)
+        show(study_heading(config, wanted, out))
+        show(f'every command runs in {out}')
+        run = StudyRun(
+            out, wanted, log=log, command=stage_command(), workers=config.workers, show=show,
+        )
+        return run.run()
+
+
+def _config(options: CaseStudyOptions) -> StudyConfig:
+    if options.resume and options.out is None:
+        raise UsageError('--resume: say with --out which case study to continue')
+    begun = options.out is not None and (
+        options.resume or (options.listed and (options.out / STUDY_NAME).exists())
+    )
+    if begun and options.config is None and options.scale is None:
+        assert options.out is not None
+        config = read_study(options.out, '--resume' if options.resume else '--list')
+    else:
+        config = read_config(options.config or shipped_config())
+        config = scaled(config, 1.0 if options.scale is None else options.scale)
+    return resized(
+        config, runs=options.runs, images=options.images, workers=options.workers
+    )
+
+
+def _report(options: CaseStudyOptions) -> int:
+    if options.out is None:
+        raise UsageError('--report-only: say with --out of which case study')
+    config = read_study(options.out, '--report-only')
+    from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
+
+    for line in write_study_report(config, options.out):
+        Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return 0
+
+
+def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
+    """What the tables say, in a new folder."""
+    sizes = {
+        '--scale': options.scale, '--runs': options.runs, '--images': options.images,
+        '--workers': options.workers, '--until': options.until, '--resume': options.resume,
+        '--list': options.listed, '--report-only': options.report_only,
+    }
+    for name, value in sizes.items():
+        if value not in (None, False):
+            raise UsageError(f'--tables {tables}: runs nothing; leave {name} out')
+    config = read_config(options.config or shipped_config())
+    out = options.out or new_folder(DEFAULT_ROOT / 'case-study')
+    check_new(out)
+    from taxinet_ros.study.report.report import write_study_report  # pictures take time to import
+
+    for line in write_study_report(config, out, tables):
+        Console(highlight=False).print(line, soft_wrap=True, markup=False)
+    return 0
+
+
+def stage_command() -> list[str]:
+    """A ``taxinet`` that ends when this process goes away, however it goes."""
+    return [sys.executable, '-m', 'taxinet_ros.cli.stage_process']

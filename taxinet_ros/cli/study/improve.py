@@ -1,0 +1,121 @@
+"""``taxinet improve``: rounds of falsification and retraining, and what each of them decided."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
+from taxinet_ros.campaign.rates import rate
+from taxinet_ros.cli.study.case_study import stage_command
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.improve.acceptance import Decision
+from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, START, Improvement, Round, RoundLedger
+from taxinet_ros.study.improve.options import ImproveOptions, read_options, write_options
+from taxinet_ros.study.stages.log import StageLog
+from taxinet_ros.study.stages.run import StudyRun
+from taxinet_ros.study.stages.stage import Stage
+
+
+def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) -> int:
+    """Go round, and print what happens.
+
+    Args:
+        options: what to do; None to go on with what ``out`` was begun for.
+        out: folder, or None for a new one.
+        workers: processes of what is resumed.
+
+    Returns:
+        Exit code: 0 done, 130 interrupted, else that of the stage that failed.
+
+    Raises:
+        UsageError: bad input.
+    """
+    console = Console(highlight=False)
+    from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
+
+    if options is not None:
+        check_workers(options.workers)
+    options, out = _begun(options, out, workers)
+    check_workers(options.workers)
+
+    def show(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
+    def show_round(done: Round) -> None:
+        show('')
+        for line in round_lines(done, options.rounds):
+            show(line)
+
+    with StageLog(out) as log, RoundLedger(out) as ledger:
+        show(
+            f'improve {options.start} on {options.program}: at most {options.rounds} rounds of 3 '
+            f'times {options.runs:,} runs -> {out}'
+        )
+        show(f'every command runs in {out}')
+
+        def run_stages(stages: Sequence[Stage]) -> int:
+            return StudyRun(
+                out, stages, log=log, command=stage_command(), workers=options.workers, show=show
+            ).run()
+
+        code = Improvement(out, options, ledger, run_stages, show_round).run()
+    if code == 0:
+        show(f'network: {out / BEST}; what each round decided: {out / ROUNDS_NAME}')
+    return code
+
+
+def _begun(
+    options: ImproveOptions | None, out: Path | None, workers: int
+) -> tuple[ImproveOptions, Path]:
+    """Options and folder of a loop begun now, or earlier."""
+    if options is None:
+        if out is None:
+            raise UsageError('--resume: say with --out which folder to go on in')
+        earlier = dataclasses.replace(read_options(out), workers=workers)
+        if (out / START).exists():
+            earlier = dataclasses.replace(earlier, start=str(out / START))
+        return earlier, out
+    options = options.checked()
+    if out is None:
+        out = new_folder(DEFAULT_ROOT / 'improve')
+    check_new(out)
+    make_out(out)
+    write_options(out, options)
+    return options, out
+
+
+def round_lines(done: Round, rounds: int) -> list[str]:
+    """What a round found and decided, for people."""
+    lines = [
+        f'round {done.number} of {rounds}: {done.failed} of {done.searched} runs of the search '
+        'failed'
+    ]
+    lines += [f'  cause: {words}' for words in done.causes]
+    lines += [f'  alike: {words}' for words in done.clusters]
+    if done.decision is None:
+        return [*lines, '  nothing to learn from; a larger --budget may find more']
+    return [*lines, *_decision_lines(done.decision)]
+
+
+def _decision_lines(made: Decision) -> list[str]:
+    now = rate(made.pairs - made.failed_now, made.pairs)
+    return [
+        f'  on {made.pairs} scenes new to both: {made.failed_before} failures before, '
+        f'{made.failed_now} now ({made.only_before} only before, {made.only_now} only now); '
+        f'{made.off_before} and {made.off_now} left the runway',
+        f'  now satisfied: {100 * now.rate:.1f} % ({100 * now.low:.1f}-{100 * now.high:.1f} %); '
+        f'rho {_change(made)}',
+        f'  failures more often by at most {100 * max(made.more_failures, 0):.1f} points',
+        f'  {"ACCEPTED" if made.accepted else "REJECTED"}: {made.why}',
+    ]
+
+
+def _change(made: Decision) -> str:
+    if math.isnan(made.rho_low):  # too few pairs for an interval
+        return f'{made.rho_change:+.3f}'
+    return f'{made.rho_change:+.3f} ({made.rho_low:+.3f} to {made.rho_high:+.3f})'

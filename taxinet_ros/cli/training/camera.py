@@ -1,0 +1,236 @@
+"""``taxinet camera``: frames, sheets of them, shadows, and a comparison with foreign frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from PIL import Image
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from taxinet_ros.analysis.camera.compare import (
+    Comparison,
+    QuantityErrors,
+    compare_frames,
+    comparison_scenes,
+    comparison_sheet,
+)
+from taxinet_ros.analysis.camera.shadow import shadow_appearances
+from taxinet_ros.analysis.camera.sheets import (
+    HOURS,
+    POSE,
+    camera_sheet,
+    clock,
+    scene_picture,
+    sheet_scenes,
+)
+from taxinet_ros.campaign.options import DEFAULT_ROOT
+from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
+from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, scenario_from_human
+from taxinet_ros.errors import UsageError
+
+SUFFIX = '.png'
+_AXES = {'time_of_day': '--hours', 'clouds': '--clouds', 'rain': '--rain'}
+
+
+def save_frame(settings: Iterable[str], out: Path | None) -> None:
+    """Write the frame of one scene and say where.
+
+    Raises:
+        UsageError: bad settings, or a file that cannot be written.
+    """
+    scene = scenario_from_human(read_settings(settings))
+    path = new_picture(out, 'camera-frame')
+    write_picture(path, lambda: Image.fromarray(scene_picture(scene)).save(path))
+    print(f'picture: {path}')
+
+
+def save_sheet(
+    *, hours: str, clouds: str, rain: str, settings: Iterable[str], out: Path | None
+) -> None:
+    """Write the sheet of one pose and say where.
+
+    Raises:
+        UsageError: bad settings, or a file that cannot be written.
+    """
+    values = read_settings(settings)
+    for key, option in _AXES.items():
+        if key in values:
+            raise UsageError(f'--set {key}: varies over the sheet; use {option} {values[key]}')
+    columns = _numbers('--hours', hours) or HOURS
+    rains = _numbers('--rain', rain) or (0.0,)
+    kinds = _words(clouds) or (RAIN_CLOUDS if rain else CLOUDS)
+    scenes = sheet_scenes(values, columns, kinds, rains)
+    path = new_picture(out, 'camera-sheet')
+    write_picture(path, lambda: camera_sheet(scenes, path))
+    print(f'sheet: {path}')
+
+
+def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> None:
+    """Print how the aircraft's own shadow looks, hour by hour.
+
+    Raises:
+        UsageError: bad settings or hours.
+    """
+    values = read_settings(settings)
+    for key, mend in {'time_of_day': 'use --hours', 'shadows': 'leave it out'}.items():
+        if key in values:
+            raise UsageError(f'--set {key}: varies over the table; {mend}')
+    columns = _numbers('--hours', hours)
+    if not columns:
+        raise UsageError(f'--hours {hours!r}: expected numbers with commas, as 13,15.5')
+    print("       sun        sun from  picture    in picture  renderer's  clear day:  its")
+    print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
+    for one in shadow_appearances(values, columns, turbidity):
+        print(
+            f'{clock(3600 * one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
+            f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '
+            f'{_ratio(one.physics)}       {_ratio(one.energy)}'
+        )
+
+
+def _ratio(value: float) -> str:
+    return '    -' if math.isnan(value) else f'{value:5.3f}'
+
+
+def read_settings(settings: Iterable[str]) -> dict[str, object]:
+    """Scenario values from ``key=value`` words; the last of a key counts.
+
+    Raises:
+        UsageError: no ``key=value``.
+    """
+    values: dict[str, object] = {}
+    for setting in settings:
+        key, equals, value = (part.strip() for part in setting.partition('='))
+        if not (key and equals and value):
+            raise UsageError(f'--set {setting!r}: expected key=value')
+        values[key] = value
+    return values
+
+
+def new_picture(out: Path | None, stem: str) -> Path:
+    """File for a picture that is not there yet: ``out``, or one below ``bags/`` named ``stem``.
+
+    Raises:
+        UsageError: ``out`` exists, is no PNG file, or lies in no folder.
+    """
+    if out is None:
+        return _next_free(DEFAULT_ROOT / f'{stem}{SUFFIX}')
+    if out.suffix.lower() != SUFFIX:
+        raise UsageError(f'--out {out}: pictures are PNG files; name it {out.stem}{SUFFIX}')
+    if out.exists() or out.is_symlink():
+        raise UsageError(f'--out {out}: exists already and is not overwritten; name a new file')
+    if not out.parent.is_dir():
+        raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
+    return out
+
+
+def _next_free(wanted: Path) -> Path:
+    """``wanted``, or where that exists, the next of ``NAME-2.png``, … that does not."""
+    candidate, number = wanted, 1
+    while candidate.exists() or candidate.is_symlink():
+        number += 1
+        candidate = wanted.with_stem(f'{wanted.stem}-{number}')
+    return candidate
+
+
+def write_picture(path: Path, save: Callable[[], object]) -> None:
+    """Call ``save``, which writes ``path``; the default folder is made first.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    try:
+        if path.parent == DEFAULT_ROOT:
+            path.parent.mkdir(exist_ok=True)
+        save()
+    except OSError as error:
+        raise UsageError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(',') if word.strip())
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in _words(text))
+    except ValueError:
+        raise UsageError(f'{option} {text!r}: expected numbers with commas, as 6,6.5,7') from None
+
+
+def run_compare(
+    folder: Path, *, perception: str, distance_offset_m: float, settings: Iterable[str],
+    out: Path | None, json_wanted: bool,
+) -> None:
+    """Measure, draw the sheet, and print what came of it.
+
+    Raises:
+        UsageError: bad folder, labels, pictures, settings, perception or output file.
+    """
+    if not math.isfinite(distance_offset_m):
+        raise UsageError(f'--distance-offset {distance_offset_m}: expected a number of metres')
+    values = read_settings(settings)
+    for key in POSE:
+        if key in values:
+            raise UsageError(f'--set {key}: the labels of the frames say it; leave it out')
+    frames = read_labelled_frames(folder)
+    scenes = comparison_scenes(frames, values, distance_offset_m)
+    path = new_picture(out, f'camera-compare-{folder.resolve().name}')
+    network = _network(perception)
+    notes = Console(stderr=True, highlight=False, soft_wrap=True)
+    bar = track(frames, 'frames', console=notes, disable=not notes.is_terminal, transient=True)
+    comparison = compare_frames(bar, network)
+    write_picture(path, lambda: comparison_sheet(scenes, network, path))
+    if json_wanted:
+        head = {
+            'folder': str(folder), 'perception': perception,
+            'weights_sha256': network.fingerprint, 'distance_offset_m': distance_offset_m,
+            'sheet': str(path), 'made_on': dict(provenance()),
+        }
+        print(json.dumps({**head, **comparison.to_dict()}, indent=2, allow_nan=False))
+        notes.print(f'sheet: {path}')
+        return
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(comparison_table(comparison))
+    console.print(
+        f'{len(comparison.frames)} frames, {comparison.without_estimate} without estimate; '
+        f'perception {perception}, weights {network.fingerprint[:12]}'
+    )
+    console.print(f'sheet: {path}')
+
+
+def _network(word: str) -> Perception:
+    perception = make_perception(word)
+    if not perception.needs_image:
+        raise UsageError(
+            f'--perception {word}: does not look at pictures; name taxinet or a weights file'
+        )
+    return perception
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """The figures of both quantities, for people."""
+    shown = Table('error', 'MAE', '95 % interval', 'bias', 'correlation', 'mean predictor')
+    _add_row(shown, 'cross-track, m', comparison.cte_m)
+    _add_row(shown, 'heading, deg', comparison.heading_error_deg)
+    return shown
+
+
+def _add_row(shown: Table, name: str, errors: QuantityErrors) -> None:
+    low, high = errors.mae_95 or (None, None)
+    shown.add_row(
+        name, _figure(errors.mae), f'{_figure(low)} to {_figure(high)}',
+        _figure(errors.bias, '+.2f'), _figure(errors.correlation, '.3f'),
+        _figure(errors.mean_predictor_mae),
+    )
+
+
+def _figure(value: float | None, form: str = '.2f') -> str:
+    return '-' if value is None else format(value, form)

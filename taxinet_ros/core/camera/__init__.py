@@ -1,0 +1,1 @@
+"""The camera: ground, sky, light, rain and the parts of the aircraft in one picture."""

@@ -1,0 +1,134 @@
+"""What lies between the ground and the lens: haze, mirrored sky, glare, the skyline, and rain."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera import pixels, sky
+from taxinet_ros.core.camera.light import Light
+
+_SHEET_HEIGHT, _SHEET_WIDTH = 400, 720
+_SLANT = 0.12
+_LEVELS = 20
+"""Steps of intensity. A process keeps a sheet of each, a quarter of a megabyte: they take 0.1 s to
+draw, and the scenes of a campaign need all of them."""
+_MASK64 = (1 << 64) - 1
+
+
+def scramble(number: int) -> int:
+    """Steele, Lea and Flood's splitmix64: spreads neighbouring numbers over 64 bits."""
+    mixed = (number + 0x9E3779B97F4A7C15) & _MASK64
+    mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & _MASK64
+    mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & _MASK64
+    return mixed ^ (mixed >> 31)
+
+
+class RainSheet:
+    """Streaks of one scenario's rain, as light to be added to a picture."""
+
+    def __init__(self, light: Light, height: int, width: int) -> None:
+        """Prepare the streaks; ``height`` and ``width`` are the picture's [px]."""
+        brightness = 0.16 * light.sky_low * (0.4 + 0.6 * light.rain)
+        shares = np.arange(256)[:, None] * (brightness / 255)
+        table = np.clip(np.rint(shares), 0, 255).astype(np.uint8)[None]
+        streaks = _streaks(round(light.rain * _LEVELS))
+        self._sheet = np.asarray(cv2.LUT(cv2.merge([streaks] * 3), table), np.uint8)
+        self._size = (height, width)
+
+    def at(self, stamp_ns: int) -> NDArray[np.uint8]:
+        """Light to add at a stamp, (height, width, 3); a view, not to be written to."""
+        height, width = self._size
+        bits = scramble(stamp_ns)
+        top = bits % (_SHEET_HEIGHT - height + 1)
+        left = (bits >> 20) % (_SHEET_WIDTH - width + 1)
+        return self._sheet[top : top + height, left : left + width]
+
+
+@lru_cache(maxsize=_LEVELS + 1)
+def _streaks(level: int) -> NDArray[np.uint8]:
+    """Streaks of one of the :data:`_LEVELS` steps of intensity; near drops are long and broad."""
+    rng = np.random.default_rng(500)
+    sheet = np.zeros((_SHEET_HEIGHT, _SHEET_WIDTH), np.float32)
+    for thickness, length, count, weight in (
+        (1, 9, 2600, 0.5),
+        (1, 22, 700, 0.9),
+        (2, 46, 130, 0.7),
+    ):
+        layer = np.zeros((_SHEET_HEIGHT, _SHEET_WIDTH), np.uint8)
+        for _ in range(math.ceil(count * level / _LEVELS)):
+            x, y = rng.uniform(0, _SHEET_WIDTH), rng.uniform(-length, _SHEET_HEIGHT)
+            run = length * rng.uniform(0.6, 1.3)
+            ends = [(round((x + s * run * _SLANT) * 16), round((y + s * run) * 16)) for s in (0, 1)]
+            shade = int(rng.integers(90, 255))
+            cv2.line(layer, ends[0], ends[1], (shade,), thickness, cv2.LINE_AA, 4)
+        sheet += weight * cv2.GaussianBlur(layer, (0, 0), 0.6).astype(np.float32)
+    return np.clip(sheet, 0, 255).astype(np.uint8)
+
+
+_WATER_SHARE = 0.55
+_SPRAY_SHARE = 0.16
+"""Share of the picture that full rain veils evenly: spray in the air and drops on the lens."""
+_SPARSE_PX = 15
+"""Distance of the columns for which directions are computed; between them, interpolation errs by
+less than a tenth of the panorama's columns. It divides the picture's width."""
+_GLARE_STRENGTH = 120.0
+_LEAST_GLARE = 1.0
+_GLARE_HALF_WIDTH_RAD = math.radians(16.0)
+_GLARE_TINT = (1.0, 0.84, 0.58)
+
+
+class Atmosphere:
+    """Makes pictures of the ground in a scenario's light, air, water and sky."""
+
+    def __init__(self, light: Light, height: int, width: int) -> None:
+        """Prepare for pictures of ``height`` by ``width`` pixels in one scenario's light."""
+        self._size = height, width
+        beam = float(light.direct.max() / light.total.max())
+        low = math.exp(-max(light.sun_elevation_rad, 0.0) / math.radians(9.0))
+        glare = _GLARE_STRENGTH * beam * low * min(1.0, float(light.total.max()) * 2)
+        self._glares = glare > _LEAST_GLARE
+        self._air = pixels.Air(
+            visibility_m=light.visibility_m,
+            film=_WATER_SHARE * light.wetness,
+            spray=_SPRAY_SHARE * light.rain,
+            sky_low=light.sky_low,
+            sky_high=light.sky_high,
+            glare=glare,
+            sun_yaw_rad=math.atan2(light.sun[1], light.sun[0]),
+            glare_width_rad=_GLARE_HALF_WIDTH_RAD,
+        )
+        self._skyline = pixels.Panorama(
+            sky.panorama(light),
+            lowest_rad=sky.LOWEST_RAD,
+            step_rad=sky.STEP_RAD,
+            end_tan=sky.GROUND_END_TAN,
+            spacing_px=_SPARSE_PX,
+        )
+
+    def develop(
+        self,
+        ground: NDArray[np.uint8],
+        curve: NDArray[np.uint8],
+        rays: NDArray[np.float64],
+        height_m: float,
+        picture: NDArray[np.uint8],
+    ) -> None:
+        """Make a picture of the lit ground and lay air, water, glare and skyline over it.
+
+        Args:
+            ground: its daylight colours, (height, width, 3).
+            curve: what becomes of them in the scenario's light, (256,).
+            rays: homogenous pixel to a direction in ``map``, (3, 3).
+            height_m: the camera's height above ground [m].
+            picture: where the picture is to be, (height, width, 3).
+        """
+        pixels.develop(ground, curve, *self._air.veil(rays, height_m, *self._size), picture)
+        shine = self._air.shine(rays, *self._size) if self._glares else None
+        if shine is not None:
+            pixels.add_shine(picture, *shine, _GLARE_TINT)
+        self._skyline.lay_over(picture, rays)

@@ -1,0 +1,234 @@
+"""The wing camera: where it sits, how it projects, and what it photographs.
+
+Calibrated on the published X-Plane pictures: a 1920x1080 screen with a focal length of 1,125 px and
+the principal point in its middle, cut to the 1720x960 region at (100, 100), without its top 230
+rows, resized (not keeping the aspect) to 360x200. Screen and picture edges are continuous
+coordinates, so picture pixel u, whose centre is the whole number u as ROS has it, lies at
+100 + (u + 0.5) * 1720/360 on the screen; hence cx = (960 - 100) * 360/1720 - 0.5 = 179.5 and
+cy = (540 - 330) * 200/730 - 0.5 = 57.03.
+
+A frame is made by inverse mapping: every pixel's ray meets the ground, whose colour comes from a
+ripmap at the level of the pixel's footprint; then shade, light, haze, glare, sky, rain and
+the aircraft's own parts. Equal state, stamp and scenario give equal bytes in every process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.camera.airframe import (
+    LOWEST_SUN_RAD,
+    AirframeView,
+    Mask,
+    OwnShadow,
+    hidden_columns,
+)
+from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, uncrossed_atlas
+from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import AircraftState, quaternion, quaternion_product
+
+Mark = Callable[[str], None]
+"""Is told the name of every stage of a picture at its end, by whoever measures them."""
+
+IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
+
+STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe')
+"""Stages of a picture, in their order."""
+
+CAMERA_OFFSET_M = (0.085, -2.17, 0.50)
+"""Camera in the body frame (x forward, y left, z up) from the reference point."""
+
+CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD = 0.0, math.radians(10.42), math.radians(-4.15)
+"""Attitude of the mount (REP-103: pitch positive nose down, yaw positive left).
+
+The settled Caravan adds 0.11 degrees nose down: 10.53 degrees in all, as calibrated."""
+
+_SCREEN_FOCAL_PX = 1125.0
+_COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
+
+_OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+CAMERA_ATTITUDE = quaternion_product(
+    quaternion(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD), (-0.5, 0.5, -0.5, 0.5)
+)
+"""That of ``camera_optical`` in ``base_link``, x, y, z, w: z ahead, x right, y down (REP-103)."""
+
+
+def intrinsics() -> NDArray[np.float64]:
+    """Camera matrix K (3, 3) of the picture; pixel centres are whole numbers; no distortion."""
+    return np.array([
+        [_SCREEN_FOCAL_PX / _COLUMN_PX, 0.0, (960 - 100) / _COLUMN_PX - 0.5],
+        [0.0, _SCREEN_FOCAL_PX / _ROW_PX, (540 - 100 - 230) / _ROW_PX - 0.5],
+        [0.0, 0.0, 1.0],
+    ])  # fmt: skip
+
+
+def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of REP-103 fixed-axis angles: turned frame to ours."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
+
+
+_BODY_TO_OPTICAL = (
+    rotation(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD) @ _OPTICAL_TO_LINK
+).T
+
+
+def pose(
+    state: AircraftState,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rotation body to ``map`` (3, 3), rotation ``map`` to optical (3, 3), camera in ``map`` (3,).
+
+    Raises:
+        ValueError: a pose coordinate is not finite, or the camera would be at or below the ground.
+    """
+    numbers = (state.x_m, state.y_m, state.z_m, state.roll_rad, state.pitch_rad, state.yaw_rad)
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f'camera: the pose is not finite: {state}')
+    body = rotation(state.roll_rad, state.pitch_rad, state.yaw_rad)
+    camera = np.array(numbers[:3]) + body @ np.array(CAMERA_OFFSET_M)
+    if camera[2] < 0.05:
+        raise ValueError(
+            f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
+        )
+    return body, _BODY_TO_OPTICAL @ body.T, camera
+
+
+def project(
+    state: AircraftState, points_map: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where points in ``map`` lie in the picture.
+
+    Takes (N, 3) points [m]; gives (N, 2) pixels (u, v) and (N,) depths along the optical axis [m].
+
+    A pixel means something only where the depth is positive.
+    """
+    _, to_optical, camera = pose(state)
+    points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
+    with np.errstate(divide='ignore', invalid='ignore'):
+        pixels = (points @ intrinsics().T)[:, :2] / points[:, 2:]
+    return pixels, points[:, 2]
+
+
+def shared_curve(table: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Take the light table of three channels apart: one curve for all, and a gain before it.
+
+    Every channel's display code is the same function of albedo times irradiance, and albedo is a
+    power of the ground's code; so the channels' tables differ by the scale of their argument only.
+
+    Args:
+        table: display code by ground code and channel, (1, 256, 3).
+
+    Returns:
+        The brightest channel's table (256,), and factors on red, green and blue codes, 0..1.
+    """
+    codes = table[0].astype(np.float64)
+    brightest = int(codes.sum(axis=0).argmax())
+    seen = np.arange(60, 200)
+    gain = [
+        np.interp(column[seen], codes[:, brightest], np.arange(256)).sum() / seen.sum()
+        for column in codes.T
+    ]
+    return table[0, :, brightest].copy(), np.minimum(gain, 1.0)
+
+
+def prepare() -> None:
+    """Make ahead what all cameras of a process share; else the first one takes the time."""
+    ground_atlas()
+    grain_atlas()
+
+
+class Camera:
+    """The wing camera in one scenario's light and weather. Not to be shared between threads."""
+
+    def __init__(self, scenario: Scenario, ground: NDArray[np.uint8] | None = None) -> None:
+        """Work out everything that the scenario fixes; textures are made once per process.
+
+        Args:
+            scenario: whose light and weather it is.
+            ground: atlas of another look of the ground
+                (:mod:`taxinet_ros.core.camera.ground.atlas`), which then also decides whether
+                there is a crossing.
+        """
+        self._light = scenario_light(scenario)
+        self._intrinsics = intrinsics()
+        self._to_ray = np.linalg.inv(self._intrinsics)
+        self._curve, gain = shared_curve(ground_table(self._light))
+        if ground is None:
+            ground = ground_atlas() if scenario.crossing else uncrossed_atlas()
+        self._ground = GroundView(ground, grain_atlas(), gain, hidden_columns(), IMAGE_WIDTH)
+        self._clouds = CloudShade(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._airframe = AirframeView(self._light)
+        self._rain = (
+            RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if scenario.rain > 0 else None
+        )
+        sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
+        casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD
+        self._shadow = (
+            OwnShadow(
+                self._light.sun, self._light.sun_width_rad, self._intrinsics, IMAGE_HEIGHT,
+                IMAGE_WIDTH,
+            )
+            if casts
+            else None
+        )
+
+    def render(
+        self, state: AircraftState, stamp_ns: int, mark: Mark = lambda stage: None
+    ) -> NDArray[np.uint8]:
+        """Photograph the scene from ``state``.
+
+        Args:
+            state: the aircraft's true state.
+            stamp_ns: simulated time since the start of the run [ns]; it sets the rain's pattern.
+            mark: is told the name of every stage that there was, of :data:`STAGES`, at its end.
+
+        Returns:
+            (200, 360, 3) uint8 RGB, C-contiguous, owned by the caller.
+
+        Raises:
+            ValueError: the pose is not finite or the camera would be below the ground.
+        """
+        body, to_optical, camera = pose(state)
+        rays = to_optical.T @ self._to_ray
+        colour = self._ground.render(rays, camera)
+        mark('ground')
+        if self._clouds.casts:
+            self._clouds.shade(colour, rays, camera)
+            mark('cloud shade')
+        if self._shadow is not None:
+            place = np.array([state.x_m, state.y_m, state.z_m])
+            self._shade(colour, self._shadow.mask(body, place, to_optical, camera), state)
+            mark('own shadow')
+        picture = np.empty((IMAGE_HEIGHT, IMAGE_WIDTH, 3), np.uint8)
+        self._atmosphere.develop(colour, self._curve, rays, float(camera[2]), picture)
+        mark('atmosphere')
+        if self._rain is not None:
+            cv2.add(picture, self._rain.at(stamp_ns), dst=picture)
+            mark('rain')
+        self._airframe.lay_over(picture, state.yaw_rad)
+        mark('airframe')
+        return picture
+
+    def _shade(self, colour: NDArray[np.uint8], shadow: Mask | None, state: AircraftState) -> None:
+        """Darken the ground where the aircraft keeps the sun off it."""
+        if shadow is None:
+            return
+        rows, columns, mask = shadow
+        depth = 1 - self._light.shade_factor(self._clouds.sun_share(state.x_m, state.y_m))
+        pixels.tint_masked(colour[rows, columns], mask, depth)

@@ -1,0 +1,342 @@
+"""The runway's surface as a picture: asphalt, joints, worn paint, tyre rubber, the crossing.
+
+A style holds the shades, the wear and the pattern of chance of its textures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera.texture import Floats, smooth_noise, white_noise
+from taxinet_ros.core.place import runway
+
+Tint = tuple[float, float, float]
+_OPTIONAL = ('threshold', 'designation', 'aiming', 'touchdown', 'centreline')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroundStyle:
+    """The look of the ground.
+
+    Attributes:
+        seed: of everything that chance has laid down: mottle, cracks, streaks, wear.
+        asphalt, rubber, paint: display codes 0..255 in bright daylight.
+        asphalt_tint, near_tint, far_tint: RGB factors of clean asphalt, and display codes of the
+            bare ground beside the runway and of the grass farther out.
+        mottle: strength of the asphalt's mottle, joints and cracks, 1 = as at KMWH.
+        rubber_amount: how much tyre rubber lies about, 1 = as at KMWH.
+        rubber_shift_m: how far left of the centreline most of it lies [m].
+        wear: how much of the paint is gone, 1 = as at KMWH.
+        edge_wear: the same for the edge stripes, 0 = fresh.
+        dash_scale, dash_shift_m: factor on lengths along the runway, and shift [m], of all paint
+            but the edge stripes.
+        without: kinds of marking (see :class:`~taxinet_ros.core.place.runway.Marking`) left out.
+        crossing: whether the crossing runway is there and interrupts pavement and paint.
+    """
+
+    seed: int = 0
+    asphalt: float = 134.0
+    rubber: float = 50.0
+    paint: float = 206.0
+    asphalt_tint: Tint = (1.05, 1.0, 0.91)
+    near_tint: Tint = (164.0, 157.0, 135.0)
+    far_tint: Tint = (133.0, 130.0, 97.0)
+    mottle: float = 1.0
+    rubber_amount: float = 1.0
+    rubber_shift_m: float = 0.0
+    wear: float = 1.0
+    edge_wear: float = 0.0
+    dash_scale: float = 1.0
+    dash_shift_m: float = 0.0
+    without: tuple[str, ...] = ()
+    crossing: bool = True
+
+STANDARD = GroundStyle()
+"""KMWH 04 as the camera shows it in every test."""
+
+
+def varied_style(rng: np.random.Generator) -> GroundStyle:
+    """A look drawn at random, wide enough that real pictures should lie within (Tobin et al. 2017).
+
+    Asphalt is kept apart from the ground beside it and from the paint, as on any runway in use.
+    """
+    asphalt = rng.uniform(85, 160)
+    near = rng.uniform(100, 185)
+    cast = 1 + rng.uniform(-0.08, 0.08, 3)
+    far = near * rng.uniform(0.6, 1.05)
+    return GroundStyle(
+        seed=int(rng.integers(1, 2**31)),
+        asphalt=asphalt,
+        rubber=rng.uniform(30, 0.7 * asphalt),
+        paint=min(asphalt + rng.uniform(40, 90), 235.0),
+        asphalt_tint=_tint(cast * (1.03, 1.0, 0.94)),
+        near_tint=_tint(near * cast * (1.06, 1.0, rng.uniform(0.75, 0.95))),
+        far_tint=_tint(far * cast * (1.0, 1.0, rng.uniform(0.65, 0.9))),
+        mottle=rng.uniform(0.5, 2.5),
+        rubber_amount=rng.uniform(0, 1.8),
+        rubber_shift_m=rng.normal(0, 0.7),
+        wear=rng.uniform(0.3, 2.2),
+        edge_wear=rng.uniform(0, 1.5),
+        dash_scale=rng.uniform(0.4, 1.3),
+        dash_shift_m=rng.uniform(-40, 40),
+        without=tuple(kind for kind in _OPTIONAL if rng.uniform() < 0.25),
+    )
+
+
+def _tint(values: np.ndarray) -> Tint:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
+
+
+_CROSSING_SHADE = 13.0
+"""How much darker than ours the crossing runway's asphalt is, in display codes."""
+_CROSSING_PAINT_SHADE = 8.0
+_CRACK = np.array([[0.5], [1.0], [0.5]], np.float32)
+_PAINT_TINT = np.array([1.01, 1.0, 0.96], np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grid:
+    """Texel grid of a strip: row r spans x0 + r dx .. , column c spans y0 + c dy .. in ``map``."""
+
+    rows: int
+    columns: int
+    x0_m: float
+    dx_m: float
+    y0_m: float
+    dy_m: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.columns
+
+    def row(self, x_m: float) -> float:
+        """Continuous row coordinate of ``x_m``; texel r covers r .. r + 1."""
+        return (x_m - self.x0_m) / self.dx_m
+
+    def column(self, y_m: float) -> float:
+        """Continuous column coordinate of ``y_m``."""
+        return (y_m - self.y0_m) / self.dy_m
+
+    def centres(self, rows: slice) -> tuple[Floats, Floats]:
+        """Coordinates of the texel centres of some rows: x (n, 1) and y (1, columns) [m]."""
+        x = (
+            self.x0_m
+            + (np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] + 0.5) * self.dx_m
+        )
+        y = self.y0_m + (np.arange(self.columns, dtype=np.float32)[None, :] + 0.5) * self.dy_m
+        return x.astype(np.float32), y.astype(np.float32)
+
+
+def pavement_colours(style: GroundStyle) -> NDArray[np.uint8]:
+    """Lookup table (1, 256, 3) from surface code to RGB: asphalt is warm, paint less so."""
+    code = np.arange(256, dtype=np.float32)[:, None]
+    share = np.clip((code - style.asphalt) / (style.paint - style.asphalt), 0, 1)
+    asphalt = np.array(style.asphalt_tint, np.float32)
+    tint = asphalt + (_PAINT_TINT - asphalt) * share
+    table: NDArray[np.uint8] = np.clip(np.rint(code * tint), 0, 255).astype(np.uint8)[None]
+    return table
+
+
+def runway_surface(grid: Grid, style: GroundStyle) -> NDArray[np.uint8]:
+    """Surface codes of the runway strip, shape ``grid.shape``."""
+    value = _asphalt(grid, style)
+    painted = _lay_paint(value, grid, style)
+    _lay_rubber(value, painted, grid, style)
+    if style.crossing:
+        _lay_crossing(value, grid, style)
+    return np.clip(value, 0, 255).astype(np.uint8)
+
+
+def _asphalt(grid: Grid, style: GroundStyle) -> Floats:
+    """Mottled asphalt with paving lanes, joints and sealed cracks."""
+    value = white_noise(style.seed + 11, grid.shape)
+    value *= np.float32(1.5)
+    value += np.float32(style.asphalt)
+    for seed, cell_m, amount in (
+        (12, (1.6, 0.5), 1.0),
+        (13, (9.0, 2.0), 1.8),
+        (14, (60.0, 5.0), 3.2),
+    ):
+        cells = cell_m[0] / grid.dx_m, cell_m[1] / grid.dy_m
+        noise = smooth_noise(style.seed + seed, grid.shape, cells)
+        value += noise * np.float32(amount * style.mottle)
+    rng = np.random.default_rng(style.seed + 15)
+    for lane in range(-4, 5):
+        column = round(grid.column(lane * 3.81))
+        if 0 <= column < grid.columns:
+            value[:, column : column + 1] -= np.float32(rng.uniform(3, 7) * style.mottle)
+    x = 20.0
+    while x < runway.LENGTH_M:
+        row = round(grid.row(x))
+        left, right = sorted(rng.uniform(-17, 17, 2))
+        columns = slice(round(grid.column(left)), round(grid.column(right)))
+        value[row : row + 3, columns] -= np.float32(rng.uniform(3, 11) * style.mottle) * _CRACK
+        x += rng.uniform(6, 40)
+    return value
+
+
+def _lay_paint(value: Floats, grid: Grid, style: GroundStyle) -> Floats:
+    """Blend the markings over the surface, worn in patches; return their share of each texel."""
+    painted = np.zeros(grid.shape, np.float32)
+    patchy = smooth_noise(style.seed + 21, grid.shape, (0.9 / grid.dx_m, 0.3 / grid.dy_m))
+    patchy += smooth_noise(style.seed + 22, grid.shape, (7.0 / grid.dx_m, 0.8 / grid.dy_m))
+    for marking in _markings(style):
+        rows, columns, cover = coverage(marking.polygon, grid)
+        patch = value[rows, columns]
+        wear = style.edge_wear if marking.kind == 'edge' else style.wear
+        if wear > 0:
+            left = 1 - wear * (0.24 + 0.16 * patchy[rows, columns])
+            cover *= np.clip(left, 0.25, 0.95)
+        patch += cover * (style.paint - patch)
+        painted[rows, columns] = np.maximum(painted[rows, columns], cover)
+    return painted
+
+
+def _markings(style: GroundStyle) -> list[runway.Marking]:
+    """The paint that a style leaves there, stretched and shifted along the runway by it."""
+
+    def moved(marking: runway.Marking) -> runway.Marking:
+        if marking.kind == 'edge':
+            return marking
+        corners = ((x * style.dash_scale + style.dash_shift_m, y) for x, y in marking.polygon)
+        return runway.Marking(kind=marking.kind, polygon=tuple(corners))
+
+    painted = runway.markings(crossing=style.crossing)
+    return [moved(marking) for marking in painted if marking.kind not in style.without]
+
+
+def coverage(polygon: runway.Polygon, grid: Grid) -> tuple[slice, slice, Floats]:
+    """Share of every texel that a polygon covers: rows, columns and the share (0..1) there."""
+    points = np.array([(grid.column(y), grid.row(x)) for x, y in polygon])
+    first = np.maximum(np.floor(points.min(axis=0)).astype(int), 0)
+    last = np.minimum(np.ceil(points.max(axis=0)).astype(int), (grid.columns, grid.rows))
+    if (last <= first).any():
+        return slice(0, 0), slice(0, 0), np.zeros((0, 0), np.float32)
+    columns, rows = slice(first[0], last[0]), slice(first[1], last[1])
+    fine = np.zeros(((last[1] - first[1]) * 4, (last[0] - first[0]) * 4), np.uint8)
+    # Pixel centres are whole numbers to fillPoly and it fills up to and with its edge.
+    corners = np.rint(((points - first) * 4 - 0.5) * 16).astype(np.int32)
+    cv2.fillPoly(fine, [corners], (255,), lineType=cv2.LINE_8, shift=4)
+    size = (last[0] - first[0], last[1] - first[1])
+    cover = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
+    return rows, columns, cover.astype(np.float32) * np.float32(1 / 255)
+
+
+def _lay_rubber(value: Floats, painted: Floats, grid: Grid, style: GroundStyle) -> None:
+    """Tyre rubber: thick in the touchdown zones, thin along the centreline between them."""
+    density = np.zeros(grid.shape, np.float32)
+    rng = np.random.default_rng(style.seed + 31)
+    shift = style.rubber_shift_m
+    for _ in range(round(640 * style.rubber_amount)):
+        start = 40 + rng.beta(1.2, 2.6) * 800
+        _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
+    for _ in range(round(460 * style.rubber_amount)):
+        start = runway.LENGTH_M - 60 - rng.beta(1.2, 2.6) * 800
+        _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
+    for _ in range(round(90 * style.rubber_amount)):
+        start = rng.uniform(500, 2400)
+        _streak(density, grid, rng, shift, start=start, length=rng.uniform(80, 300), strength=0.35)
+    _smear(density, grid, style)
+    patchy = smooth_noise(style.seed + 32, grid.shape, (3.0 / grid.dx_m, 0.4 / grid.dy_m))
+    patchy += smooth_noise(style.seed + 33, grid.shape, (14.0 / grid.dx_m, 0.5 / grid.dy_m))
+    density *= np.clip(1 + 0.2 * patchy, 0.45, 1.6)
+    # Paint is smoother than asphalt and is washed, so less rubber stays on it.
+    density *= 1 - 0.5 * painted
+    # What shows through: 1 / e^density, by its series; exp itself differs between processors.
+    through = 1 / (1 + density * (1 + density * (1 / 2 + density * (1 / 6 + density / 24))))
+    value -= np.float32(style.rubber)
+    value *= through
+    value += np.float32(style.rubber)
+
+
+def _streak(
+    density: Floats,
+    grid: Grid,
+    rng: np.random.Generator,
+    shift_m: float,
+    *,
+    start: float,
+    length: float,
+    strength: float = 1.0,
+) -> None:
+    """Add one tyre's mark: a soft-edged, tapering, slightly slanted line."""
+    middle = shift_m + float(rng.normal(rng.choice((-2.3, 0.0, 2.3)), 1.9))
+    width, slant = float(rng.uniform(0.08, 0.27)), float(rng.normal(0, 0.004))
+    darkness = strength * float(rng.uniform(0.2, 1.0))
+    first, last = (int(min(max(grid.row(x), 0), grid.rows)) for x in (start, start + length))
+    reach = 3 * width + abs(slant) * length
+    left, right = (int(min(max(grid.column(middle + s * reach), 0), grid.columns)) for s in (-1, 1))
+    if last <= first or right <= left:
+        return
+    x, y = grid.centres(slice(first, last))
+    along = (x - start) / length
+    taper = np.clip(along * 8, 0, 1) * np.clip((1 - along) * 1.6, 0, 1)
+    offset = (y[:, left:right] - middle - slant * (x - start)) / width
+    bell = np.maximum(1 - offset * offset * (1 / 9), 0)
+    bell *= bell
+    bell *= bell
+    bell *= darkness * taper
+    density[first:last, left:right] += bell
+
+
+def _smear(density: Floats, grid: Grid, style: GroundStyle) -> None:
+    """The grey carpet under the streaks of both touchdown zones, and the faint centre trail."""
+    x, y = grid.centres(slice(0, grid.rows))
+    y = y - np.float32(style.rubber_shift_m)
+    near = _carpet(x, 40, 780) + 0.7 * _carpet(runway.LENGTH_M - x, 40, 780)
+    density += np.float32(0.30 * style.rubber_amount) * near * np.exp(-0.5 * np.square(y / 3.6))
+    trail = np.clip((x - 30) / 200, 0, 1) * np.clip((runway.LENGTH_M - x) / 200, 0, 1)
+    density += np.float32(0.1 * style.rubber_amount) * trail * np.exp(-0.5 * np.square(y / 3.0))
+
+
+def _carpet(x: Floats, start: float, end: float) -> Floats:
+    rise = np.clip((x - start) / 40, 0, 1)
+    fall = np.clip((end - x) / (0.6 * (end - start)), 0, 1)
+    carpet: Floats = rise * fall
+    return carpet
+
+
+def _lay_crossing(value: Floats, grid: Grid, style: GroundStyle) -> None:
+    """The crossing runway with its own paint and rubber, over everything of ours."""
+    reach = runway.CROSSING_CLEAR_HALF_M + 8
+    slant = max(abs(grid.y0_m), abs(grid.y0_m + grid.columns * grid.dy_m)) / math.tan(
+        abs(runway.CROSSING_YAW_RAD)
+    )
+    first, last = (int(grid.row(runway.CROSSING_X_M + s * (reach * 1.05 + slant))) for s in (-1, 1))
+    rows = slice(first, last)
+    soft_m = max(grid.dx_m, grid.dy_m)
+    surface, share = crossing_surface(*grid.centres(rows), soft_m, style)
+    surface += 3 * white_noise(style.seed + 41, surface.shape)
+    patch = value[rows]
+    patch += share * (surface - patch)
+
+
+def crossing_surface(
+    x: Floats, y: Floats, soft_m: float, style: GroundStyle
+) -> tuple[Floats, Floats]:
+    """Surface code of the crossing runway at (x, y) in ``map``, and its share of the texel."""
+    cos, sin = math.cos(runway.CROSSING_YAW_RAD), math.sin(runway.CROSSING_YAW_RAD)
+    along = (x - runway.CROSSING_X_M) * cos + y * sin
+    across = np.abs(-(x - runway.CROSSING_X_M) * sin + y * cos)
+
+    def inside(distance: Floats, half: float) -> Floats:
+        share: Floats = np.clip((half - distance) / soft_m + 0.5, 0, 1)
+        return share
+
+    half = runway.CROSSING_WIDTH_M / 2
+    value = style.asphalt - _CROSSING_SHADE + 4 * np.sin(across * 0.83)
+    value += 3 * np.sin(along * 0.21 + across * 0.07)
+    value += 9 * (1 - inside(across, half + 1))
+    for distance, width, darkness in ((3.1, 1.4, 34.0), (9.0, 3.0, 14.0), (18.0, 2.0, 8.0)):
+        value -= darkness * np.exp(-0.5 * np.square((across - distance) / width))
+    dash = inside(np.abs(np.mod(along, 61.0) - 30.5), 18.3)
+    paint = np.maximum(inside(np.abs(across - half + 1.4), 0.46), inside(across, 0.46) * dash * 0.8)
+    value += paint * (style.paint - _CROSSING_PAINT_SHADE - value)
+    return value.astype(np.float32), inside(across, runway.CROSSING_CLEAR_HALF_M)

@@ -1,0 +1,125 @@
+"""The ground seen through a pinhole: inverse mapping of a picture into the ground's ripmaps."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.camera.ground import atlas
+from taxinet_ros.core.camera.sky import GROUND_END_TAN
+
+Floats = NDArray[np.float32]
+Vectors = NDArray[np.float64]
+
+_SHARPNESS = 0.8
+_GRAIN_REACH_M = 26.0
+_FINER_CODES = 1.5
+"""The grain times the gain leaves codes unused; stretched to them it rounds less."""
+
+_LEAST_FALL = GROUND_END_TAN / 2
+
+_BEND = atlas.COARSE_M / atlas.FINE_M - 1
+_BESIDE_BEND = 1e-3
+
+# Texels are counted from the far end of the ripmaps, so that a multiplication changes the level.
+# Columns are the coarse ruler's, which the bend once more makes the fine one's.
+_ROW_END, _COLUMN_END = 2 * atlas.ROWS, 2 * atlas.COLUMNS
+_ROW_START = -atlas.START_X_M / atlas.ROW_M - _ROW_END
+_MIDDLE = (atlas.COLUMNS / 2 - _COLUMN_END) / (1 + _BEND)
+_HALF = atlas.FINE_HALF_M / atlas.COARSE_M
+
+# A power of two near the ratio of the texels along and across the runway to the grain's: the
+# footprints' levels serve twice.
+_FINER = tuple(
+    2.0 ** round(math.log2(texel_m / atlas.GRAIN_M)) for texel_m in (atlas.ROW_M, atlas.FINE_M)
+)
+
+
+def _ruler() -> pixels.Ruler:
+    """What of the way from a pixel to its texels depends neither on the pose nor on the light."""
+    tile = atlas.GRAIN_TEXELS
+    grain_along, grain_across = (
+        (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
+    )
+    return pixels.Ruler(
+        least_fall=_LEAST_FALL,
+        along=(atlas.ROW_M, _ROW_START, atlas.ROW_M),
+        along_limits=(16 - _ROW_END, atlas.ROWS - 16 - _ROW_END, _ROW_END - 0.5,
+                      2.0 ** (1 - atlas.ROW_LEVELS)),
+        across=(atlas.COARSE_M, _MIDDLE, atlas.FINE_M),
+        across_limits=(4 - _COLUMN_END, atlas.COLUMNS - 4 - _COLUMN_END, _COLUMN_END - 0.5,
+                       2.0 ** (1 - atlas.COLUMN_LEVELS)),
+        bend=(_MIDDLE - _HALF, _MIDDLE + _HALF, _BEND, _BESIDE_BEND),
+        bend_levels=round(math.log2(1 + _BEND)),
+        grain_along=grain_along,
+        grain_across=grain_across,
+        tile_m=atlas.GRAIN_TEXELS * atlas.GRAIN_M,
+        grain_reach_m=_GRAIN_REACH_M,
+    )  # fmt: skip
+
+
+class GroundView:
+    """Renders the unlit ground; owns the buffer that makes a frame free of allocations."""
+
+    def __init__(
+        self,
+        atlas: NDArray[np.uint8],
+        grain: NDArray[np.uint8],
+        gain: Vectors,
+        hidden: NDArray[np.int32],
+        width: int,
+    ) -> None:
+        """Prepare the grain and the buffer.
+
+        Args:
+            atlas: ripmap of the ground's colours.
+            grain: ripmap of the factor on them.
+            gain: factor on red, green and blue, at most 1; it rides on the grain for free.
+            hidden: columns at the left of each row of the pictures, (height,), that something else
+                will cover; what is there means nothing.
+            width: of the pictures [px].
+        """
+        height = len(hidden)
+        stretched = _FINER_CODES * gain
+        red, green, blue = (atlas.GRAIN_NEUTRAL * stretched).tolist()
+        self._size = height, width
+        self._hidden = hidden
+        self._colour = np.zeros((height, width, 3), np.uint8)
+        self._ground = pixels.Ground(
+            atlas,
+            np.asarray(cv2.multiply(grain, np.append(stretched, 1.0)), np.uint8),
+            _dither(height, width),
+            _ruler(),
+            (round(red), round(green), round(blue)),
+            1 / (atlas.GRAIN_NEUTRAL * _FINER_CODES),
+        )
+
+    def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
+        """Colours of the ground times the gain, (height, width, 3) uint8; a buffer, used again.
+
+        Args:
+            rays: homogenous pixel to a direction in ``map``, (3, 3).
+            camera: the camera's place in ``map`` (3,).
+        """
+        height, width = self._size
+        sight = pixels.Sight(rays, camera, height, width)
+        self._ground.sample(self._colour, sight, self._hidden)
+        return self._colour
+
+
+@cache
+def _dither(height: int, width: int) -> Floats:
+    """Factor of half an octave up and down, well mixed over the picture.
+
+    It dissolves the borders between a ripmap's levels, where blending two would double the work.
+    Roberts' R2 sequence spreads it evenly; it is fixed to the picture.
+    """
+    u = np.arange(width)[None, :] * 0.7548776662466927
+    v = np.arange(height)[:, None] * 0.5698402909980532
+    factor: Floats = (2 / _SHARPNESS * 2.0 ** (0.5 - np.mod(u + v, 1.0))).astype(np.float32)
+    return factor

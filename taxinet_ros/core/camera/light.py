@@ -1,0 +1,308 @@
+"""Light and weather of one scenario: the sun, what the ground receives, shade of single clouds.
+
+Where the sun stands over the runway comes from the library astral (NOAA's equations, with
+refraction); from it and the weather follow what the ground receives and what the camera makes of
+it. Under single clouds sun and shade drift by as the aircraft rolls along.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from astral import Observer
+from astral.sun import azimuth, elevation
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.camera.texture import Floats, smooth_noise
+from taxinet_ros.core.place import runway
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+
+LOCAL_TIME = datetime.timezone(datetime.timedelta(hours=-8))
+"""Pacific standard time; the scenarios know no daylight saving."""
+_OBSERVER = Observer(runway.THRESHOLD_LAT_DEG, runway.THRESHOLD_LON_DEG, 0.0)
+
+
+def sun_position(date: str, time_of_day_s: float) -> tuple[float, float]:
+    """Azimuth (clockwise from true north, 0..2 pi) and elevation of the sun [rad].
+
+    Args:
+        date: ISO date.
+        time_of_day_s: local standard time (UTC-8) after midnight [s].
+
+    Raises:
+        UsageError: the date or the time cannot be read.
+    """
+    if not math.isfinite(time_of_day_s):
+        raise UsageError(f'sun: time of day is {time_of_day_s}, not a number of seconds')
+    try:
+        day = datetime.datetime.fromisoformat(date).replace(tzinfo=LOCAL_TIME)
+    except ValueError as error:
+        raise UsageError(f'sun: date is {date!r}, not YYYY-MM-DD') from error
+    moment = day + datetime.timedelta(seconds=time_of_day_s)
+    return (
+        math.radians(azimuth(_OBSERVER, moment)),
+        math.radians(elevation(_OBSERVER, moment)),
+    )
+
+
+def sun_direction(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
+    """Unit vector towards the sun in ``map`` (x along the runway, y left, z up), shape (3,)."""
+    yaw = runway.BEARING_RAD - azimuth_rad
+    flat = math.cos(elevation_rad)
+    return np.array([flat * math.cos(yaw), flat * math.sin(yaw), math.sin(elevation_rad)])
+
+
+Colour = NDArray[np.float64]
+GAMMA = 2.2
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""What linear red, green and blue (sRGB's) have of brightness."""
+_OPTICAL_DEPTH = np.array([0.09, 0.17, 0.36])
+_SKY_BLUE = np.array([0.80, 0.94, 1.12])
+_DAWN_GLOW = np.array([1.35, 0.92, 0.70])
+_REFERENCE_ELEVATION_RAD = math.radians(27.0)
+_EXPOSURE_COMPENSATION = 0.6
+_EXPOSURE_LIMIT = 3.2
+_SHOULDER = 0.8
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Cloud:
+    """Photometry of a cloud kind: shares of the clear sky's light, tint, and how far one sees.
+
+    The sun is half a degree wide; thin cloud before it scatters its light forwards, into a glow.
+    """
+
+    beam: float
+    clear_diffuse: float
+    cloud_diffuse: float
+    tint: tuple[float, float, float]
+    visibility_m: float
+    sun_width_deg: float = 0.53
+
+_CLOUDS = {
+    'clear': _Cloud(
+        beam=1.0, clear_diffuse=1.0, cloud_diffuse=0.0, tint=(1, 1, 1), visibility_m=22e3
+    ),
+    'cirrus': _Cloud(
+        beam=0.60, clear_diffuse=0.8, cloud_diffuse=0.16, tint=(0.99, 1.0, 1.03), visibility_m=16e3,
+        sun_width_deg=2.5,
+    ),
+    'scattered': _Cloud(
+        beam=0.95, clear_diffuse=0.75, cloud_diffuse=0.07, tint=(1.0, 1.0, 1.0), visibility_m=18e3
+    ),
+    'broken': _Cloud(
+        beam=0.50, clear_diffuse=0.4, cloud_diffuse=0.22, tint=(0.98, 1.0, 1.03), visibility_m=12e3,
+        sun_width_deg=4.0,
+    ),
+    'overcast': _Cloud(
+        beam=0.0, clear_diffuse=0.0, cloud_diffuse=0.21, tint=(0.97, 1.0, 1.04), visibility_m=7e3
+    ),
+    'stratus': _Cloud(
+        beam=0.0, clear_diffuse=0.0, cloud_diffuse=0.085, tint=(0.95, 1.0, 1.04), visibility_m=3e3
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Light:
+    """What falls on the level ground, times the exposure.
+
+    Attributes:
+        sun: unit vector towards the sun in ``map``, (3,).
+        sun_elevation_rad: elevation of the sun [rad].
+        direct: irradiance from the sun's disc on level ground, RGB, after exposure.
+        diffuse: irradiance from the sky on level ground, RGB, after exposure.
+        sky_low, sky_high: display colour 0..255 of the sky at the horizon and 15 deg up.
+        sun_width_rad: how wide the sun looks, with its glow in the clouds [rad].
+        visibility_m: distance at which haze leaves 1/e of a contrast [m].
+        wetness: 0 dry .. 1 under water film.
+        rain: intensity 0..1.
+        clouds: cloud kind.
+    """
+
+    sun: NDArray[np.float64]
+    sun_elevation_rad: float
+    direct: Colour
+    diffuse: Colour
+    sky_low: Colour
+    sky_high: Colour
+    sun_width_rad: float
+    visibility_m: float
+    wetness: float
+    rain: float
+    clouds: str
+
+    @property
+    def total(self) -> Colour:
+        """Irradiance of level, unshaded ground, RGB, after exposure."""
+        return self.direct + self.diffuse
+
+    def shade_factor(self, sun_share: float = 1.0) -> Colour:
+        """Display-code factor of ground that loses the sun, RGB, 0..1.
+
+        Args:
+            sun_share: share of the beam that the clouds overhead had let through, 0..1.
+        """
+        factor: Colour = (self.diffuse / (self.diffuse + sun_share * self.direct)) ** (1 / GAMMA)
+        return factor
+
+
+def air_mass(elevation_rad: float) -> float:
+    """Relative optical air mass (Kasten and Young 1989); below the horizon as at it."""
+    degrees = max(math.degrees(elevation_rad), 0.0)
+    sine = math.sin(math.radians(degrees))
+    return float(1 / (sine + 0.50572 * (degrees + 6.07995) ** -1.6364))
+
+
+def scenario_light(scenario: Scenario) -> Light:
+    """The light of a scenario's place, date, hour, clouds and rain."""
+    azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s)
+    direct, diffuse = _weathered(scenario, elevation)
+    reference = sum(_clear(_REFERENCE_ELEVATION_RAD))
+    level = float(LUMINANCE @ ((direct + diffuse) / reference))
+    gain = min(level**-_EXPOSURE_COMPENSATION, _EXPOSURE_LIMIT) / reference
+    cloud = _CLOUDS[scenario.clouds]
+    low, high = _sky(cloud, diffuse * gain, direct * gain, elevation)
+    return Light(
+        sun=sun_direction(azimuth, elevation),
+        sun_elevation_rad=elevation,
+        direct=direct * gain,
+        diffuse=diffuse * gain,
+        sky_low=low,
+        sky_high=high,
+        sun_width_rad=math.radians(cloud.sun_width_deg),
+        visibility_m=1 / (1 / cloud.visibility_m + scenario.rain / 500.0),
+        wetness=0.0 if scenario.rain <= 0 else min(1.0, 0.45 + 0.55 * scenario.rain),
+        rain=scenario.rain,
+        clouds=scenario.clouds,
+    )
+
+
+def _clear(elevation_rad: float) -> tuple[Colour, Colour]:
+    """Direct and diffuse irradiance of level ground under a clear sky, RGB."""
+    sine = max(math.sin(elevation_rad), 0.0)
+    direct = sine * np.exp(-_OPTICAL_DEPTH * air_mass(elevation_rad))
+    # Civil twilight loses a factor of ten for every 3 degrees that the sun sinks.
+    dusk = 10.0 ** (min(math.degrees(elevation_rad), 0.0) / 3.0)
+    low = math.exp(-max(math.degrees(elevation_rad), 0.0) / 8.0)
+    tint = _SKY_BLUE + (_DAWN_GLOW - _SKY_BLUE) * 0.8 * low
+    diffuse = 0.16 * (math.sqrt(sine) + 0.06 * dusk + 1e-4) * tint
+    return direct, diffuse
+
+
+def _weathered(scenario: Scenario, elevation_rad: float) -> tuple[Colour, Colour]:
+    cloud = _CLOUDS[scenario.clouds]
+    direct, diffuse = _clear(elevation_rad)
+    thinned = 1 - 0.45 * scenario.rain
+    grey = float(LUMINANCE @ (direct + diffuse)) * np.array(cloud.tint)
+    # Under a closed cover the colour of a low sun only tints the clouds a little.
+    grey *= 0.75 + 0.25 * (direct + diffuse) / float(LUMINANCE @ (direct + diffuse))
+    diffuse = cloud.clear_diffuse * diffuse + cloud.cloud_diffuse * grey
+    # Rain falls from the thick parts of a cover, which let hardly any beam through.
+    return direct * cloud.beam * (1 - scenario.rain) ** 2, diffuse * thinned
+
+
+def _sky(
+    cloud: _Cloud, diffuse: Colour, direct: Colour, elevation_rad: float
+) -> tuple[Colour, Colour]:
+    """Display colours of the sky at the horizon and 15 degrees above it."""
+    clear = cloud.clear_diffuse
+    grey = float(LUMINANCE @ diffuse) * np.array(cloud.tint)
+    # A sky as a lamp: level ground under radiance L receives L (in units where white reflects it).
+    horizon = clear * (0.35 * direct + 2.6 * diffuse) + (1 - clear) * 1.15 * grey
+    above = clear * 2.4 * diffuse * np.array([0.80, 0.98, 1.12]) + (1 - clear) * 1.25 * grey
+    return display_code(horizon), display_code(above)
+
+
+def display_code(linear: Colour) -> Colour:
+    """Display code 0..255 of a linear exposure, 1 = white; it bends in above 0.8."""
+    over = np.maximum(linear - _SHOULDER, 0)
+    bent = np.minimum(linear, _SHOULDER) + (1 - _SHOULDER) * (1 - np.exp(-over / (1 - _SHOULDER)))
+    code: Colour = 255 * np.maximum(bent, 0) ** (1 / GAMMA)
+    return code
+
+
+def ground_table(light: Light) -> NDArray[np.uint8]:
+    """Lookup table (1, 256, 3) from daylight ground colour to display colour in this light.
+
+    Water fills the pores: wet ground is darker, the dark parts most.
+    """
+    albedo = (np.arange(256)[:, None] / 255) ** GAMMA
+    albedo = (1 - 0.22 * light.wetness) * albedo ** (1 + 0.10 * light.wetness)
+    return np.rint(display_code(albedo * light.total)).astype(np.uint8)[None]
+
+
+_CELL_M = 8.0
+_SHAPE = (416, 80)  # x and y cells: -100..3,228 m and -320..320 m
+_START_X_M, _START_Y_M = -100.0, -320.0
+_COVER = {'scattered': (0.75, 0.60), 'broken': (-0.15, 0.45)}
+"""Noise level above which there is cloud, and the share of the beam that a cloud lets through."""
+
+
+class CloudShade:
+    """How much of the sun's beam the clouds let through, and the shade that this makes."""
+
+    def __init__(self, light: Light, height: int, width: int) -> None:
+        """Prepare for pictures of ``height`` by ``width`` pixels."""
+        self._light = light
+        casts = light.clouds in _COVER and light.direct.max() > 0.01 * light.total.max()
+        self._beam = _beam(light.clouds) if casts else None
+        rows = np.arange(height, dtype=np.float64)
+        self._middle = np.stack([np.full_like(rows, (width - 1) / 2), rows, np.ones_like(rows)])
+
+    @property
+    def casts(self) -> bool:
+        """Whether there are single clouds, and a sun that they hide."""
+        return self._beam is not None
+
+    def sun_share(self, x_m: float, y_m: float) -> float:
+        """Share (0..1) of the beam that reaches the ground at a place in ``map``."""
+        if self._beam is None:
+            return 1.0
+        return float(self._look_up(np.array([x_m]), np.array([y_m]))[0])
+
+    def shade(
+        self, colour: NDArray[np.uint8], rays: NDArray[np.float64], camera: NDArray[np.float64]
+    ) -> None:
+        """Darken the unlit ground ``colour`` (height, width, 3) in place where clouds hide the sun.
+
+        Args:
+            colour: daylight colours of the ground.
+            rays: homogenous pixel to a direction in ``map``, (3, 3).
+            camera: the camera's place in ``map`` (3,).
+        """
+        if self._beam is None:
+            return
+        ray = rays @ self._middle
+        reach = camera[2] / np.maximum(-ray[2], 1e-3)
+        share = self._look_up(camera[0] + ray[0] * reach, camera[1] + ray[1] * reach)
+        full, dark = 1.0, self._light.shade_factor()
+        # Linear between shade and sun in display codes: within 2 codes of the exact power law.
+        factor = dark + (full - dark) * share[:, None]
+        pixels.tint_rows(colour, 255 * factor)
+
+    def _look_up(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        assert self._beam is not None
+        columns = ((y - _START_Y_M) / _CELL_M).astype(np.float32)[None]
+        rows = ((x - _START_X_M) / _CELL_M).astype(np.float32)[None]
+        found = cv2.remap(
+            self._beam, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(found[0], np.float64)
+
+
+@lru_cache(maxsize=4)
+def _beam(clouds: str) -> Floats:
+    """Map of the beam's share under single clouds, ``_SHAPE`` cells."""
+    start, through = _COVER[clouds]
+    noise = smooth_noise(401, _SHAPE, (20, 14)) + 0.4 * smooth_noise(402, _SHAPE, (6, 5))
+    cloud = np.clip((cv2.GaussianBlur(noise, (0, 0), 1.5) - start) / 0.45, 0, 1)
+    beam: Floats = (1 - (1 - through) * cloud).astype(np.float32)
+    return beam

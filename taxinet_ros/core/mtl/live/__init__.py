@@ -1,0 +1,1 @@
+"""Signals of running topics: sampled, held and joined for a monitor."""

@@ -1,0 +1,1 @@
+"""Lower bounds of robustness while a run goes on."""

@@ -1,0 +1,1 @@
+"""When answers take effect: latencies, late frames, free runs."""

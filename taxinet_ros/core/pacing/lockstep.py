@@ -1,0 +1,122 @@
+"""The lockstep protocol as a plain state machine: who must answer what before time may move on.
+
+The simulator owns one per run. Every frame is numbered; every answer names the frame that it
+answers; simulated time moves from step k to k+1 only when the command for k is in. Participants
+that answer to nobody in the control loop (monitor, recorder) report progress instead, and may lag
+behind by at most :data:`WINDOW` frames so that no queue of theirs can overflow. No wall clock
+enters here: the same answers in any timing give the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from taxinet_ros.core.outcome import StopOn
+
+WINDOW = 8
+"""Most frames that a participant outside the control loop may lag; below the queues' depth."""
+
+PROGRESS_EVERY = 4
+"""Such a participant reports every so many steps, and at the last one."""
+
+
+def reports_progress(seq: int, last_seq: int, stop_on: StopOn = StopOn.NEVER) -> bool:
+    """Whether a participant outside the control loop reports at this step.
+
+    Where a run may end early, any step may be its last.
+    """
+    any_may_be_last = stop_on is not StopOn.NEVER
+    return any_may_be_last or seq % PROGRESS_EVERY == PROGRESS_EVERY - 1 or seq == last_seq
+
+
+class Lockstep:
+    """Bookkeeping of one run's answers."""
+
+    def __init__(
+        self, *, participants: Sequence[str], chain: Sequence[str], followers: Sequence[str],
+        last_seq: int, enders: Sequence[str] = (),
+    ) -> None:
+        """Name who takes part.
+
+        Args:
+            participants: every node that must be ready before the first frame.
+            chain: those that answer one another within a step, in order; the last one's answer is
+                the command.
+            followers: those that report progress.
+            last_seq: number of the last control step.
+            enders: followers that may end the run at any frame, which is why time waits for them
+                as it does for the chain.
+        """
+        self.last_seq = last_seq
+        self.seq = -1
+        self._chain = tuple(chain)
+        self._participants = frozenset(participants)
+        self._not_ready = set(participants)
+        self._answered = dict.fromkeys(chain, -1)
+        self._progress = {name: -1 for name in followers if name in participants}
+        self._enders = frozenset(enders)
+
+    def ready(self, node: str) -> bool:
+        """Note that ``node`` is ready; True if that was the last one awaited."""
+        if node not in self._not_ready:
+            return False
+        self._not_ready.discard(node)
+        return not self._not_ready
+
+    def unready(self, node: str) -> None:
+        """Note that ``node`` is not ready any more; before the first frame only."""
+        if node in self._participants:
+            self._not_ready.add(node)
+
+    @property
+    def all_ready(self) -> bool:
+        """Whether every participant has reported ready."""
+        return not self._not_ready
+
+    def begin(self, seq: int, now_s: float = 0.0) -> None:
+        """A new frame is out; when, by the wall clock, is nothing to the lockstep."""
+        self.seq = seq
+
+    def answer(self, node: str, seq: int, now_s: float = 0.0) -> bool:
+        """Note the answer of a node of the chain; False for a stale, repeated or unasked one."""
+        if seq != self.seq or self._answered[node] == seq:
+            return False
+        self._answered[node] = seq
+        return True
+
+    def progress(self, node: str, seq: int, arrived: int = -1, now_s: float = 0.0) -> None:
+        """Note how far a follower has come."""
+        if node in self._progress:
+            self._progress[node] = max(self._progress[node], seq)
+
+    def end(self, node: str) -> None:
+        """``node`` has seen the last frame that is out, and ends the run with it."""
+        self.last_seq = self.seq
+        self.progress(node, self.seq)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the last frame is answered and every follower has seen it."""
+        return self.seq == self.last_seq and not self.missing()
+
+    @property
+    def may_advance(self) -> bool:
+        """Whether time may move on to the next frame."""
+        return self.seq < self.last_seq and not self.missing()
+
+    def missing(self) -> list[str]:
+        """Names of those whose answer is awaited now; empty if there are none.
+
+        Within the chain only the first silent one is named: the others wait for it.
+        """
+        if self._not_ready:
+            return sorted(self._not_ready)
+        for node in self._chain:
+            if self._answered[node] != self.seq:
+                return [node]
+        return [node for node, seq in self._progress.items() if seq < self._needed(node)]
+
+    def _needed(self, node: str) -> int:
+        """The frame that a follower has to have seen by now."""
+        at_once = self.seq == self.last_seq or node in self._enders
+        return self.seq if at_once else self.seq - WINDOW + 1

@@ -1,0 +1,300 @@
+"""When answers take effect: at once, late by a latency told or drawn, or whenever they come.
+
+The lockstep has simulated time wait for every answer, so a loop runs as if perception and
+controller took no time at all. A latency gives them some, and leaves the run deterministic: the
+answer to the frame of time t holds from t plus the latency on. Control steps are 0.1 s apart, so a
+latency works as the next whole number of steps: 0.05 s as 0.1 s. A free run has time go on by the
+clock of the wall, whoever has answered, and comes out another way each time.
+
+At each step the command holds that answers the newest frame of all whose latency is over; one that
+is overtaken by the answer to a newer frame never holds. Until the first one is there the aircraft
+rolls on as it does when a run starts: actuators keep what they were told last (the zero-order hold
+of Astrom and Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.3), and a brake that
+nobody asked for would be a disturbance that the latency under test did not cause.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Generic, Self, TypeVar
+
+import numpy as np
+
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
+
+LATE_NODES = ('perception', 'controller')
+"""Whose answers may be late."""
+
+MOST_LATENCY_S = 30.0
+"""Greatest parameter of a latency [s]: as long as a usual run."""
+
+LAWS = 'SECONDS, uniform(LOW,HIGH) or normal(MEAN,SD)'
+_FORM = 'NAME=LATENCY, such as perception=0.15 or perception=normal(0.15,0.05)'
+_LAW = re.compile(r'(?P<kind>[a-z]+)\((?P<numbers>[^()]*)\)')
+_PLAIN = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?', re.IGNORECASE)
+_CONSTANT, _UNIFORM, _NORMAL = 'constant', 'uniform', 'normal'
+_NEARLY_1 = math.nextafter(1.0, 0.0)
+_LATENCY, _DRAWS, _FACTOR = 'latency', 'draws', 'real_time_factor'
+FREE, MAX = 'free', 'max'
+LEAST_FACTOR, MOST_FACTOR = 0.1, 100.0
+"""Slowest and fastest pace of a free run; faster is as fast as it goes."""
+
+NOT_REPRODUCIBLE = 'free runs depend on how fast machine and nodes were, so none comes again'
+"""What is said where somebody counts on that."""
+
+Answer = TypeVar('Answer')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Law:
+    """How long answers take: a constant, or a distribution.
+
+    Attributes:
+        kind: ``constant``, ``uniform`` or ``normal``.
+        first: the constant, the least, or the mean [s].
+        second: the greatest, or the standard deviation [s]; 0 of a constant.
+    """
+
+    kind: str
+    first: float
+    second: float = 0.0
+
+    @property
+    def drawn(self) -> bool:
+        """Whether it is another in each step."""
+        return self.kind != _CONSTANT
+
+    @property
+    def words(self) -> str:
+        """How people write it; :func:`parse_timing` reads it back to the bit."""
+        if not self.drawn:
+            return _number_words(self.first)
+        return f'{self.kind}({_number_words(self.first)},{_number_words(self.second)})'
+
+    def latency_s(self, chance: float) -> float:
+        """The latency [s] of which a share ``chance`` (0 <= chance < 1) of all is less."""
+        if self.kind == _UNIFORM:
+            return self.first + chance * (self.second - self.first)
+        if self.kind == _NORMAL:
+            law = NormalDist(self.first, self.second)
+            # No answer comes before its frame, and none after a usual run: it is cut off there.
+            below_0 = law.cdf(0.0)
+            share = below_0 + chance * (law.cdf(MOST_LATENCY_S) - below_0)
+            drawn_s = law.inv_cdf(min(max(share, 1e-300), _NEARLY_1))
+            return min(max(0.0, drawn_s), MOST_LATENCY_S)
+        return self.first
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Timing:
+    """When the answers of a run take effect; with its defaults at once.
+
+    Attributes:
+        laws: latency by name, of :data:`LATE_NODES` in their order; none that is 0.
+        draws: seed and index of the run whose draws are repeated; None where each run has its own.
+        free: simulated time goes by the clock of the wall, and answers count whenever they come.
+        factor: simulated seconds per second of the wall clock in a free run; 0: as fast as it goes.
+    """
+
+    laws: tuple[tuple[str, Law], ...] = ()
+    draws: tuple[int, int] | None = None
+    free: bool = False
+    factor: float = 1.0
+
+    @property
+    def latency(self) -> str:
+        """What ``--latency`` takes, one word for each name; '' for none."""
+        words = [f'{name}={law.words}' for name, law in self.laws]
+        if self.draws is not None:
+            words.append(f'{_DRAWS}={self.draws[0]}.{self.draws[1]}')
+        return ' '.join(words)
+
+    @property
+    def options(self) -> list[str]:
+        """What to type after ``taxinet run``."""
+        if self.free:
+            return ['--free', '--real-time-factor', self.words.partition('=')[2]]
+        return [text for word in self.latency.split() for text in (f'--{_LATENCY}', word)]
+
+    @property
+    def words(self) -> str:
+        """For bags, tables and records: '' where every answer takes effect at once."""
+        if self.free:
+            return f'{FREE} {_FACTOR}={_number_words(self.factor) if self.factor else MAX}'
+        return f'{_LATENCY} {self.latency}' if self.laws else ''
+
+    def of_run(self, seed: int, index: int) -> Self:
+        """The same for other runs than the one with this seed and index, with the draws of that."""
+        if self.draws is None and any(law.drawn for _, law in self.laws):
+            return replace(self, draws=(seed, index))
+        return self
+
+    def latencies_ns(self, seed: int, index: int) -> Iterator[int]:
+        """How late the answer to each frame takes effect, from frame 0 on [ns].
+
+        Each name draws from a stream of its own, which seed, index and name determine.
+
+        Args:
+            seed: of the campaign.
+            index: of the run in it.
+        """
+        seed, index = self.draws or (seed, index)
+        streams = [
+            (law, np.random.default_rng([seed % 2**64, index, *name.encode()]))
+            for name, law in self.laws
+        ]
+        while True:
+            yield round(NS_PER_S * math.fsum(
+                law.latency_s(stream.random() if law.drawn else 0.0) for law, stream in streams
+            ))
+
+
+AT_ONCE = Timing()
+"""The lockstep as it is without a word."""
+
+
+def parse_latency(words: Iterable[str]) -> Timing:
+    """What ``--latency`` asks for.
+
+    Args:
+        words: each ``NAME=LATENCY``, or several of them with spaces between.
+
+    Raises:
+        UsageError: one line on the first that is none.
+    """
+    laws: dict[str, Law] = {}
+    draws: tuple[int, int] | None = None
+    for word in (word for text in words for word in text.split()):
+        name, equals, text = word.partition('=')
+        if name == _DRAWS and (found := re.fullmatch(r'(-?\d{1,19})\.(\d{1,10})', text)):
+            draws = int(found[1]), int(found[2])
+            continue
+        if not (equals and text) or name not in LATE_NODES:
+            raise UsageError(f'latency {word}: expected {_FORM}; names: {", ".join(LATE_NODES)}')
+        if name in laws:
+            raise UsageError(f'latency {word}: {name} has one already, {laws[name].words}')
+        laws[name] = _law(word, text)
+    timing = Timing(laws=tuple(
+        (name, laws[name]) for name in LATE_NODES
+        if name in laws and (laws[name].drawn or laws[name].first > 0)
+    ))
+    if draws is not None and timing.of_run(*draws) is timing:
+        raise UsageError(f'latency {_DRAWS}=…: no effect, for no latency given is drawn')
+    return timing if draws is None else timing.of_run(*draws)
+
+
+def parse_timing(words: str) -> Timing:
+    """Read back :attr:`Timing.words`.
+
+    Raises:
+        UsageError: they are not of this version.
+    """
+    kind, _, rest = words.partition(' ')
+    if not words:
+        return AT_ONCE
+    if kind == FREE and rest.startswith(f'{_FACTOR}='):
+        return free_timing(rest.removeprefix(f'{_FACTOR}='))
+    if kind != _LATENCY:
+        raise UsageError(f'timing {words!r:.80}: not of this version')
+    return parse_latency([rest])
+
+
+def free_timing(factor: str) -> Timing:
+    """A free run.
+
+    Args:
+        factor: simulated seconds per second of the wall clock; ``max`` or 0: as fast as it goes.
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    try:
+        value = 0.0 if factor == MAX else _number(factor)
+    except ValueError:
+        value = math.nan
+    if not (value == 0 or LEAST_FACTOR <= value <= MOST_FACTOR):
+        raise UsageError(
+            f'real-time-factor {factor}: needs to be within {LEAST_FACTOR:g}..{MOST_FACTOR:g}, or '
+            f'{MAX} (or 0) for as fast as it goes'
+        )
+    return Timing(free=True, factor=value)
+
+
+def is_free(words: str) -> bool:
+    """Whether :attr:`Timing.words` are those of a free run."""
+    return words.partition(' ')[0] == FREE
+
+
+def timing_words(words: str) -> str:
+    """What :attr:`Timing.words` says, also where it says nothing."""
+    return words or 'answers that take effect at once'
+
+
+def _law(word: str, text: str) -> Law:
+    found = _LAW.fullmatch(text)
+    numbers = found['numbers'].split(',') if found else [text]
+    try:
+        values = [_number(number) for number in numbers]
+    except ValueError:
+        values = []
+    kind = found['kind'] if found else _CONSTANT
+    if len(values) != {_CONSTANT: 1, _UNIFORM: 2, _NORMAL: 2}.get(kind):
+        raise UsageError(f'latency {word}: a latency is {LAWS}')
+    if not all(0 <= value <= MOST_LATENCY_S for value in values):
+        raise UsageError(f'latency {word}: seconds have to be within 0..{MOST_LATENCY_S:g}')
+    law = Law(kind=kind, first=values[0], second=values[1] if len(values) > 1 else 0.0)
+    if kind == _UNIFORM and not law.first < law.second:
+        raise UsageError(f'latency {word}: uniform needs LOW < HIGH')
+    if kind == _NORMAL and not law.second > 0:
+        raise UsageError(f'latency {word}: normal needs SD > 0')
+    return law
+
+
+def _number(text: str) -> float:
+    """A number as people write one: Python's 1_0, and digits of other scripts, are none.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not _PLAIN.fullmatch(text.strip()):
+        raise ValueError(text)
+    return float(text)
+
+
+def _number_words(value: float) -> str:
+    short = f'{value:g}'
+    return short if float(short) == value else repr(value)
+
+
+class LateAnswers(Generic[Answer]):
+    """Answers on their way, and the one that holds now.
+
+    Attributes:
+        held: number of the frame whose answer holds; -1 for what holds before any.
+    """
+
+    def __init__(self, first: Answer) -> None:
+        """``first`` holds until an answer is there."""
+        self.held = -1
+        self._held = first
+        self._waiting: dict[int, tuple[int, Answer]] = {}
+
+    def put(self, seq: int, due_ns: int, answer: Answer) -> None:
+        """An answer to frame ``seq`` that takes effect at ``due_ns``, if no newer one does."""
+        if seq > self.held:
+            self._waiting[seq] = due_ns, answer
+
+    def newest(self, now_ns: int) -> Answer:
+        """What holds at ``now_ns``: the answer to the newest frame that is due."""
+        due = [seq for seq, (due_ns, _) in self._waiting.items() if due_ns <= now_ns]
+        if due:
+            self.held = max(due)
+            self._held = self._waiting[self.held][1]
+            waiting: Mapping[int, tuple[int, Answer]] = self._waiting
+            self._waiting = {seq: rest for seq, rest in waiting.items() if seq > self.held}
+        return self._held

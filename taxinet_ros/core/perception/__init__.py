@@ -1,0 +1,1 @@
+"""Perceptions: ground truth, networks, and functions of the user."""

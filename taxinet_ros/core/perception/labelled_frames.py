@@ -1,0 +1,177 @@
+"""Folders of camera frames from elsewhere, each frame with its true position: ``labels.csv``.
+
+One line per frame, with the columns of :data:`COLUMNS` in any order; further columns are let be.
+Cross-track and heading error have the signs of :mod:`taxinet_ros.core.types`, the heading error is
+in degrees, and the distance is counted along the runway from an origin of the folder's own.
+All but the pictures themselves is checked when the labels are read; pictures are read one at a
+time. Nothing outside the folder is opened, and nothing in it is written to.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import UsageError
+
+LABELS = 'labels.csv'
+COLUMNS = ('image', 'cte_m', 'heading_error_deg', 'distance_m')
+FORMATS = ('PNG', 'JPEG', 'BMP', 'TIFF', 'WEBP')
+
+_EIGHT_BIT = ('1', 'L', 'LA', 'P', 'PA', 'RGB', 'RGBA', 'CMYK', 'YCbCr')
+_MOST_PIXELS = 64_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LabelledFrame:
+    """One frame and where its camera's aircraft stood.
+
+    Attributes:
+        image: name in the labels, relative to the folder.
+        path: the file.
+        truth: true tracking error.
+        distance_m: distance along the runway [m], from the folder's own origin.
+    """
+
+    image: str
+    path: Path
+    truth: TrackingError
+    distance_m: float
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The frame as a camera frame, (200, 360, 3) uint8 RGB; other sizes are brought to it.
+
+        Raises:
+            UsageError: the file is no picture with 8 bits per channel, is damaged, or is huge.
+        """
+        found = _decode(self.path)
+        if found.shape[:2] == (IMAGE_HEIGHT, IMAGE_WIDTH):
+            return found
+        size = (IMAGE_WIDTH, IMAGE_HEIGHT)
+        return np.asarray(cv2.resize(found, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def read_labelled_frames(folder: Path) -> tuple[LabelledFrame, ...]:
+    """The frames that a folder's ``labels.csv`` lists, in its order.
+
+    Raises:
+        UsageError: no such folder or file, a missing column, a value that is not a finite number,
+            an image that is missing or outside the folder, or no frames at all.
+    """
+    if not folder.is_dir():
+        raise UsageError(f'{folder}: no such folder; give one that holds frames and {LABELS}')
+    path = folder / LABELS
+    if not path.is_file():
+        columns = ','.join(COLUMNS)
+        raise UsageError(f'{path}: no such file; write one with the columns {columns}')
+    try:
+        with path.open(encoding='utf-8-sig', newline='') as file:
+            return labelled_frames(folder, _lines(file), str(path))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f'{path}: not readable as UTF-8 comma-separated text: {error}') from error
+
+
+def labelled_frames(
+    folder: Path, rows: Iterable[tuple[int, Mapping[str, object]]], where: str
+) -> tuple[LabelledFrame, ...]:
+    """Check labels that were read from a table of any kind.
+
+    Args:
+        folder: holds the images.
+        rows: line number and values by column name; values are text or numbers.
+        where: name of the table, to head errors.
+
+    Raises:
+        UsageError: as :func:`read_labelled_frames`.
+    """
+    frames = tuple(_frame(folder, row, f'{where} line {line}') for line, row in rows)
+    if not frames:
+        raise UsageError(f'{where}: lists no frames; write one line per frame')
+    return frames
+
+
+def _lines(file: Iterable[str]) -> Iterator[tuple[int, Mapping[str, object]]]:
+    reader = csv.DictReader(file, skipinitialspace=True)
+    reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+    for row in reader:
+        yield reader.line_num, row
+
+
+def _frame(folder: Path, row: Mapping[str, object], where: str) -> LabelledFrame:
+    for column in COLUMNS:
+        if column not in row:
+            given = ', '.join(str(name) for name in row if name is not None)
+            raise UsageError(f'{where}: no column {column}; there are {given}; add or rename one')
+        if row[column] is None:
+            raise UsageError(f'{where}: ends before {column}; complete the line or delete it')
+    heading_deg = _number(row, 'heading_error_deg', where)
+    if abs(heading_deg) > 180:
+        raise UsageError(
+            f'{where}: heading_error_deg is {heading_deg:g}, outside -180..180; it is counted from '
+            f'the runway, nose left positive'
+        )
+    image = str(row['image']).strip()
+    return LabelledFrame(
+        image=image,
+        path=_inside(folder, image, where),
+        truth=TrackingError(cte_m=_number(row, 'cte_m', where), he_rad=math.radians(heading_deg)),
+        distance_m=_number(row, 'distance_m', where),
+    )
+
+
+def _number(row: Mapping[str, object], column: str, where: str) -> float:
+    try:
+        value = float(str(row[column]))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(
+            f'{where}: {column} is {str(row[column])!r}, not a finite number; correct the line '
+            f'or delete it'
+        )
+    return value
+
+
+def _inside(folder: Path, image: str, where: str) -> Path:
+    """The image's file, links followed, which must lie in the folder."""
+    path = folder / image
+    try:
+        outside = not path.resolve().is_relative_to(folder.resolve())
+        missing = not path.is_file()
+    except (OSError, RuntimeError, ValueError):  # a name that cannot be, links in a ring
+        outside, missing = False, True
+    if outside:
+        raise UsageError(
+            f'{where}: image {image!r} lies outside {folder}; name files below that folder'
+        )
+    if missing:
+        raise UsageError(
+            f'{where}: image {image!r} is not in {folder}; add the file or delete the line'
+        )
+    return path
+
+
+def _decode(path: Path) -> NDArray[np.uint8]:
+    """Pixels (H, W, 3) uint8 RGB; Pillow, unlike OpenCV, writes no complaints of its own."""
+    try:
+        with Image.open(path, formats=FORMATS) as image:
+            fits = image.width * image.height <= _MOST_PIXELS
+            if fits and image.mode in _EIGHT_BIT:
+                return np.asarray(image.convert('RGB'))
+            found = f'{image.width}x{image.height} {image.mode}'
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise UsageError(
+            f'{path}: cannot be read as a picture ({"/".join(FORMATS)}); replace it or delete '
+            f'its line in the labels'
+        ) from error
+    raise UsageError(f'{path}: is {found}; save it with 8 bits per channel and fewer pixels')

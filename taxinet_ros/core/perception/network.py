@@ -1,0 +1,217 @@
+"""TaxiNet: a small convolutional network that reads the tracking error off a camera frame.
+
+It runs in onnxruntime, on one thread, deterministically, silently, on the processor; torch is for
+training only. onnxruntime answers three times as fast as torch does on one picture, and its import
+costs a run's start a tenth of torch's. It and onnx are imported by the function that needs them, so
+that nobody else waits for them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.camera import pixels
+
+FATAL = 4
+"""onnxruntime's least talkative level; every error comes back as an exception."""
+
+
+def open_session(data: bytes) -> Any:
+    """A session with a model: on one machine equal inputs give equal answers, in any process.
+
+    Args:
+        data: the model, ONNX; weights in further files are not looked for.
+
+    Raises:
+        Exception: onnxruntime's own, which have no other base.
+    """
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = FATAL
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.add_session_config_entry('session.load_model_format', 'ONNX')
+    # Further files would be looked for in the working folder. In what is no folder are none.
+    options.add_session_config_entry(
+        'session.model_external_initializers_file_folder_path', os.devnull)
+    return onnxruntime.InferenceSession(
+        data, options, providers=['CPUExecutionProvider'], enable_fallback=0)
+
+
+IMAGE_SHAPE = (200, 360, 3)
+"""Height, width and channels of a camera frame (RGB, uint8)."""
+INPUT_SHAPE = (64, 192)
+"""Height and width of the network's grey picture."""
+_FAR_ROWS = 40
+"""Rows of a frame from the top, from the horizon to some 15 m ahead, that keep their height."""
+_REDUCTION = pixels.Reduction(
+    *IMAGE_SHAPE[:2],
+    [(_FAR_ROWS, _FAR_ROWS), (IMAGE_SHAPE[0] - _FAR_ROWS, INPUT_SHAPE[0] - _FAR_ROWS)],
+    INPUT_SHAPE[1],
+)
+CTE_SCALE_M = 10.0
+"""Cross-track error [m] at an output of 1."""
+HE_SCALE_RAD = math.radians(30.0)
+"""Heading error [rad] at an output of 1."""
+_SCALES = np.array([CTE_SCALE_M, HE_SCALE_RAD])
+_MEAN, _DEVIATION = 0.449, 0.226
+"""Of grey levels 0..1: the customary ones, of ImageNet's pictures."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Architecture:
+    """Convolutions of stride 2 with ReLU, then one hidden layer, then the two outputs.
+
+    Attributes:
+        channels: output channels of each convolution.
+        kernels: kernel size of each convolution, odd; the padding keeps the borders in view.
+        hidden: units of the hidden layer.
+    """
+
+    channels: tuple[int, ...]
+    kernels: tuple[int, ...]
+    hidden: int
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of every weight by its name, in the order of the layers."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        before = (1, *self.channels)
+        for i, (channels, kernel) in enumerate(zip(self.channels, self.kernels, strict=True)):
+            shapes[f'conv{i}.weight'] = (channels, before[i], kernel, kernel)
+            shapes[f'conv{i}.bias'] = (channels,)
+        height, width = (side >> len(self.channels) for side in INPUT_SHAPE)
+        shapes['hidden.weight'] = (self.hidden, self.channels[-1] * height * width)
+        shapes['hidden.bias'] = (self.hidden,)
+        shapes['output.weight'] = (2, self.hidden)
+        shapes['output.bias'] = (2,)
+        return shapes
+
+ARCHITECTURES = {
+    'cnn5-64x192': Architecture(
+        channels=(16, 32, 64, 96, 96), kernels=(5, 3, 3, 3, 3), hidden=64
+    ),
+}
+"""Architectures by the word that a model card names them with."""
+DEFAULT_ARCHITECTURE = 'cnn5-64x192'
+
+
+def is_frame(image: object) -> bool:
+    """Whether ``image`` is a camera frame: an array (200, 360, 3) of uint8."""
+    if not isinstance(image, np.ndarray):
+        return False
+    return bool(image.shape == IMAGE_SHAPE and image.dtype == np.uint8)
+
+
+def shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Reduce a camera frame, (200, 360, 3) uint8 RGB, to the grey picture (64, 192) uint8.
+
+    Far ahead a metre is a pixel or two, at the wheels hundreds; so the top of the frame keeps its
+    rows, and the rest is pressed into the remaining ones.
+    """
+    return _REDUCTION.reduce(np.ascontiguousarray(image))
+
+
+def normalise(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Bring grey pictures, (N, 64, 192) uint8, to about mean 0 and deviation 1 in daylight.
+
+    The scale is fixed, as in the open TaxiNet studies: a dark picture stays dark, and whether that
+    matters is the network's business.
+
+    Returns:
+        The network's input, (N, 1, 64, 128) float32.
+    """
+    levels = pictures.astype(np.float32)[:, np.newaxis]
+    levels *= np.float32(1 / (255 * _DEVIATION))
+    levels -= np.float32(_MEAN / _DEVIATION)
+    return levels
+
+
+def scaled(cte_m: NDArray[np.float64], he_rad: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What the network should answer, (N, 2) float32, for true errors [m] and [rad]."""
+    return np.stack([cte_m / CTE_SCALE_M, he_rad / HE_SCALE_RAD], axis=1).astype(np.float32)
+
+
+def unscaled(outputs: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Cross-track [m] and heading errors [rad], (N, 2), that outputs (N, 2) stand for."""
+    errors: NDArray[np.float64] = outputs.astype(np.float64) * _SCALES
+    return errors
+
+
+class TaxiNet:
+    """A network ready to look.
+
+    It runs on one thread: on one machine the same frame gives the same answer to the bit, in any
+    process, however busy the machine is.
+    """
+
+    def __init__(
+        self, architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]
+    ) -> None:
+        """Build the network with ``weights``, of the names and shapes it asks for."""
+        self._session = open_session(onnx_model(architecture, weights))
+
+    def infer(self, pictures: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """Cross-track [m] and heading errors [rad], (N, 2), seen on grey pictures (N, 64, 192)."""
+        (outputs,) = self._session.run(None, {'pictures': normalise(pictures)})
+        return unscaled(outputs)
+
+    def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        cte_m, he_rad = self.infer(shrink(image)[np.newaxis])[0]
+        return float(cte_m), float(he_rad)
+
+
+_OPSET = 17
+_IR_VERSION = 8  # the one of that operator set
+
+
+def onnx_model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]]) -> bytes:
+    """The network as a model from ``pictures`` (N, 1, 64, 192) to ``answers`` (N, 2), float32.
+
+    Args:
+        architecture: the layers.
+        weights: of the names and shapes that it asks for.
+
+    Raises:
+        ValueError: a weight is missing, unknown or of another shape.
+    """
+    from onnx import TensorProto, helper, numpy_helper
+
+    shapes = architecture.shapes()
+    if {name: array.shape for name, array in weights.items()} != shapes:
+        raise ValueError(f'network: the weights are not those of {architecture}')
+    nodes, last = [], 'pictures'
+    for i, kernel in enumerate(architecture.kernels):
+        nodes.append(helper.make_node(
+            'Conv', [last, f'conv{i}.weight', f'conv{i}.bias'], [f'conv{i}'],
+            strides=[2, 2], pads=[kernel // 2] * 4,
+        ))
+        last = f'relu{i}'
+        nodes.append(helper.make_node('Relu', [f'conv{i}'], [last]))
+    nodes += [
+        helper.make_node('Flatten', [last], ['features']),
+        helper.make_node(
+            'Gemm', ['features', 'hidden.weight', 'hidden.bias'], ['hidden'], transB=1
+        ),
+        helper.make_node('Relu', ['hidden'], ['units']),
+        helper.make_node('Gemm', ['units', 'output.weight', 'output.bias'], ['answers'], transB=1),
+    ]
+    graph = helper.make_graph(
+        nodes, 'taxinet',
+        [helper.make_tensor_value_info('pictures', TensorProto.FLOAT, ['N', 1, *INPUT_SHAPE])],
+        [helper.make_tensor_value_info('answers', TensorProto.FLOAT, ['N', 2])],
+        [numpy_helper.from_array(weights[name], name) for name in shapes],
+    )
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid('', _OPSET)], ir_version=_IR_VERSION
+    )
+    return bytes(model.SerializeToString())

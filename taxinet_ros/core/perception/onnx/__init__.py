@@ -1,0 +1,1 @@
+"""Networks in ONNX files, looked at before they are trusted."""

@@ -1,0 +1,368 @@
+"""YAML written by people, read strictly: every complaint is one line with file, key and mend.
+
+The description of a third party's network: ``NAME.yaml`` beside ``NAME.onnx``.
+
+An ONNX file says which numbers go in and out, and not what they mean. The description says it, in
+YAML (so in JSON too). Its keys, those in brackets optional::
+
+    input:                     the network's one input, made from a camera frame
+      [name]                   the input's name, to be sure of the file
+      layout                   nchw, nhwc, or flat: (1, height x width), row by row, grey only
+      colour                   rgb, bgr or grey
+      [crop]                   [left, top, right, bottom] pixels of the 360 x 200 frame to keep
+      height, width            of the picture that the network takes
+      [resize]                 area (default), linear, cubic or nearest
+      [brightest]              {block, keep}: resize to block times height and width, then put the
+                               mean of the keep brightest pixels for each square of block x block
+    scaling:                   from grey levels 0..255 to what the network takes, in this order
+      divide_by                1 where the network takes grey levels
+      [per_image]              none (default), centre: subtract the picture's mean, or standardise:
+                               and divide by its deviation, which counts as one grey level at least
+      [mean, std]              both or none, a list with a number per channel: (x - mean) / std
+      [clip]                   [lowest, highest]
+    outputs:                   a list with one entry per number that comes out, in order
+      - quantity               cte, heading_error (one of each), or ignore, which ends the entry
+        unit                   m; deg or rad
+        positive               left or right: where an aircraft is, or its nose points, at a value
+                               above zero
+        scale                  value = scale x output + offset, in that unit
+        [offset]               0 by default
+
+Whatever is not as it says here is refused, for a misread picture fails in silence.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeGuard
+
+import yaml
+
+from taxinet_ros.core.perception.network import IMAGE_SHAPE
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import YAML_TROUBLES, load_strict_yaml
+
+
+def file_error(path: Path, what: str) -> UsageError:
+    """An error about a file of an ONNX network."""
+    return UsageError(f'onnx: {path}: {what}')
+
+
+def load_description(path: Path, data: bytes) -> object:
+    """What the YAML in ``data``, the bytes of ``path``, says.
+
+    Raises:
+        UsageError: it is not YAML, or has a key twice.
+    """
+    try:
+        return load_strict_yaml(data.decode('utf-8-sig'))
+    except UnicodeDecodeError:
+        raise file_error(path, 'is not text in UTF-8; write it as YAML') from None
+    except yaml.MarkedYAMLError as error:
+        line = f'line {error.problem_mark.line + 1}: ' if error.problem_mark else ''
+        raise file_error(path, f'is not YAML: {line}{error.problem}; mend it there') from None
+    except YAML_TROUBLES as error:
+        raise file_error(
+            path, f'is not YAML: {" ".join(str(error).split())[:120]}; mend it'
+        ) from None
+
+
+class Section:
+    """A mapping of the description; hands out its values, each checked."""
+
+    def __init__(self, path: Path, name: str, value: object, known: Sequence[str]) -> None:
+        self._path, self._name = path, name
+        if not isinstance(value, dict):
+            raise file_error(
+                path,
+                f'{name or "the description"} is {_shown(value)}; write the keys '
+                f'{", ".join(known)}',
+            )
+        self._values = value
+        for key in value:
+            if key not in known:
+                raise self.wrong(f'has an unknown key {_shown(key)}; known: {", ".join(known)}')
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def wrong(self, what: str, key: str = '') -> UsageError:
+        """An error about a key, or about the section."""
+        where = '.'.join(part for part in (self._name, key) if part)
+        return file_error(self._path, f'{where or "the description"} {what}')
+
+    def take(self, key: str, mend: str) -> object:
+        """Any value; ``mend`` says what to write where there is none."""
+        if key not in self._values:
+            raise self.wrong(f'is missing; write {mend}', key)
+        return self._values[key]
+
+    def section(self, key: str, known: Sequence[str]) -> Section:
+        """A mapping inside this one."""
+        value = self.take(key, f'the keys {", ".join(known)}')
+        return Section(self._path, f'{self._name}.{key}'.lstrip('.'), value, known)
+
+    def sections(self, key: str, known: Sequence[str]) -> list[Section]:
+        """A list of mappings."""
+        mend = f'a list of entries with the keys {", ".join(known)}'
+        value = self.take(key, mend)
+        if not isinstance(value, list) or not value:
+            raise self.wrong(f'is {_shown(value)}; write {mend}', key)
+        return [
+            Section(self._path, f'{key}[{index}]', entry, known)
+            for index, entry in enumerate(value)
+        ]
+
+    def word(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
+        """One of some words."""
+        if default is not None and key not in self:
+            return default
+        value = self.take(key, ' or '.join(choices))
+        if not isinstance(value, str) or value not in choices:
+            raise self.wrong(f'is {_shown(value)}; write {" or ".join(choices)}', key)
+        return value
+
+    def text(self, key: str) -> str | None:
+        """Any text, None where there is none."""
+        if key not in self:
+            return None
+        value = self._values[key]
+        if not isinstance(value, str) or not value:
+            raise self.wrong(f'is {_shown(value)}; write text, in quotes, or leave it out', key)
+        return value
+
+    def whole(self, key: str, low: int, high: int) -> int:
+        """A whole number in a range."""
+        mend = f'a whole number {low}..{high}'
+        value = self.take(key, mend)
+        if not _is_number(value, low, high) or not isinstance(value, int):
+            raise self.wrong(f'is {_shown(value)}; write {mend}', key)
+        return value
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        """A number in a range."""
+        if default is not None and key not in self:
+            return default
+        mend = f'a number {low:g}..{high:g}'
+        value = self.take(key, mend)
+        if not _is_number(value, low, high):
+            raise self.wrong(f'is {_shown(value)}; write {mend}, such as 0.5 or 1.0e-3', key)
+        return float(value)
+
+    def numbers(self, key: str, count: int, low: float, high: float) -> tuple[float, ...]:
+        """A list of ``count`` numbers, all in a range."""
+        mend = f'a list of {count} number{"s" if count > 1 else ""} {low:g}..{high:g}'
+        value = self.take(key, mend)
+        if (
+            not isinstance(value, list)
+            or len(value) != count
+            or not all(_is_number(item, low, high) for item in value)
+        ):
+            raise self.wrong(f'is {_shown(value)}; write {mend}', key)
+        return tuple(map(float, value))
+
+_FEW_WORDS = reprlib.Repr()
+_FEW_WORDS.maxlevel = 2
+
+
+def _shown(value: object) -> str:
+    """A value in a few words; even where it is endless, or nested without end."""
+    try:
+        return _FEW_WORDS.repr(value)
+    except ValueError:
+        return 'a number with too many digits'
+
+
+def _is_number(value: object, low: float, high: float) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+
+
+CHANNELS = {'rgb': 3, 'bgr': 3, 'grey': 1}
+LAYOUTS = ('nchw', 'nhwc', 'flat')
+RESIZES = ('area', 'linear', 'cubic', 'nearest')
+PER_IMAGE = ('none', 'centre', 'standardise')
+QUANTITIES = ('cte', 'heading_error', 'ignore')
+MAX_SIDE = 4096
+"""Longest side [pixels] that a frame is resized to."""
+MAX_SIDECAR_BYTES = 16 << 10
+_UNITS = {'cte': {'m': 1.0}, 'heading_error': {'deg': math.radians(1.0), 'rad': 1.0}}
+_SIGNS = {'left': 1.0, 'right': -1.0}
+_LEAST, _MOST = 1e-6, 1e6
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Brightest:
+    """Each square of ``block`` x ``block`` pixels becomes the mean of its ``keep`` brightest."""
+
+    block: int
+    keep: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Picture:
+    """How the network's picture is cut out of a camera frame.
+
+    Attributes:
+        name: of the model's input; None where the description leaves it open.
+        layout: one of :data:`LAYOUTS`.
+        colour: key of :data:`CHANNELS`.
+        crop: left, top, right and bottom [pixels], right and bottom excluded.
+        height, width: of the picture [pixels].
+        resize: one of :data:`RESIZES`.
+        brightest: the reduction after resizing, None for none.
+    """
+
+    name: str | None
+    layout: str
+    colour: str
+    crop: tuple[int, int, int, int]
+    height: int
+    width: int
+    resize: str
+    brightest: Brightest | None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the model's input with a batch of one."""
+        channels = CHANNELS[self.colour]
+        return {
+            'nchw': (1, channels, self.height, self.width),
+            'nhwc': (1, self.height, self.width, channels),
+            'flat': (1, self.height * self.width),
+        }[self.layout]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scaling:
+    """What becomes of the grey levels, in the order of the attributes; see the module."""
+
+    divide_by: float
+    per_image: str
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    clip: tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Output:
+    """One number that comes out: ``scale * number + offset`` is in m or rad, left positive."""
+
+    quantity: str
+    scale: float = 0.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Sidecar:
+    """A checked description."""
+
+    picture: Picture
+    scaling: Scaling
+    outputs: tuple[Output, ...]
+
+
+def sidecar_path(path: Path) -> Path:
+    """The description that belongs to an ONNX file."""
+    return path.with_suffix('.yaml')
+
+
+def parse_sidecar(path: Path, data: bytes) -> Sidecar:
+    """Read the description that ``data`` holds, the bytes of ``path``.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong: file, key and what to write.
+    """
+    top = Section(path, '', load_description(path, data), ('input', 'scaling', 'outputs'))
+    picture = _picture(top.section('input', (
+        'name', 'layout', 'colour', 'crop', 'height', 'width', 'resize', 'brightest')))
+    scaling = _scaling(
+        top.section('scaling', ('divide_by', 'per_image', 'mean', 'std', 'clip')),
+        CHANNELS[picture.colour],
+    )
+    return Sidecar(picture=picture, scaling=scaling, outputs=_outputs(top))
+
+
+def _picture(section: Section) -> Picture:
+    brightest = None
+    if 'brightest' in section:
+        reduction = section.section('brightest', ('block', 'keep'))
+        block = reduction.whole('block', 1, 64)
+        brightest = Brightest(block=block, keep=reduction.whole('keep', 1, block * block))
+    most = MAX_SIDE // (brightest.block if brightest else 1)
+    picture = Picture(
+        name=section.text('name'),
+        layout=section.word('layout', LAYOUTS),
+        colour=section.word('colour', tuple(CHANNELS)),
+        crop=_crop(section),
+        height=section.whole('height', 1, most),
+        width=section.whole('width', 1, most),
+        resize=section.word('resize', RESIZES, 'area'),
+        brightest=brightest,
+    )
+    if picture.layout == 'flat' and picture.colour != 'grey':
+        raise section.wrong('is flat, which is for grey pictures; write nchw or nhwc', 'layout')
+    return picture
+
+
+def _crop(section: Section) -> tuple[int, int, int, int]:
+    height, width, _ = IMAGE_SHAPE
+    if 'crop' not in section:
+        return 0, 0, width, height
+    edges = section.numbers('crop', 4, 0, width)
+    left, top, right, bottom = map(int, edges)
+    whole = all(edge.is_integer() for edge in edges)
+    if not (whole and left < right and top < bottom <= height):
+        raise section.wrong(
+            f'is {list(edges)}; write [left, top, right, bottom] in whole pixels with '
+            f'left < right <= {width} and top < bottom <= {height}', 'crop')
+    return left, top, right, bottom
+
+
+def _scaling(section: Section, channels: int) -> Scaling:
+    mean, std = (0.0,) * channels, (1.0,) * channels
+    if 'mean' in section or 'std' in section:
+        mean = section.numbers('mean', channels, -_MOST, _MOST)
+        std = section.numbers('std', channels, _LEAST, _MOST)
+    clip = None
+    if 'clip' in section:
+        lowest, highest = section.numbers('clip', 2, -_MOST, _MOST)
+        if lowest >= highest:
+            raise section.wrong('has its lowest value not below its highest; swap them', 'clip')
+        clip = lowest, highest
+    return Scaling(
+        divide_by=section.number('divide_by', _LEAST, _MOST),
+        per_image=section.word('per_image', PER_IMAGE, 'none'),
+        mean=mean, std=std, clip=clip,
+    )
+
+
+def _outputs(top: Section) -> tuple[Output, ...]:
+    entries = top.sections('outputs', ('quantity', 'unit', 'positive', 'scale', 'offset'))
+    outputs = tuple(map(_output, entries))
+    quantities = [output.quantity for output in outputs]
+    for quantity in _UNITS:
+        if quantities.count(quantity) != 1:
+            raise top.wrong(f'has {quantities.count(quantity)} entries with quantity {quantity}; '
+                            'the steering needs one, write ignore for others', 'outputs')
+    return outputs
+
+
+def _output(entry: Section) -> Output:
+    quantity = entry.word('quantity', QUANTITIES)
+    if quantity == 'ignore':
+        for key in ('unit', 'positive', 'scale', 'offset'):
+            if key in entry:
+                raise entry.wrong('says nothing about an ignored number; leave it out', key)
+        return Output(quantity=quantity)
+    unit = _UNITS[quantity][entry.word('unit', tuple(_UNITS[quantity]))]
+    sign = _SIGNS[entry.word('positive', tuple(_SIGNS))]
+    scale = entry.number('scale', -_MOST, _MOST)
+    if abs(scale) < _LEAST:
+        raise entry.wrong('makes the network say nothing; write the value at an output of 1',
+                          'scale')
+    offset = entry.number('offset', -_MOST, _MOST, 0.0)
+    return Output(quantity=quantity, scale=scale * unit * sign, offset=offset * unit * sign)

@@ -1,0 +1,197 @@
+"""A stranger's network, tried in a process with limits before this one opens it.
+
+Opening a model runs part of it, in native code that nothing here can interrupt: some hundred bytes
+can ask for gigabytes, or for hours. So ``python -m taxinet_ros.core.perception.onnx.trial
+NAME.onnx`` opens it and looks with it first, under limits of the operating system, and says what
+it found; what is lost with that process is one line to the user. The same bytes on the same
+machine then take the same time and memory here.
+
+A network has to answer the same frame alike each time. Layers that roll dice are refused by their
+name, wherever in the model they stand; and every trial frame is looked at twice by that process and
+once by this one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.core.perception.onnx.network import (
+    MEMORY_BYTES,
+    NetworkFiles,
+    OnnxNetwork,
+    too_large,
+)
+from taxinet_ros.core.perception.onnx.sidecar import file_error
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.processes.child import child_environment, die_with_parent, limit_cpu, limit_memory
+
+CPU_S = 30
+"""Processor time in which it has to be through; a control step has a small part of it."""
+
+WALL_S = 600.0
+"""After which it is given up, however busy the machine is."""
+
+RANDOM_LAYERS = frozenset({
+    'Bernoulli', 'Multinomial', 'RandomNormal', 'RandomNormalLike', 'RandomUniform',
+    'RandomUniformLike', 'Sampling',
+})
+"""Operators that draw numbers, of ONNX and of onnxruntime's own."""
+
+_sound: set[str] = set()
+"""Fingerprints of networks that this process has found sound."""
+
+
+def tried_network(path: Path) -> tuple[OnnxNetwork, str]:
+    """The network of ``NAME.onnx`` and ``NAME.yaml``, and the two files' fingerprint.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong with it.
+        InfraError: the process that tries it was killed by somebody else.
+    """
+    files = NetworkFiles.read(path)
+    fingerprint = files.fingerprint
+    if fingerprint in _sound:
+        return OnnxNetwork(files), fingerprint
+    answers = _try_elsewhere(files, fingerprint)
+    network = OnnxNetwork(files)
+    if _digest(network.trial()) != answers:
+        raise _different(path)
+    _sound.add(fingerprint)
+    return network, fingerprint
+
+
+def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
+    """What the child makes of a network: the digest of its answers.
+
+    Raises:
+        UsageError, InfraError: as :func:`tried_network`.
+    """
+    # -P: a numpy.py in the user's folder must not become numpy.
+    command = [
+        sys.executable,
+        '-P',
+        '-m',
+        'taxinet_ros.core.perception.onnx.trial',
+        str(files.path),
+        str(MEMORY_BYTES),
+        str(CPU_S),
+    ]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        env=child_environment(), start_new_session=True,
+    ) as child:
+        try:
+            said, _ = child.communicate(timeout=WALL_S)
+        except subprocess.TimeoutExpired:
+            raise file_error(files.path, f'was not tried within {WALL_S:g} s') from None
+        finally:
+            child.kill()
+    if child.returncode:
+        raise _lost(files.path, child.returncode)
+    answer = json.loads(said)
+    if 'error' in answer:
+        raise UsageError(answer['error'])
+    if answer['fingerprint'] != fingerprint:
+        raise file_error(
+            files.path, 'was changed while it was looked at; name a file that stays as it is'
+        )
+    return str(answer['answers'])
+
+
+def _lost(path: Path, code: int) -> UsageError | InfraError:
+    """How to speak of a child that has not come to its end."""
+    if code == -signal.SIGXCPU:
+        return file_error(
+            path,
+            f'needs more than {CPU_S} s of processor time to be opened and to look at '
+            'a few frames; make it smaller',
+        )
+    how = f'killed by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+    if code == -signal.SIGKILL:
+        return InfraError('died', f'trial of {path}', -1, how)
+    return file_error(path, f'breaks the process that tries it ({how}), which may have '
+                     f'{MEMORY_BYTES >> 30} GiB of memory; make it smaller, or export it again')
+
+
+def inspect(files: NetworkFiles) -> bytes:
+    """What a network answers to the trial frames, once nothing is found against it.
+
+    Raises:
+        UsageError: one line on the first thing that is wrong.
+    """
+    network = OnnxNetwork(files)
+    _refuse_dice(files)
+    answers = network.trial()
+    if network.trial() != answers:
+        raise _different(files.path)
+    return answers
+
+
+def _refuse_dice(files: NetworkFiles) -> None:
+    import onnx
+
+    try:
+        model = onnx.load_model_from_string(files.model)
+    except Exception:  # protobuf's have no other base
+        raise file_error(files.path, f'cannot be read by onnx {onnx.__version__}; export it again'
+                  ) from None
+    for node in (*_nodes(model.graph.node), *_nodes(n for f in model.functions for n in f.node)):
+        if node.op_type in RANDOM_LAYERS or _drops_out(node):
+            raise file_error(
+                files.path,
+                f'has a layer that rolls dice, {node.op_type}; export it for '
+                'inference, without random layers',
+            )
+
+
+def _nodes(nodes: Iterable[Any]) -> Iterator[Any]:
+    """Nodes, and those of the graphs within them."""
+    for node in nodes:
+        yield node
+        for attribute in node.attribute:
+            for graph in (attribute.g, *attribute.graphs):
+                yield from _nodes(graph.node)
+
+
+def _drops_out(node: Any) -> bool:
+    """Whether a node is a dropout that can be told, by a third input, to train."""
+    return node.op_type == 'Dropout' and len(node.input) > 2 and node.input[2] != ''
+
+
+def _different(path: Path) -> UsageError:
+    return file_error(
+        path,
+        'answers the same frame differently each time; export it for inference, '
+        'without random layers',
+    )
+
+
+def _digest(answers: bytes) -> str:
+    return hashlib.sha256(answers).hexdigest()
+
+
+def main() -> None:
+    """Try the network of ``NAME.onnx MEMORY_BYTES CPU_S``; print one line of JSON."""
+    die_with_parent(signal.SIGKILL)
+    path, memory_bytes, cpu_s = sys.argv[1:]
+    limit_memory(int(memory_bytes))
+    limit_cpu(int(cpu_s))
+    try:
+        files = NetworkFiles.read(Path(path))
+        found = {'fingerprint': files.fingerprint, 'answers': _digest(inspect(files))}
+    except UsageError as error:
+        found = {'error': str(error)}
+    except MemoryError:
+        found = {'error': str(too_large(Path(path)))}
+    print(json.dumps(found))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,243 @@
+"""The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
+
+One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, or a file:
+weights that ``taxinet train`` has written, anybody's network in ONNX, or a function in a Python
+file (``FILE.py:NAME``). A word that is not known is an error, for a test of the network that
+silently ran on the truth would prove nothing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, is_frame
+from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
+from taxinet_ros.core.perception.onnx.trial import tried_network
+from taxinet_ros.core.perception.weights import SHIPPED, SUFFIX, Model, load_model
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.core.user_code import (
+    IMPLEMENTATION,
+    NO_NODE_HERE,
+    RunCode,
+    UserCode,
+    command_of,
+    find_user_code,
+    is_node_elsewhere,
+    names_user_code,
+    pair_of_numbers,
+)
+from taxinet_ros.errors import UsageError
+
+NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
+"""What a perception answers when it cannot tell."""
+
+
+class Perception(Protocol):
+    """Estimates the tracking error once per control step, from nothing but its arguments.
+
+    Attributes:
+        word: ``truth`` or that of a shipped network; for a file ``weights``, ``onnx`` or
+            ``python``.
+        fingerprint: SHA-256 of the weights file, of the ONNX file with its description after it,
+            or of the Python file with those that it lists; empty for the truth.
+        needs_image: whether it looks at camera frames.
+    """
+
+    word: str
+    fingerprint: str
+    needs_image: bool
+
+    def begin(self) -> None:
+        """Forget what came before; called before each run."""
+        return
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """One estimate; equal arguments give equal estimates, whatever came before.
+
+        Args:
+            image: camera frame, (200, 360, 3) uint8 RGB.
+            truth: the true tracking error.
+
+        Returns:
+            The estimate, :data:`NO_ESTIMATE` where none can be made.
+
+        Raises:
+            UserCodeError: somebody's function failed; no other raises.
+        """
+        ...
+
+
+class GroundTruth(Perception):
+    """Always right: its estimate is the truth. The network's twin for finding whose fault it is."""
+
+    word = 'truth'
+    fingerprint = ''
+    needs_image = False
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The truth, where it is known."""
+        return NO_ESTIMATE if truth is None else truth
+
+
+class Network(Protocol):
+    """What looks at a frame, whoever made it."""
+
+    def look(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Cross-track [m] and heading error [rad] seen on a camera frame (200, 360, 3) uint8."""
+        ...
+
+
+class NetworkPerception(Perception):
+    """A neural network looks at the camera frame, and never at the truth."""
+
+    needs_image = True
+
+    def __init__(self, network: Network, *, word: str, fingerprint: str) -> None:
+        """See :class:`Perception` for what ``word`` and ``fingerprint`` are."""
+        self.word = word
+        self.fingerprint = fingerprint
+        self._network = network
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """What the network sees; invalid without a frame, or where its answer is not finite."""
+        if image is None or not is_frame(image):
+            return NO_ESTIMATE
+        cte_m, he_rad = self._network.look(image)
+        seen = TrackingError(cte_m=cte_m, he_rad=he_rad)
+        return seen if seen.usable else NO_ESTIMATE
+
+
+class UserPerception(Perception):
+    """A function of somebody's: ``(200, 360, 3)`` uint8 RGB in, cross-track and heading error out.
+
+    It answers a pair ``(cte_m, he_rad)``, a :class:`TrackingError`, or None where it cannot tell.
+    One that has ``needs_image = False`` is given the true :class:`TrackingError` instead.
+    """
+
+    word = IMPLEMENTATION
+
+    def __init__(self, code: UserCode) -> None:
+        """Load it.
+
+        Raises:
+            UsageError: the file's code fails.
+        """
+        self.fingerprint = code.sha256
+        self._run = RunCode(code)
+        with code.running(UsageError):
+            self.needs_image = bool(getattr(self._run.function, 'needs_image', True))
+
+    def begin(self) -> None:
+        """Have it as it is when made."""
+        self._run.begin()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """What it answers; invalid without its input, or where a number is not finite."""
+        if self.needs_image:
+            if image is None or not is_frame(image):
+                return NO_ESTIMATE
+            argument: object = image.copy()  # it may write on what is its own
+        elif truth is None:
+            return NO_ESTIMATE
+        else:
+            argument = truth
+        return self._run.answer(argument, _read_estimate, 'a pair (cte_m, he_rad), or None')
+
+
+def _read_estimate(answer: Any) -> TrackingError | None:
+    if answer is None:
+        return NO_ESTIMATE
+    if not isinstance(answer, TrackingError):
+        pair = pair_of_numbers(answer)
+        if pair is None:
+            return None
+        answer = TrackingError(cte_m=pair[0], he_rad=pair[1])
+    return answer if answer.usable else NO_ESTIMATE
+
+
+def _taxinet(word: str, model: Model) -> Perception:
+    """A network of ours."""
+    network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+    return NetworkPerception(network, word=word, fingerprint=model.card.weights_sha256)
+
+
+def _onnx(path: Path) -> Perception:
+    """A third party's network, once it has been tried."""
+    network, fingerprint = tried_network(path)
+    return NetworkPerception(network, word='onnx', fingerprint=fingerprint)
+
+
+PERCEPTION = ('truth', *SHIPPED)
+"""The words that choose a perception."""
+
+
+def make_perception(word_or_file: str) -> Perception:
+    """The perception of a word of :data:`PERCEPTION`, or the network in a file.
+
+    Args:
+        word_or_file: the word; or a ``.safetensors`` file with its model card beside it, an
+            ``.onnx`` file with its description (:mod:`taxinet_ros.core.perception.onnx.sidecar`),
+            or a function in a Python file (:mod:`taxinet_ros.core.user_code`).
+
+    Raises:
+        UsageError: unknown word (the known ones are listed), or a file that cannot be used.
+    """
+    if word_or_file == 'truth':
+        return GroundTruth()
+    if names_user_code(word_or_file):
+        return UserPerception(find_user_code(word_or_file, 'perception'))
+    path = _network_file(word_or_file)
+    if path.suffix == ONNX_SUFFIX:
+        return _onnx(path)
+    return _taxinet(word_or_file if word_or_file in SHIPPED else 'weights', load_model(path))
+
+
+def check_perception(word_or_file: str, *, graph: bool = False) -> str:
+    """See that :func:`make_perception` will work, without building a network.
+
+    Args:
+        word_or_file: as there.
+        graph: it is for a graph, so a node elsewhere does too.
+
+    Returns:
+        The fingerprint that the perception will have; '' where only its node will tell.
+
+    Raises:
+        UsageError: as :func:`make_perception`.
+    """
+    if graph and is_node_elsewhere(word_or_file):
+        command_of(word_or_file)
+        return ''
+    if word_or_file == 'truth':
+        return GroundTruth.fingerprint
+    if names_user_code(word_or_file):
+        return find_user_code(word_or_file, 'perception').sha256
+    path = _network_file(word_or_file)
+    if path.suffix == ONNX_SUFFIX:
+        return _onnx(path).fingerprint
+    return load_model(path).card.weights_sha256
+
+
+def _network_file(text: str) -> Path:
+    if text in SHIPPED:
+        return SHIPPED[text]
+    if is_node_elsewhere(text):
+        raise UsageError(f'perception {text}: {NO_NODE_HERE}')
+    path = Path(text)
+    if path.suffix not in (SUFFIX, ONNX_SUFFIX):
+        words = ', '.join(PERCEPTION)
+        raise UsageError(f'perception: {text!r} is unknown; known: {words}, a {SUFFIX} or '
+                         f'{ONNX_SUFFIX} file, or FILE.py:NAME')
+    return path

@@ -1,0 +1,201 @@
+"""Perceptions that put the truth, or a spoiled truth, in the place of what a network estimates.
+
+The paper finds out whose fault a failure is in this way: the network is replaced by the ground
+truth and the counterexample is tested again (section "Error analysis and debugging"). Here one
+estimate alone may be replaced too, or come late, or be wrong by noise. One word chooses:
+
+==========================  ====================================================================
+``as-recorded``             the network as it is; the control
+``truth``                   a perfect estimate
+``truth-heading``           the network's cross-track error with the true heading error
+``truth-cte``               the network's heading error with the true cross-track error
+``delayed:SECONDS``         the network's estimate of so long ago
+``truth-delayed:SECONDS``   the truth of so long ago
+``noisy:SIGMA_M``           the truth, its cross-track error spoiled by correlated noise
+==========================  ====================================================================
+
+Unlike others these perceptions may remember: each is made for one run, and is asked once in every
+control step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.perception.perception import NO_ESTIMATE, GroundTruth, Perception
+from taxinet_ros.core.types import NS_PER_S, TrackingError
+from taxinet_ros.errors import UsageError
+
+AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE = (
+    'as-recorded', 'truth', 'truth-heading', 'truth-cte',
+)
+_PLAIN = (AS_RECORDED, TRUTH, TRUTH_HEADING, TRUTH_CTE)
+_DELAYED, _TRUTH_DELAYED, _NOISY = 'delayed', 'truth-delayed', 'noisy'
+_AMOUNTS = {_DELAYED: 30.0, _TRUTH_DELAYED: 30.0, _NOISY: 20.0}
+"""Words that take an amount, and the largest: seconds, seconds, metres."""
+
+KNOWN = (*_PLAIN, 'delayed:SECONDS', 'truth-delayed:SECONDS', 'noisy:SIGMA_M')
+"""What may be asked for."""
+
+NOISE_TIME_S = 1.0
+"""Correlation time of the noise [s]: about as long as a picture stays alike to a taxiing aircraft.
+
+White noise hardly disturbs a steering law that averages over many frames."""
+
+_STEP_S = CONTROL_PERIOD_NS / NS_PER_S
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Substitution:
+    """What takes the place of a network's estimate.
+
+    Attributes:
+        kind: the word without its amount.
+        amount: seconds of delay, or standard deviation [m]; 0 where the kind has none.
+    """
+
+    kind: str
+    amount: float = 0.0
+
+    @property
+    def word(self) -> str:
+        """How people write it; equal substitutions have equal words."""
+        return f'{self.kind}:{self.amount:g}' if self.kind in _AMOUNTS else self.kind
+
+
+def parse_substitution(text: str) -> Substitution:
+    """The substitution that a word of :data:`KNOWN` asks for.
+
+    Raises:
+        UsageError: there is none by that name, or its amount is missing, out of range, or a delay
+            that is not a whole number of control steps.
+    """
+    kind, colon, rest = (part.strip() for part in text.partition(':'))
+    if kind in _PLAIN and not colon:
+        return Substitution(kind=kind)
+    if kind not in _AMOUNTS:
+        raise UsageError(f'--with {text}: unknown; known: {", ".join(KNOWN)}')
+    unit = 'm' if kind == _NOISY else 's'
+    try:
+        amount = float(rest)
+    except ValueError:
+        amount = math.nan
+    if not 0 < amount <= _AMOUNTS[kind]:
+        most = f'{_AMOUNTS[kind]:g} {unit}'
+        raise UsageError(f'--with {text}: needs an amount above 0 up to {most}, as in {kind}:0.5')
+    steps = amount / _STEP_S
+    if kind != _NOISY and abs(steps - round(steps)) > 1e-6:
+        raise UsageError(f'--with {text}: a delay has to be a multiple of {_STEP_S:g} s')
+    # Text goes by six digits; the amount must not be another than what is written down of it.
+    return Substitution(kind=kind, amount=float(f'{amount:g}'))
+
+
+def substituted(
+    substitution: Substitution, network: Perception, seed: Sequence[int]
+) -> Perception:
+    """A perception for one run.
+
+    Args:
+        substitution: what takes the network's place.
+        network: the perception whose failure is looked into.
+        seed: of the noise: equal seeds, equal noise.
+    """
+    kind, amount = substitution.kind, substitution.amount
+    if kind == AS_RECORDED:
+        return network
+    if kind == TRUTH:
+        return GroundTruth()
+    if kind in (TRUTH_HEADING, TRUTH_CTE):
+        return HalfTruth(network, cte=kind == TRUTH_CTE)
+    if kind == _NOISY:
+        return NoisyTruth(amount, seed)
+    return Delayed(network if kind == _DELAYED else GroundTruth(), amount)
+
+
+class HalfTruth(Perception):
+    """A network of whose two estimates one is replaced by the truth."""
+
+    def __init__(self, network: Perception, *, cte: bool) -> None:
+        """``cte``: the cross-track error is the true one; else the heading error is."""
+        self.word = TRUTH_CTE if cte else TRUTH_HEADING
+        self.fingerprint = network.fingerprint
+        self.needs_image = network.needs_image
+        self._network = network
+        self._cte = cte
+
+    def begin(self) -> None:
+        """Have the network forget what came before."""
+        self._network.begin()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """Half what the network sees, half the truth; none where either is missing."""
+        seen = self._network.estimate(image, truth)
+        if truth is None or not seen.usable:
+            return NO_ESTIMATE
+        if self._cte:
+            return TrackingError(cte_m=truth.cte_m, he_rad=seen.he_rad)
+        return TrackingError(cte_m=seen.cte_m, he_rad=truth.he_rad)
+
+
+class Delayed(Perception):
+    """What another perception estimated some time ago; before that, its first estimate."""
+
+    def __init__(self, perception: Perception, delay_s: float) -> None:
+        """``delay_s``: how long ago [s], a whole number of control steps."""
+        self.word = f'{perception.word} {delay_s:g} s ago'
+        self.fingerprint = perception.fingerprint
+        self.needs_image = perception.needs_image
+        self._perception = perception
+        self._estimates: deque[TrackingError] = deque(maxlen=round(delay_s / _STEP_S) + 1)
+
+    def begin(self) -> None:
+        """Forget what came before."""
+        self._perception.begin()
+        self._estimates.clear()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The oldest estimate that is no older than the delay."""
+        self._estimates.append(self._perception.estimate(image, truth))
+        return self._estimates[0]
+
+
+class NoisyTruth(Perception):
+    """The truth with a cross-track error that wanders about the true one; the heading is true.
+
+    The noise is normal with mean 0, from the first step on with the standard deviation asked for,
+    and its autocorrelation falls to 1/e in :data:`NOISE_TIME_S` (Ornstein-Uhlenbeck process,
+    sampled exactly: Gillespie, Physical Review E 54, 1996).
+    """
+
+    fingerprint = ''
+    needs_image = False
+
+    def __init__(self, sigma_m: float, seed: Sequence[int]) -> None:
+        """``sigma_m``: standard deviation [m]; ``seed``: of the noise, whole numbers from 0."""
+        self.word = f'truth with noise of {sigma_m:g} m'
+        self._random = np.random.default_rng(seed)
+        self._sigma_m = sigma_m
+        self._keep = math.exp(-_STEP_S / NOISE_TIME_S)
+        self._error_m = sigma_m * self._random.standard_normal()
+
+    def estimate(
+        self, image: NDArray[np.uint8] | None, truth: TrackingError | None
+    ) -> TrackingError:
+        """The truth, off by the noise of this step."""
+        error_m = self._error_m
+        fresh = math.sqrt(1 - self._keep**2) * self._sigma_m
+        self._error_m = self._keep * error_m + fresh * self._random.standard_normal()
+        if truth is None or not truth.usable:
+            return NO_ESTIMATE
+        return TrackingError(cte_m=truth.cte_m + error_m, he_rad=truth.he_rad)

@@ -1,0 +1,1 @@
+"""The place: runway and coordinate frames."""

@@ -1,0 +1,1 @@
+"""Files of the program: written atomically, read strictly, with checksums."""

@@ -1,0 +1,135 @@
+"""A JSON file with a checksum of itself, which vouches for other files in or below its folder.
+
+Beside its values it has, under ``seal``, digests of whole files and the ends of journals, and as
+its last line, under ``checksum``, the SHA-256 of all its text before. Files of earlier versions
+have neither; no one bit makes a file with both look like one with none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.errors import UsageError, warn_once
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.journal import JournalEnd, journal_end
+from taxinet_ros.files.plain_values import load_json
+
+_SEAL, _CHECKSUM = 'seal', 'checksum'
+_END = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SealedJson:
+    """What such a file says.
+
+    Attributes:
+        values: without seal and checksum.
+        files: SHA-256 of files in the same folder or below, by path from it.
+        journals: where they ended, of journals in the same folder or below, likewise.
+        sealed: False for a file of an earlier version.
+    """
+
+    values: dict[str, Any]
+    files: Mapping[str, str] = field(default_factory=dict)
+    journals: Mapping[str, JournalEnd] = field(default_factory=dict)
+    sealed: bool = True
+
+    def check_file(self, path: Path, mend: str) -> bool:
+        """See that a file is the one that is vouched for; whether any is.
+
+        Args:
+            path: of the file, in the same folder.
+            mend: what to do where it is another.
+
+        Raises:
+            UsageError: it is another.
+            OSError: it cannot be read.
+        """
+        if path.name not in self.files:
+            return False
+        if file_sha256(path) != self.files[path.name]:
+            raise UsageError(f'{path}: is not as it was written (its SHA-256 is another); {mend}')
+        return True
+
+
+def sealed_text(
+    values: Mapping[str, Any], files: Mapping[str, str] | None = None,
+    journals: Mapping[str, JournalEnd] | None = None,
+) -> str:
+    """The text of such a file; ``values`` has no keys ``seal`` and ``checksum``."""
+    seal = {'files': dict(files or {}), 'journals': {
+        name: end._asdict() for name, end in (journals or {}).items()
+    }}
+    text = json.dumps({**values, _SEAL: seal}, indent=2, default=str).removesuffix('\n}')
+    checksum = hashlib.sha256(text.encode()).hexdigest()
+    return f'{text},\n  "{_CHECKSUM}": "{checksum}"\n}}\n'
+
+
+def write_sealed(
+    path: Path, values: Mapping[str, Any], files: Iterable[Path] = (),
+    journals: Iterable[Path] = (),
+) -> None:
+    """Write a sealed file that vouches for files in and below its folder as they are now.
+
+    Raises:
+        OSError: it cannot be written, or one of them cannot be read.
+    """
+    write_atomically(path, sealed_text(
+        values, {str(one.relative_to(path.parent)): file_sha256(one) for one in files},
+        {str(one.relative_to(path.parent)): journal_end(one) for one in journals},
+    ))
+
+
+def read_sealed(path: Path) -> SealedJson:
+    """Read a sealed file, or one of an earlier version, which is warned of.
+
+    Raises:
+        OSError: it cannot be read.
+        UsageError: it is damaged, or was edited.
+    """
+    data = path.read_bytes()
+    found = _END.search(data)
+    if found and hashlib.sha256(data[:found.start()]).hexdigest().encode() != found[1]:
+        raise _damaged(path, 'its checksum is another')
+    try:
+        values = load_json(data)
+        if not isinstance(values, dict):
+            raise TypeError('it is no object')
+        if not found:
+            if _SEAL in values or _CHECKSUM in values:
+                raise ValueError('its checksum is damaged')
+            warn_once(
+                f'{path}: unverified, for it was written by an earlier version without a checksum'
+            )
+            return SealedJson(values=values, sealed=False)
+        del values[_CHECKSUM]
+        seal = values.pop(_SEAL)
+        files, journals = dict(seal['files']), {
+            name: JournalEnd(int(end['lines']), str(end['link']))
+            for name, end in seal['journals'].items()
+        }
+        paths = [Path(name) for name in (*files, *journals)]
+        if any(path.is_absolute() or '..' in path.parts for path in paths):
+            raise ValueError('it vouches for files elsewhere')
+        return SealedJson(values=values, files=files, journals=journals)
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise _damaged(path, str(error)) from error
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal digits."""
+    with path.open('rb') as file:
+        return hashlib.file_digest(file, 'sha256').hexdigest()
+
+
+def _damaged(path: Path, why: str) -> UsageError:
+    return UsageError(
+        f'{path}: damaged or edited ({why}); restore it, or see what mends it: '
+        f'taxinet doctor {path.parent}'
+    )

@@ -1,0 +1,1 @@
+"""Graphs of nodes: in one process or many, started, looked after and ended."""

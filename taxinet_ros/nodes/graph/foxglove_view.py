@@ -1,0 +1,79 @@
+"""The Foxglove server as a process beside a graph, for as long as that lives.
+
+A process of its own, so that whoever looks costs the run no time on its core.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import socket
+import subprocess
+import tempfile
+from collections.abc import Iterator
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.foxglove_server import HOST, LOOKING_ON, NOT_INSTALLED
+from taxinet_ros.nodes.graph.node_process import dying_with_parent, node_command
+
+_GRACE_S = 5.0
+
+
+def check_port(port: int) -> None:
+    """Refuse a port that cannot be listened on, before anything is begun.
+
+    Raises:
+        UsageError: it is taken or out of range, or foxglove-sdk is not installed.
+    """
+    if importlib.util.find_spec('foxglove') is None:
+        raise UsageError(f'--foxglove: {NOT_INSTALLED}')
+    try:
+        with socket.socket() as probe:
+            # As the server does: a port that a moment ago was in use is free.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((HOST, port))
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, 'strerror', None) or 'ports go from 1 to 65535'
+        raise UsageError(f'--foxglove {port}: {reason}; choose another port') from error
+
+
+@contextlib.contextmanager
+def foxglove_view(port: int, domain: int) -> Iterator[None]:
+    """Within the ``with``, show what happens on a ROS domain at ``ws://127.0.0.1:<port>``.
+
+    Begins when the server has found the graph, so that no run is over before.
+
+    Raises:
+        UsageError: the server cannot be opened.
+    """
+    command = [
+        *node_command('taxinet_ros.nodes.foxglove_server'), '--ros-args', '-p', f'port:={port}',
+    ]
+    with tempfile.TemporaryFile('w+') as errors:
+        server = subprocess.Popen(
+            command, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors,
+            # Ctrl-C in the terminal is for the campaign, which then ends what it has begun.
+            start_new_session=True, preexec_fn=dying_with_parent(),
+        )
+        try:
+            assert server.stdout is not None
+            if not any(line.startswith(LOOKING_ON) for line in server.stdout):
+                errors.seek(0)
+                said = errors.read().strip().splitlines() or ['it ended without a word']
+                raise UsageError(f'--foxglove: {said[-1].removeprefix("error: ")}')
+            yield
+        finally:
+            _end(server)
+
+
+def _end(server: subprocess.Popen[str]) -> None:
+    server.terminate()
+    try:
+        server.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+        server.wait()
+    assert server.stdout is not None
+    server.stdout.close()

@@ -1,0 +1,339 @@
+"""A recorded run again: its scenario through the whole graph, or its bag into one node.
+
+The node that a run is replayed into cannot tell it from the graph: the player speaks on all
+topics that the node hears, in lockstep, and stands in for everybody that hears the node.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from taxinet_msgs.msg import NodeStatus, Scenario
+
+from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.bag.rewrite.frames import frame_messages
+from taxinet_ros.bag.run.facts import RecordedRun, gains_text
+from taxinet_ros.bag.topics import type_hash
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
+from taxinet_ros.nodes.messages.convert import scenario_message
+from taxinet_ros.nodes.messages.step import StepCollector
+from taxinet_ros.nodes.recorder import bag_name
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.node_main import spin_until
+
+Step = tuple[int, Mapping[str, Sequence[bytes]]]
+"""Number of a control step, and its serialised messages by topic of the table."""
+_WATCH_PERIOD_S = 0.02
+ANSWER_TIMEOUT_S = 30.0
+
+
+class Player(Node):
+    """Publishes step after step, each when the one before is answered.
+
+    Attributes:
+        answers: messages of the node under test by control step and topic.
+        finished: done when the last step is answered; carries what went wrong.
+    """
+
+    def __init__(
+        self, scenario: Scenario, steps: Iterator[Step], *, target: str, speaks: Sequence[Topic],
+        answer: Topic, per_step: int, executor: Any, **node: Any,
+    ) -> None:
+        """Join the graph and wait for the node under test.
+
+        Args:
+            scenario: whose run it is; ``target`` alone takes part.
+            steps: what to play, drawn one at a time.
+            target: name of the node under test.
+            speaks: topics that are played.
+            answer: topic that the node answers every step on.
+            per_step: with so many messages.
+            executor: the one that spins this node.
+            node: goes to :class:`rclpy.node.Node`.
+        """
+        # Nodes wait for one another by name, and here this one is the simulator.
+        super().__init__(interface.SIMULATOR, **node)
+        self._scenario, self._steps, self._target = scenario, steps, target
+        self._collector = StepCollector({answer.name: per_step})
+        self.answers: dict[int, dict[str, list[Any]]] = {}
+        self.finished = Future(executor=executor)
+        self._seq, self._ready, self._asked = -1, False, False
+        self._heard_at = time.monotonic()
+        self._speakers = {
+            topic.name: self.create_publisher(topic.type, topic.name, topic.qos)
+            for topic in (interface.SCENARIO, *speaks)
+        }
+        self._listeners = [
+            self.create_subscription(
+                topic.type, topic.name, self._callback(topic, answer), topic.qos
+            )
+            for topic in interface.TOPICS
+            if target in topic.publishers
+        ]
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+
+    def _callback(self, topic: Topic, answer: Topic) -> Callable[[Any], None]:
+        """What is done with a message; the node waits for listeners even to what nobody needs."""
+        if topic is answer:
+            return functools.partial(self._on_answer, topic.name)
+        return self._on_status if topic is interface.NODE_STATUS else lambda message: None
+
+    def _watch(self) -> None:
+        if self.finished.done():
+            return
+        if self._seq < 0 and self._found():
+            if not self._asked:
+                self._asked = True
+                self._speakers[interface.SCENARIO.name].publish(self._scenario)
+            elif self._ready:
+                self._next()
+        if time.monotonic() - self._heard_at > ANSWER_TIMEOUT_S:
+            kind = 'not_ready' if self._seq < 0 else 'timeout'
+            self._fail(kind, f'silent for {ANSWER_TIMEOUT_S:g} s')
+
+    def _found(self) -> bool:
+        """Whether the node under test is at the other end of every topic."""
+        return all(
+            publisher.get_subscription_count() for publisher in self._speakers.values()
+        ) and all(heard.get_publisher_count() for heard in self._listeners)
+
+    def _on_status(self, status: NodeStatus) -> None:
+        if status.run_id != self._scenario.run_id or status.node != self._target:
+            return
+        if status.state == NodeStatus.READY:
+            self._ready, self._heard_at = True, time.monotonic()
+        elif status.state == NodeStatus.ERROR:
+            self._fail('node_error', status.detail)
+
+    def _on_answer(self, topic: str, message: Any) -> None:
+        for seq, messages in self._collector.add(topic, message.seq, message):
+            self.answers[seq] = messages
+            self._heard_at = time.monotonic()
+            self._next()
+
+    def _next(self) -> None:
+        try:
+            step = next(self._steps, None)
+        except Exception as error:
+            # It belongs to whoever waits for the replay, not to the executor.
+            self.finished.set_exception(error)
+            return
+        if step is None:
+            if not self.finished.done():
+                self.finished.set_result(None)
+            return
+        self._seq, messages = step
+        for topic, serialised in messages.items():
+            for cdr in serialised:
+                self._speakers[topic].publish(cdr)
+
+    def _fail(self, kind: str, detail: str) -> None:
+        if not self.finished.done():
+            self.finished.set_exception(InfraError(kind, self._target, self._seq, detail))
+
+
+_ANSWERS = {
+    interface.PERCEPTION: interface.ESTIMATE,
+    interface.STEERING_CONTROLLER: interface.COMMAND,
+    interface.MTL_MONITOR: interface.ROBUSTNESS,
+}
+TARGETS = tuple(_ANSWERS)
+"""Nodes that a run can be replayed into."""
+Columns = dict[str, NDArray[np.float64]]
+
+
+def replay(
+    bag: Path, run: RecordedRun, *, target: str, perception: str, controller: str = STEERING
+) -> Columns:
+    """Feed a recorded run to one node over its topics.
+
+    Camera frames that the bag lacks are rendered.
+
+    Args:
+        bag: a run folder or an ``.mcap`` file.
+        run: what it holds.
+        target: one of :data:`TARGETS`.
+        perception: word or file of the perception, where that is the target.
+        controller: word of the controller, likewise.
+
+    Returns:
+        What the node answered, by the names of :func:`taxinet_ros.bag.run.trace.read_trace`:
+        ``seq`` and the columns of the target.
+
+    Raises:
+        UsageError: unknown target, or the bag's messages are of another version.
+        InfraError: the node broke or fell silent.
+        BagError: the bag cannot be read, or its frames cannot be had.
+    """
+    if target not in _ANSWERS:
+        raise UsageError(f'--into {target}: cannot be replayed into; known: {", ".join(TARGETS)}')
+    inputs = _inputs(target, perception)
+    answer = _ANSWERS[target]
+    _check_types(bag, inputs)
+    request = dataclasses.replace(run.request, participants=(target,))
+    options = GraphOptions(
+        perception=perception, out=Path(), controller=controller,
+        gains=run.gains if controller == STEERING else {},
+    )
+    kind, parameters = options.nodes()[target]
+    per_step = len(request.specs) if answer.recorded == interface.PER_SPEC else 1
+    with _spinning() as (executor, context, add):
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        add(kind(context=context, parameter_overrides=overrides))
+        player = Player(
+            scenario_message(request), _steps(bag, inputs), target=target, speaks=inputs,
+            answer=answer, per_step=per_step, executor=executor, context=context,
+        )
+        add(player)
+        spin_until(executor, player.finished)
+        return _columns(answer, player.answers)
+
+
+def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
+    """The topics that steer a node from step to step."""
+    looks = target != interface.PERCEPTION or make_perception(perception).needs_image
+    unused = interface.TRUTH if looks else interface.IMAGE
+    return tuple(
+        topic for topic in interface.TOPICS
+        if target in topic.subscribers and topic.recorded == interface.PER_STEP
+        and not (target == interface.PERCEPTION and topic is unused)
+    )
+
+
+def _check_types(bag: Path, inputs: tuple[Topic, ...]) -> None:
+    recorded = {topic.name: topic for topic in read_info(bag).topics}
+    for topic in inputs:
+        found = recorded.get(bag_name(topic))
+        if found is None and topic is not interface.IMAGE:
+            raise UsageError(f'{bag}: no topic {bag_name(topic)}, so there is nothing to replay')
+        if found is not None and found.type_hash != type_hash(topic.type_name):
+            raise UsageError(
+                f'{bag}: {topic.type_name} on {found.name} is of another version than the '
+                'installed one; record the run again: taxinet run --from'
+            )
+
+
+def _steps(bag: Path, inputs: tuple[Topic, ...]) -> Iterator[Step]:
+    """The inputs of every control step, frames rendered where the bag has none."""
+    if inputs == (interface.IMAGE,):
+        for seq, cdr in frame_messages(bag):
+            yield seq, {interface.IMAGE.name: [cdr]}
+        return
+    names = {bag_name(topic): topic.name for topic in inputs}
+    messages = stored_messages(bag, names.__contains__)
+    for seq, group in groupby(messages, lambda message: message.stamp_ns // CONTROL_PERIOD_NS):
+        step: dict[str, list[bytes]] = {}
+        for message in group:
+            step.setdefault(names[message.topic.name], []).append(message.cdr)
+        if len(step) == len(inputs):  # A run that broke down may have left a torn step.
+            yield seq, step
+
+
+@contextlib.contextmanager
+def _spinning() -> Iterator[tuple[Any, Context, Any]]:
+    """An executor on a domain of its own, its context, and what adds a node to both."""
+    with own_domain() as domain:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        executor = EventsExecutor(context=context)
+        nodes: list[Any] = []
+
+        def add(node: Any) -> None:
+            nodes.append(node)
+            executor.add_node(node)
+
+        try:
+            yield executor, context, add
+        finally:
+            for node in reversed(nodes):
+                executor.remove_node(node)
+                node.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown(context=context)
+
+
+def _columns(answer: Topic, answers: dict[int, dict[str, list[Any]]]) -> Columns:
+    rows = []
+    for seq, messages in sorted(answers.items()):
+        row = {'seq': float(seq)}
+        for message in messages[answer.name]:
+            row.update(_numbers(message))
+        rows.append(row)
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
+
+
+def _numbers(message: Any) -> dict[str, float]:
+    """The numbers of one answer, named as in a trace; an estimate that is invalid has none."""
+    if isinstance(message, interface.ESTIMATE.type):
+        if not message.valid:
+            return {}
+        return {'est_cte_m': message.cross_track_error, 'est_he_rad': message.heading_error}
+    if isinstance(message, interface.COMMAND.type):
+        return {'steering_rad': message.steering_angle, 'speed_cmd_mps': message.speed}
+    return {
+        f'rho_lower.{message.spec}': message.rho_lower,
+        f'rho_upper.{message.spec}': message.rho_upper,
+    }
+
+
+def rerun(
+    runs: Sequence[tuple[RecordedRun, str, str]], out: Path, *, images: str, processes: bool = False
+) -> dict[str, RunResult]:
+    """Run recorded runs again, each in a graph as it had one.
+
+    Args:
+        runs: each with the words of the perception and the controller to use.
+        out: folder that takes the new bags, one folder per run, by the same names.
+        images: as in :class:`.graph.GraphOptions`.
+        processes: every node a process of its own.
+
+    Returns:
+        Results by name of the run.
+    """
+    results: dict[str, RunResult] = {}
+
+    def keep(request: RunRequest, result: RunResult) -> bool:
+        results[request.run_id] = result
+        return result.outcome.judged
+
+    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str, str]:
+        return run[1], run[2], gains_text(run[0].gains), run[0].timing.words
+
+    for (perception, controller, *_), group in groupby(sorted(runs, key=kind), kind):
+        alike = [run for run, *_ in group]
+        options = GraphOptions(
+            perception=perception, out=out, images=images, controller=controller,
+            gains=alike[0].gains if controller == STEERING else {}, timing=alike[0].timing,
+        )
+        requests = [
+            dataclasses.replace(run.request, participants=PARTICIPANTS) for run in alike
+        ]
+        opened = process_graph(options, out / 'logs') if processes else composed_graph(options)
+        with opened as graph:
+            graph.run(requests, keep)
+    return results

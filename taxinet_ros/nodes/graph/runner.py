@@ -1,0 +1,306 @@
+"""The whole graph for a campaign: composed in one process, or each node a process.
+
+Both start the same node classes on a ROS domain of their own, with discovery on this machine
+only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter
+
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.pacing.timing import AT_ONCE, Timing
+from taxinet_ros.core.user_code import is_node_elsewhere, node_command
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.node_process import NodeProcess, command_processes, end_all
+from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
+from taxinet_ros.nodes.lockstep.sampler import ScenarioSampler
+from taxinet_ros.nodes.mtl_monitor import MtlMonitor
+from taxinet_ros.nodes.names import perception_executable
+from taxinet_ros.nodes.recorder import Recorder
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.nodes.simulator import Simulator
+from taxinet_ros.nodes.steering_controller import SteeringController
+from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+
+NodeClass = type[Any]
+OnResult = Callable[[RunRequest, RunResult], bool]
+_POLL_S = 0.1
+_PERCEPTIONS: dict[str, NodeClass] = {
+    'ground_truth_perception': GroundTruthPerception, 'taxinet_perception': TaxinetPerception,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphOptions:
+    """What a graph is made of.
+
+    Attributes:
+        perception: ``truth``, ``taxinet``, a network's file, ``FILE.py:NAME``, or a word of
+            :mod:`taxinet_ros.core.user_code`.
+        out: folder that takes one bag folder per run.
+        make_out: whether that is made where it is missing. A campaign has made its own, so if it is
+            missing then it was moved or deleted, and nothing is to be begun in its place.
+        images: runs whose camera frames go into the bags: ``all``, ``failures`` or ``none``.
+        gains: steering gains that differ from the law's defaults, by parameter name.
+        timeouts: the simulator's ``answer_timeout`` and ``ready_timeout`` [s], where not default.
+        patience: the sampler's ``server_timeout`` and ``silence_timeout`` [s], likewise.
+        controller: ``steering``, ``FILE.py:NAME``, or a word of node_words.
+        controller_sha256: what the controller's file has to be, with those that it lists, so that
+            one that changes amid a campaign is not mixed in; '' where it may be any.
+        alone: whether runs are asked for by this process alone, so that no other is recorded.
+        timing: when answers take effect.
+    """
+
+    perception: str
+    out: Path
+    make_out: bool = True
+    images: str = 'all'
+    gains: Mapping[str, float] = field(default_factory=dict)
+    timeouts: Mapping[str, float] = field(default_factory=dict)
+    patience: Mapping[str, float] = field(default_factory=dict)
+    controller: str = STEERING
+    controller_sha256: str = ''
+    alone: bool = True
+    timing: Timing = AT_ONCE
+
+    def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
+        """Class and parameters of every node of ours but the sampler, by node name."""
+        executable, parameters = perception_executable(self.perception)
+        perception = (_PERCEPTIONS[executable], parameters)
+        steering = {} if self.controller == STEERING else {
+            'controller': self.controller, 'controller_sha256': self.controller_sha256,
+        }
+        every: dict[str, tuple[NodeClass, dict[str, Any]]] = {
+            interface.SIMULATOR: (Simulator, {**self.timeouts, **self._simulator()}),
+            interface.PERCEPTION: perception,
+            interface.STEERING_CONTROLLER: (SteeringController, {**self.gains, **steering}),
+            interface.MTL_MONITOR: (MtlMonitor, {}),
+            interface.RECORDER: (Recorder, {
+                'out': str(self.out), 'make_out': self.make_out, 'images': self.images,
+                'alone': self.alone,
+            }),
+        }
+        return {name: node for name, node in every.items() if name not in self.elsewhere}
+
+    def _simulator(self) -> dict[str, Any]:
+        if self.timing.free:
+            return {'lockstep': False, 'real_time_factor': self.timing.factor}
+        return {'latency': self.timing.latency} if self.timing.laws else {}
+
+    @property
+    def elsewhere(self) -> dict[str, str]:
+        """Words of :mod:`taxinet_ros.core.user_code`, by the name of the node they stand for."""
+        words = {
+            interface.PERCEPTION: self.perception, interface.STEERING_CONTROLLER: self.controller,
+        }
+        return {name: word for name, word in words.items() if is_node_elsewhere(word)}
+
+    def commands(self) -> dict[str, list[str]]:
+        """Program and arguments of every node that somebody's command is, by node name.
+
+        The node is given the name that the graph knows it by.
+        """
+        found = {name: node_command(word, name) for name, word in self.elsewhere.items()}
+        return {name: words for name, words in found.items() if words}
+
+
+def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
+    """What the graphs of a campaign are made of.
+
+    Args:
+        campaign: whose folder is there.
+        controller_sha256: of its controller, as it is on record.
+    """
+    return GraphOptions(
+        perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
+        gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
+        timing=campaign.timing,
+    )
+
+
+class Graph(Protocol):
+    """A running graph that answers requests."""
+
+    @property
+    def domain(self) -> int:
+        """The ROS domain id that it has for itself."""
+
+    def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
+        """Run the requests one after the other until they end or ``on_result`` says False."""
+
+    def interrupt(self) -> None:
+        """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
+
+    def give_up(self) -> bool:
+        """Have :meth:`run` raise KeyboardInterrupt now; False where it does not run."""
+
+
+@contextlib.contextmanager
+def composed_graph(
+    options: GraphOptions, executor: Callable[..., Any] = EventsExecutor
+) -> Iterator[SampledGraph]:
+    """Every node in this process, on one executor; they still talk only over topics.
+
+    ``executor`` makes another one, from the keyword ``context``.
+    """
+    with (
+        own_domain() as domain,
+        command_processes(options.commands(), domain, options.out / 'logs') as children,
+    ):
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        graph = SampledGraph(context, executor, options.patience, children)
+        try:
+            for node, parameters in options.nodes().values():
+                graph.add(node(context=context, parameter_overrides=_overrides(parameters)))
+            yield graph
+        finally:
+            graph.close()
+            rclpy.try_shutdown(context=context)
+
+
+def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in parameters.items()]
+
+
+class SampledGraph:
+    """A graph with a sampler in this process, beside whatever other nodes are added to it."""
+
+    def __init__(
+        self, context: Context, executor: Callable[..., Any] = EventsExecutor,
+        patience: Mapping[str, float] = MappingProxyType({}),
+        children: Sequence[NodeProcess] = (),
+    ) -> None:
+        """Spin on a context.
+
+        Args:
+            context: the caller's to shut down.
+            executor: makes one, from the keyword ``context``.
+            patience: parameters of the sampler.
+            children: processes that are nodes of the graph: where one dies, its run ends.
+        """
+        self.children = children
+        self._context = context
+        self._patience = patience
+        self._interrupted = False
+        self._executor = executor(context=context)
+        self.nodes: list[Any] = []
+        self._sampler: ScenarioSampler | None = None
+
+    @property
+    def domain(self) -> int:
+        """See :class:`Graph`."""
+        return int(self._context.get_domain_id())
+
+    @property
+    def seq(self) -> int:
+        """The control step that the run at hand has reached, as far as the sampler has heard."""
+        return self._sampler.seq if self._sampler is not None else -1
+
+    def add(self, node: Any) -> None:
+        """Spin a node too, and close it with the graph."""
+        self.nodes.append(node)
+        self._executor.add_node(node)
+
+    def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
+        """See :class:`Graph`."""
+        overrides = _overrides(self._patience)
+        sampler = ScenarioSampler(context=self._context, parameter_overrides=overrides)
+        self._sampler = sampler
+        sampler.one_simulator = True
+        if self._interrupted:
+            sampler.interrupt()
+        if self.children:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            sampler.create_timer(_POLL_S, functools.partial(self._watch, sampler), clock=steady)
+        self.add(sampler)
+        finished = sampler.start(self._executor, requests, on_result)
+        spin_until(self._executor, finished)
+
+    def interrupt(self) -> None:
+        """See :class:`Graph`."""
+        self._interrupted = True
+        if self._sampler is not None:
+            self._sampler.interrupt()
+
+    def give_up(self) -> bool:
+        """See :class:`Graph`."""
+        return self._sampler is not None and self._sampler.give_up()
+
+    def _watch(self, sampler: ScenarioSampler) -> None:
+        for child in self.children:
+            if not child.dead:
+                continue
+            if child.ours and child.process.returncode == 2:
+                raise UsageError(child.complaint())
+            sampler.mourn(child.name, child.obituary())
+
+    def close(self) -> None:
+        """Take every node out of the graph."""
+        for node in reversed(self.nodes):
+            node.close()
+            self._executor.remove_node(node)
+            node.destroy_node()
+        self._executor.shutdown()
+
+
+@contextlib.contextmanager
+def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
+    """Every node but the sampler as a process of its own; ``logs`` takes what they print."""
+    with own_domain() as domain, node_processes(options, domain, logs) as children:
+        context = Context()
+        rclpy.init(context=context, domain_id=domain)
+        graph = SampledGraph(context, patience=options.patience, children=children)
+        try:
+            yield graph
+        finally:
+            graph.close()
+            rclpy.try_shutdown(context=context)
+
+
+@contextlib.contextmanager
+def node_processes(
+    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = ()
+) -> Iterator[list[NodeProcess]]:
+    """Start every node of a graph but the sampler; none of them outlasts the ``with``.
+
+    Args:
+        options: what the graph is made of.
+        domain: ROS domain that the nodes join.
+        logs: folder that takes what each of them prints.
+        without: names of nodes to leave out.
+    """
+    logs.mkdir(parents=True, exist_ok=True)
+    children: list[NodeProcess] = []
+    with (
+        tempfile.TemporaryDirectory(prefix='taxinet-') as scratch,
+        command_processes(options.commands(), domain, logs) as of_others,
+    ):
+        try:
+            for name, (kind, parameters) in options.nodes().items():
+                if name not in without:
+                    children.append(NodeProcess.of_ours(
+                        name, kind, parameters, domain=domain, log=logs / f'{name}.log',
+                        scratch=Path(scratch),
+                    ))
+            yield [*children, *of_others]
+        finally:
+            end_all(children)

@@ -1,0 +1,512 @@
+"""The node that supervises a graph of processes: waits for it, restarts nodes, or ends it.
+
+Beside it: what is known of each supervised node, and what is heard of the graph's runs.
+"""
+
+from __future__ import annotations
+
+import collections
+import enum
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import psutil
+from rcl_interfaces.srv import GetParameters
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from taxinet_msgs.msg import NodeStatus, RunStatus
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.node_process import NodeProcess
+from taxinet_ros.nodes.lockstep.endpoints import End, ends_of, missing_nodes
+from taxinet_ros.nodes.lockstep.observer import AT_LEISURE
+from taxinet_ros.nodes.messages.convert import death_notice, lost_run_status
+from taxinet_ros.nodes.running.domain import another_graph, clock_keepers
+
+_ASK_PERIOD_S = 1.0
+_MOST_QUESTIONS = 60
+
+
+class State(enum.StrEnum):
+    """How a node stands, outside of a run too."""
+
+    STARTING = 'starting'
+    READY = 'ready'
+    SILENT = 'silent'
+    DEAD = 'dead'
+
+
+class RestartLimit:
+    """So many new starts within so long a time, and no more."""
+
+    def __init__(self, times: int, window_s: float) -> None:
+        """Allow ``times`` starts, 0 for none, within any ``window_s`` [s]."""
+        self.times, self.window_s = times, window_s
+        self._starts: collections.deque[float] = collections.deque()
+
+    def spend(self, now_s: float) -> int:
+        """Ask for one more start at a time of the monotonic clock [s].
+
+        Returns:
+            Which of the allowed ones it is, from 1; 0 if there is none left.
+        """
+        while self._starts and now_s - self._starts[0] > self.window_s:
+            self._starts.popleft()
+        if len(self._starts) >= self.times:
+            return 0
+        self._starts.append(now_s)
+        return len(self._starts)
+
+
+class Pulse:
+    """Whether a node answers: a node that hangs or is stopped does not say so, run or no run.
+
+    Asks for no parameter at all, once a second, which the node's executor has to answer.
+
+    Attributes:
+        heard_s: when it last answered, by the monotonic clock [s].
+        answered: whether it ever has since its process was started.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        """Ask from ``node`` about the node ``name``."""
+        self._client = node.create_client(GetParameters, f'{name}/get_parameters')
+        self._questions: collections.deque[Future] = collections.deque()
+        self.heard_s = self._asked_s = 0.0
+        self.answered = False
+
+    def begin(self, now_s: float) -> None:
+        """Its process starts now: nothing that was asked before will be answered."""
+        while self._questions:
+            self._forget()
+        self.answered = False
+        self.heard_s = now_s
+
+    def ask(self, now_s: float) -> None:
+        """Ask, where it is time to."""
+        if now_s - self._asked_s < _ASK_PERIOD_S or not self._client.service_is_ready():
+            return
+        if len(self._questions) >= _MOST_QUESTIONS:
+            self._forget()
+        self._asked_s = now_s
+        question = self._client.call_async(GetParameters.Request())
+        question.add_done_callback(self._hear)
+        self._questions.append(question)
+
+    def _hear(self, question: Future) -> None:
+        if not question.cancelled():
+            self._questions.remove(question)
+            self.heard_s, self.answered = time.monotonic(), True
+
+    def _forget(self) -> None:
+        self._client.remove_pending_request(self._questions.popleft())
+
+
+@dataclass(kw_only=True)
+class WatchedNode:
+    """A node, its process, and what was seen of it.
+
+    Attributes:
+        process: the node's process.
+        pulse: whether it answers.
+        limit: how often it may be started anew.
+        state: how it stands.
+        since_s: when it came into its state, by the monotonic clock [s].
+        started_s: when its process started, likewise.
+        restarts: number of new starts so far.
+        gone: ends of its dead processes, which linger in the graph for a while.
+    """
+
+    process: NodeProcess
+    pulse: Pulse
+    limit: RestartLimit
+    state: State = State.STARTING
+    since_s: float = 0.0
+    started_s: float = 0.0
+    restarts: int = 0
+    gone: set[End] = field(default_factory=set)
+
+    @property
+    def name(self) -> str:
+        """The node's name."""
+        return self.process.name
+
+    def become(self, state: State, now_s: float) -> None:
+        """Change its state."""
+        self.state, self.since_s = state, now_s
+
+    def begin(self, now_s: float) -> None:
+        """Its process was started."""
+        self.started_s = now_s
+        self.pulse.begin(now_s)
+        self.become(State.STARTING, now_s)
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether a process stands still by a signal, or in a debugger."""
+    try:
+        return psutil.Process(pid).status() in (psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP)
+    except psutil.Error:
+        return False
+
+
+def memory_mb(pid: int) -> float | None:
+    """Memory that a process has for itself and shares, RSS [MB]; None where it cannot be known."""
+    try:
+        return float(psutil.Process(pid).memory_info().rss / 1e6)
+    except psutil.Error:
+        return None
+
+
+_CANCEL = interface.RUN_SCENARIO_TYPE.Impl.CancelGoalService
+
+
+class RunWatch:
+    """Follows the runs of a graph, tells it of a death, and can have the run at hand ended.
+
+    Listens only to what is latched and to the action's feedback: no node counts such ears.
+
+    Attributes:
+        run_id: the run at hand, or ''.
+        running: whether it has begun.
+        seq: the control step that it has reached.
+        heard_s: when the simulator was heard last, by the monotonic clock [s].
+        last_run: the run that ended last, or ''.
+        outcomes: how many runs ended how.
+    """
+
+    def __init__(self, node: Node, say: Callable[[str], None]) -> None:
+        """Listen and speak through ``node``; ``say`` takes a line when a run has ended."""
+        self._say = say
+        self._node = node
+        self._deaths: dict[str, tuple[str, set[End]]] = {}
+        self._told: set[tuple[str, str]] = set()
+        self.run_id = self.last_run = ''
+        self.running = self.closed = False
+        self.seq = 0
+        self.heard_s = 0.0
+        self.outcomes: collections.Counter[str] = collections.Counter()
+        status, run_status = interface.NODE_STATUS, interface.RUN_STATUS
+        node.create_subscription(RunStatus, run_status.name, self._on_run, run_status.qos)
+        node.create_subscription(NodeStatus, status.name, self._on_status, status.qos)
+        node.create_subscription(
+            interface.RUN_SCENARIO_TYPE.Impl.FeedbackMessage,
+            f'{interface.RUN_SCENARIO}/_action/feedback', self._on_feedback, AT_LEISURE,
+        )
+        obituaries = interface.OBITUARY
+        node.create_subscription(NodeStatus, obituaries.name, self._on_obituary, obituaries.qos)
+        self._obituaries = node.create_publisher(NodeStatus, obituaries.name, obituaries.qos)
+        self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
+
+    def mourn(self, name: str, detail: str) -> None:
+        """A node's process is dead: have the run at hand end at once, with the reason.
+
+        A run is at hand as soon as one is begun, though it may be heard of only after the death.
+        """
+        self._deaths[name] = detail, self._in_graph()
+        if self.run_id:
+            self._tell(name, detail)
+
+    def _tell(self, name: str, detail: str) -> None:
+        if (self.run_id, name) not in self._told:
+            self._told.add((self.run_id, name))
+            self._obituaries.publish(death_notice(self.run_id, name, detail, seq=self.seq))
+
+    def interrupt(self) -> bool:
+        """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.
+
+        An empty request means all goals, by the definition of the action's cancel service.
+        """
+        if not self.run_id or not self._cancel.service_is_ready():
+            return False
+        self._cancel.call_async(_CANCEL.Request())
+        return True
+
+    def _follow(self, run_id: str, *, running: bool) -> None:
+        """A run is heard of: it is told of deaths that are none of the past for it.
+
+        Since a death nobody new has come to the graph: then a run of the dead simulator is at hand,
+        or one that had begun with the dead node among those who were ready.
+        """
+        self.run_id = run_id
+        for name, (detail, others) in self._deaths.items():
+            if (running or name == interface.SIMULATOR) and self._in_graph() <= others:
+                self._tell(name, detail)
+
+    def _in_graph(self) -> set[End]:
+        """Ends by which the simulator and the nodes of the lockstep speak of runs."""
+        return {
+            tuple(end.endpoint_gid) for topic in (interface.RUN_STATUS, interface.NODE_STATUS)
+            for end in self._node.get_publishers_info_by_topic(topic.name)
+        }
+
+    def _on_run(self, status: RunStatus) -> None:
+        if status.state != RunStatus.ENDED:
+            self.running = status.state == RunStatus.RUNNING
+            self.seq, self.closed = status.seq, False
+            self._follow(status.run_id, running=self.running)
+        else:
+            self._end(status)
+
+    def _end(self, status: RunStatus) -> None:
+        if status.run_id == self.run_id:
+            self.run_id, self.last_run, self.running = '', status.run_id, False
+            self.outcomes[str(status.outcome)] += 1
+            words = [str(status.outcome), status.kind, status.who, status.detail]
+            self._say(f'run {status.run_id}: {" ".join(word for word in words if word)}')
+
+    def _on_obituary(self, notice: NodeStatus) -> None:
+        if notice.node == interface.SIMULATOR:
+            self._end(lost_run_status(notice))
+
+    def _on_status(self, status: NodeStatus) -> None:
+        # What the simulator said of the run may have been lost with it: others are ready for it.
+        if status.state == NodeStatus.READY and not self.run_id and status.run_id != self.last_run:
+            self._follow(status.run_id, running=False)
+        if status.state == NodeStatus.DONE and status.run_id in (self.run_id, self.last_run):
+            self.closed = True
+
+    def _on_feedback(self, message: Any) -> None:
+        self.heard_s = time.monotonic()
+        if self.run_id:
+            self.seq = message.feedback.seq
+
+
+_TICK_S = 0.1
+_KILL_AFTER = 3.0
+"""A node that is silent so many times the allowed time is taken for dead."""
+_END_OF_RUN_S, _END_HEARD_S = 5.0, 20.0
+"""How long the end of a run is awaited: of a silent simulator, and of one that is heard still."""
+_HEARD_S = 1.0
+
+
+class Restart(enum.StrEnum):
+    """What becomes of a node that ended without being asked to."""
+
+    NEVER = 'never'
+    ON_FAILURE = 'on-failure'
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupervisionOptions:
+    """How a graph is looked after.
+
+    Attributes:
+        restart: what becomes of a node that died.
+        limit: most new starts of a node within ``window_s``.
+        window_s: see ``limit`` [s].
+        ready_s: longest time until the graph is whole [s].
+        silent_s: silence after which a node is named [s]; after three times that it is killed,
+            where dead nodes are started anew.
+    """
+
+    restart: Restart = Restart.ON_FAILURE
+    limit: int = 3
+    window_s: float = 60.0
+    ready_s: float = 30.0
+    silent_s: float = 10.0
+
+
+class GraphLostError(Exception):
+    """The graph cannot go on. The message is one line."""
+
+
+class Supervisor(Node):
+    """Looks after processes that are nodes of one graph.
+
+    Attributes:
+        nodes: what is known of each node.
+        runs: what is heard of the runs.
+        ready: whether the whole graph has been there.
+        ended: done when there is nothing left to look after; raises :class:`GraphLostError`, or
+            :class:`UsageError` for a mistake of the user's.
+    """
+
+    def __init__(
+        self,
+        processes: list[NodeProcess],
+        care: SupervisionOptions,
+        say: Callable[[str], None],
+        **node: Any,
+    ) -> None:
+        """Begin to watch.
+
+        Args:
+            processes: that were started just now.
+            care: how to look after them.
+            say: takes a line about whatever happens.
+            node: goes to :class:`rclpy.node.Node`.
+        """
+        super().__init__(interface.SUPERVISOR, start_parameter_services=False, **node)
+        times = care.limit if care.restart is Restart.ON_FAILURE else 0
+        self.nodes = [
+            WatchedNode(
+                process=process, pulse=Pulse(self, process.name),
+                limit=RestartLimit(times, care.window_s),
+            )
+            for process in processes
+        ]
+        self._names = [watched.name for watched in self.nodes]
+        self._care, self._say = care, say
+        self.runs = RunWatch(self, say)
+        self.ready = False
+        self.ended = Future()
+        self._end_by_s: float | None = None
+        self._strangers: list[str] = []
+        now_s = time.monotonic()
+        for watched in self.nodes:
+            watched.begin(now_s)
+        self.create_timer(_TICK_S, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def stop(self) -> None:
+        """End the run at hand in order, if there is one, and then ``ended`` is done."""
+        self._end_by_s = time.monotonic() + (_END_OF_RUN_S if self.runs.interrupt() else 0.0)
+
+    def close(self) -> None:
+        """Nothing is lost with this node."""
+
+    def _tick(self) -> None:
+        if self.ended.done():
+            return
+        try:
+            self._look(time.monotonic())
+        except (GraphLostError, UsageError) as error:
+            self.ended.set_exception(error)
+
+    def _look(self, now_s: float) -> None:
+        if self._end_by_s is not None:
+            self._see_run_end(self._end_by_s, now_s)
+            return
+        for watched in self.nodes:
+            if watched.process.dead:
+                self._bury(watched, now_s)
+            elif watched.state is not State.STARTING:
+                self._feel(watched, now_s)
+            else:
+                watched.pulse.ask(now_s)
+        self._look_for_strangers()
+        if any(watched.state is State.STARTING for watched in self.nodes):
+            self._wait(now_s)
+
+    # Getting ready ---------------------------------------------------------------------------
+
+    def _wait(self, now_s: float) -> None:
+        """See which of the nodes that have been started are all there."""
+        why = missing_nodes(self, self._names, self._gone())
+        for watched in self.nodes:
+            if watched.state is not State.STARTING:
+                continue
+            if watched.name not in why and watched.pulse.answered:
+                watched.become(State.READY, now_s)
+                if self.ready:
+                    self._say(f'{watched.name} is ready again')
+        late = [
+            watched for watched in self.nodes
+            if watched.state is State.STARTING and now_s - watched.started_s > self._care.ready_s
+        ]
+        if late:
+            words = '; '.join(f'{w.name} {why.get(w.name, "does not answer")}' for w in late)
+            limit = f'not ready within {self._care.ready_s:g} s'
+            raise GraphLostError(f'{limit}: {words}; {_logs(late)}')
+        if not self.ready and all(watched.state is State.READY for watched in self.nodes):
+            self.ready = True
+            self._say(f'ready: {", ".join(self._names)}')
+
+    def _gone(self) -> set[End]:
+        """Ends of all processes that died."""
+        return {end for watched in self.nodes for end in watched.gone}
+
+    def _look_for_strangers(self) -> None:
+        """Somebody else's clock would drive every node that goes by simulated time."""
+        keepers = clock_keepers(self)
+        gone = self._gone()
+        own = f'{self.get_namespace().rstrip("/")}/{interface.SIMULATOR}'
+        strangers = [name for name in keepers if name != own]
+        live = [
+            end for end in self.get_publishers_info_by_topic(interface.CLOCK.name)
+            if tuple(end.endpoint_gid) not in gone
+        ]
+        # What a simulator that died early leaves behind may be found later than its death.
+        if not strangers and len(live) > 1 and not any(watched.restarts for watched in self.nodes):
+            strangers = [f'another {own}']
+        if strangers == self._strangers:
+            return
+        self._strangers = strangers
+        if strangers and not self.ready:
+            raise UsageError(another_graph(self.context.get_domain_id(), strangers))
+        if strangers:
+            self._say(f'{" and ".join(strangers)} publishes /clock too: runs may break')
+
+    # Death and silence -----------------------------------------------------------------------
+
+    def _bury(self, watched: WatchedNode, now_s: float) -> None:
+        """Name the dead, have its run ended, and start it anew if that is allowed."""
+        if watched.state is State.DEAD:
+            return
+        detail = watched.process.obituary()
+        watched.become(State.DEAD, now_s)
+        if watched.process.ours and watched.process.process.returncode == 2:
+            raise UsageError(watched.process.complaint())
+        self.runs.mourn(watched.name, detail)
+        number = watched.limit.spend(now_s)
+        if not number:
+            raise GraphLostError(self._too_often(watched, detail))
+        self._say(
+            f'{watched.name} died: {detail}; started again '
+            f'({number} of {self._care.limit} in {self._care.window_s:g} s)'
+        )
+        watched.gone |= ends_of(self, watched.name)
+        watched.process.start()
+        watched.restarts += 1
+        watched.begin(now_s)
+
+    def _too_often(self, watched: WatchedNode, detail: str) -> str:
+        words = f'{watched.name} died: {detail}'
+        if self._care.restart is Restart.ON_FAILURE:
+            words += f'; it has died {self._care.limit + 1} times in {self._care.window_s:g} s'
+        return f'{words}; {_logs([watched])}'
+
+    def _feel(self, watched: WatchedNode, now_s: float) -> None:
+        """Name a node that does not answer, and one that answers again."""
+        watched.pulse.ask(now_s)
+        silence_s = now_s - watched.pulse.heard_s
+        if silence_s <= self._care.silent_s:
+            if watched.state is State.SILENT:
+                self._say(f'{watched.name} answers again')
+                watched.become(State.READY, now_s)
+        elif watched.state is not State.SILENT:
+            watched.become(State.SILENT, now_s)
+            self._say(f'{watched.name} is silent: {self._why_silent(watched)}')
+        elif (
+            self._care.restart is Restart.ON_FAILURE
+            and silence_s > _KILL_AFTER * self._care.silent_s
+        ):
+            self._say(f'{watched.name} is killed: silent for {silence_s:.0f} s')
+            watched.process.kill()
+
+    def _why_silent(self, watched: WatchedNode) -> str:
+        pid = watched.process.process.pid
+        if is_stopped(pid):
+            return f'its process is stopped; kill -CONT {pid} wakes it'
+        return f'no answer for {self._care.silent_s:g} s'
+
+    # The end ---------------------------------------------------------------------------------
+
+    def _see_run_end(self, end_by_s: float, now_s: float) -> None:
+        """Leave when the run at hand has ended, and its bag is closed."""
+        over = bool(self.runs.last_run) and not self.runs.run_id
+        if over and (self.runs.closed or interface.RECORDER not in self._names):
+            self.ended.set_result(None)  # the simulator waits until its answer is out
+            return
+        # On a busy machine a step may take its time; a simulator that is heard has not forgotten.
+        busy = bool(self.runs.run_id) and now_s - self.runs.heard_s < _HEARD_S
+        if now_s >= end_by_s + (_END_HEARD_S - _END_OF_RUN_S if busy else 0.0):
+            self.ended.set_result(None)
+
+
+def _logs(nodes: list[WatchedNode]) -> str:
+    return f'see {", ".join(str(watched.process.log) for watched in nodes)}'

@@ -1,0 +1,174 @@
+"""A worker of a search: one composed graph in a process of its own, for many runs.
+
+Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which says what goes over
+the pipes. It ends with its parent, however that ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taxinet_ros.processes.child import die_with_parent
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.outcome import RunRequest, RunResult
+    from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph
+
+_BEAT_S = 1.0
+
+
+def worker_command(options: GraphOptions) -> list[str]:
+    """What starts a worker with a graph."""
+    return [
+        # -P: a module in the user's folder must not stand in for one of ours.
+        sys.executable, '-P', '-m', 'taxinet_ros.nodes.graph.worker',
+        f'--perception={options.perception}', f'--out={options.out}',
+        f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
+        f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
+        f'--timing={options.timing.words}',
+    ]
+
+
+class _Inbox:
+    """What the parent asks for, read in a thread so that an interrupt is heard amid a run."""
+
+    def __init__(self) -> None:
+        self._requests: queue.SimpleQueue[RunRequest | None] = queue.SimpleQueue()
+        self._interrupted = False
+        self.graph: SampledGraph | None = None
+
+    def listen(self) -> None:
+        """Read until the parent hangs up."""
+        from taxinet_ros.campaign.worker_pool import request_from_json
+
+        # Unbuffered: the lock of a buffer would be held for ever by a thread that is not joined.
+        for line in io.FileIO(sys.stdin.fileno(), closefd=False):
+            message = json.loads(line)
+            if 'run' in message:
+                self._requests.put(request_from_json(message['run']))
+            else:
+                self._interrupt()
+        self._requests.put(None)
+
+    def requests(self) -> Iterator[RunRequest]:
+        """The runs, as they come, until there are no more."""
+        while not self._interrupted and (request := self._requests.get()) is not None:
+            yield request
+
+    def _interrupt(self) -> None:
+        self._interrupted = True
+        self._requests.put(None)
+        if self.graph is not None:
+            self.graph.interrupt()
+
+
+class _Outbox:
+    """Lines to the parent, whole ones, from several threads."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._lock = threading.Lock()
+
+    def say(self, **message: Any) -> None:
+        """Send one line."""
+        from taxinet_ros.campaign.worker_pool import encode_line
+
+        with self._lock:
+            os.write(self._fd, encode_line(message))
+
+    def answer(self, request: RunRequest, result: RunResult) -> bool:
+        """Send a result; the parent decides what becomes of this graph."""
+        from taxinet_ros.campaign.worker_pool import result_to_json
+
+        self.say(result=result_to_json(result))
+        return True
+
+    def beat(self, graph: SampledGraph, end: threading.Event) -> None:
+        """Tell how far the run has come, every now and then; silence means that it hangs."""
+        told = -1
+        while not end.wait(_BEAT_S):
+            if graph.seq != told:
+                told = graph.seq
+                self.say(seq=told)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Work until there is no more to do.
+
+    Returns:
+        Exit code: 0, or 2 after a mistake of the user's.
+    """
+    arguments = _arguments(words)
+    _end_with(arguments.parent)
+    # Only now what takes seconds to import: a parent that dies meanwhile ends this process.
+    from taxinet_ros.core.pacing.timing import parse_timing
+    from taxinet_ros.errors import UsageError
+    from taxinet_ros.nodes.graph.runner import GraphOptions
+
+    options = GraphOptions(
+        perception=arguments.perception, out=arguments.out, make_out=False,
+        images=arguments.images, gains=json.loads(arguments.gains),
+        controller=arguments.controller, controller_sha256=arguments.controller_sha256,
+        timing=parse_timing(arguments.timing),
+    )
+    outbox = _Outbox(arguments.answers)
+    try:
+        _work(options, outbox)
+    except UsageError as error:
+        outbox.say(error=str(error))
+        return 2
+    return 0
+
+
+def _work(options: GraphOptions, outbox: _Outbox) -> None:
+    import cv2
+
+    from taxinet_ros.nodes.graph.runner import composed_graph
+
+    cv2.setNumThreads(1)  # the workers share the cores among themselves
+    inbox, end = _Inbox(), threading.Event()
+    threading.Thread(target=inbox.listen, daemon=True).start()
+    with composed_graph(options) as graph:
+        inbox.graph = graph
+        beat = threading.Thread(target=outbox.beat, args=(graph, end), daemon=True)
+        beat.start()
+        try:
+            graph.run(inbox.requests(), outbox.answer)
+        finally:
+            end.set()
+            beat.join()
+
+
+def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument('--parent', type=int, required=True)
+    parser.add_argument('--answers', type=int, required=True)
+    parser.add_argument('--perception', required=True)
+    parser.add_argument('--out', type=Path, required=True)
+    parser.add_argument('--images', required=True)
+    parser.add_argument('--gains', required=True)
+    parser.add_argument('--controller', required=True)
+    parser.add_argument('--controller-sha256', default='')
+    parser.add_argument('--timing', default='')
+    return parser.parse_args(words)
+
+
+def _end_with(parent: int) -> None:
+    """Have Linux kill this process when its parent goes away, however it goes."""
+    die_with_parent(signal.SIGKILL)
+    if os.getppid() != parent:
+        sys.exit('the parent is gone')
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The monitor of any topics: its options, inputs and outputs."""

@@ -1,0 +1,409 @@
+"""The MTL monitor on any numeric fields of any robot's topics: no simulator, no lockstep.
+
+``ros2 run taxinet_ros mtl_monitor`` is this node where parameters are given, and the
+participant of the lockstep where none are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from taxinet_ros.core.mtl import Assumptions, Spec, parse_assumptions, parse_spec
+from taxinet_ros.core.mtl.lint import check_windows
+from taxinet_ros.core.mtl.live.sample_hold import Sample, SampleHold
+from taxinet_ros.core.mtl.live.signal_source import SignalSource, parse_signals
+from taxinet_ros.core.mtl.live.stretch import Level, Stretch, standing_level, standing_line
+from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.live_monitor import outputs
+from taxinet_ros.nodes.live_monitor.topic_reader import Readings, TopicReader
+from taxinet_ros.nodes.messages.convert import header
+from taxinet_ros.nodes.running.parameters import Parameter, declare_all, refuse_unknown
+
+LIVE_PARAMETERS = (
+    Parameter(
+        name='signals', default=[''], takes='NAME[unit]=/topic:field.path*factor each',
+        description='where the signals come from, one for each that formulas read',
+    ),
+    Parameter(
+        name='specs', default=[''], takes='NAME=FORMULA over the signals each',
+        description='the requirements',
+    ),
+    Parameter(
+        name='bounds', default=[''], takes='SIGNAL=LOW:HIGH each',
+        description='vouched for: bounds of signals',
+    ),
+    Parameter(
+        name='rates', default=[''], takes='SIGNAL=CHANGE per second each',
+        description='vouched for: how fast signals change',
+    ),
+    Parameter(
+        name='sampled_on', default='', takes='a signal, or empty for the first',
+        description='signal whose messages make samples',
+    ),
+    Parameter(
+        name='period', default=0.0, limits=(0.0, 1e6),
+        description='sample on a grid instead [s]; 0: do not',
+    ),
+    Parameter(
+        name='max_age', default=1.0, limits=(0.0, 1e6),
+        description='older values, and longer times without a sample, are not judged [s]; 0: any '
+        'age',
+    ),
+    Parameter(
+        name='horizon', default=0.0, limits=(0.0, 1e9),
+        description='length of what is judged, from the first sample on [s]; 0: no end',
+    ),
+    Parameter(
+        name='repeat', default=False, description='begin anew where the horizon is reached',
+    ),
+    Parameter(
+        name='time_source', default='header', words=('header', 'clock'),
+        description="whose time a sample has: the messages' stamps where they have any, or the "
+        'clock',
+    ),
+)
+"""Parameters of the monitor on its own; with none of them it is the one of a graph."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveMonitorOptions:
+    """What the node is told, checked.
+
+    Attributes:
+        sources: where the signals come from.
+        specs: the formulas.
+        assumptions: what is vouched for of the signals.
+        sampled_on: signal whose messages each make a sample, or '' on a grid.
+        period_ns: step of the grid [ns], or 0.
+        max_age_ns: greatest age of a held value, and longest time between samples [ns]; 0: any.
+        horizon_ns: length of a stretch [ns]; 0: it has no end.
+        repeat: whether a stretch begins where one ended.
+        by_clock: whether to ignore the headers' stamps.
+    """
+
+    sources: tuple[SignalSource, ...]
+    specs: tuple[Spec, ...]
+    assumptions: Assumptions
+    sampled_on: str
+    period_ns: int
+    max_age_ns: int
+    horizon_ns: int
+    repeat: bool
+    by_clock: bool
+
+
+def declared_options(node: Node) -> LiveMonitorOptions:
+    """Declare the parameters of a node, and check what was given.
+
+    Raises:
+        UsageError: a parameter is unknown, missing or wrong.
+    """
+    given = declare_all(node, LIVE_PARAMETERS)
+    refuse_unknown(node)
+    horizon_ns = round(given['horizon'] * NS_PER_S)
+    try:
+        found = parse_signals(given['signals'])
+        names = {source.name: source.unit for source in found}
+        return LiveMonitorOptions(
+            sources=found,
+            specs=_parse_specs(given['specs'], names, horizon_ns),
+            assumptions=_parse_assumptions(given['bounds'], given['rates'], list(names)),
+            sampled_on=_sampler(given['sampled_on'], given['period'], found),
+            period_ns=round(given['period'] * NS_PER_S),
+            max_age_ns=round(given['max_age'] * NS_PER_S),
+            horizon_ns=horizon_ns,
+            repeat=_repeats(given['repeat'], given['horizon']),
+            by_clock=given['time_source'] == 'clock',
+        )
+    except UsageError as error:
+        raise UsageError(f'{node.get_name()}: parameter {error}') from None
+
+
+def _parse_specs(
+    texts: Sequence[str], signals: Mapping[str, str], horizon_ns: int
+) -> tuple[Spec, ...]:
+    if not signals:
+        raise UsageError('signals: give one at least, e.g. cte=/robot/odom:pose.pose.position.y')
+    if not texts:
+        first = next(iter(signals))
+        raise UsageError(f'specs: give one at least, e.g. near=always(abs({first}) <= 1.5)')
+    try:
+        specs = tuple(parse_spec(text, signals=signals) for text in texts)
+        for spec in specs if horizon_ns else ():
+            check_windows(spec, horizon_ns)
+    except UsageError as error:
+        raise UsageError(f'specs: {error}') from None
+    names = [spec.name for spec in specs]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f'specs: {twice} is there twice')
+    return specs
+
+
+def _parse_assumptions(
+    bounds: Sequence[str], rates: Sequence[str], signals: Sequence[str]
+) -> Assumptions:
+    try:
+        return parse_assumptions(bounds, rates, signals)
+    except UsageError as error:
+        kind, _, rest = str(error).partition(' ')
+        raise UsageError(f'{kind}s: {rest}') from None
+
+
+def _sampler(sampled_on: str, period_s: float, sources: Sequence[SignalSource]) -> str:
+    names = [source.name for source in sources]
+    if sampled_on and period_s:
+        raise UsageError('sampled_on: with a period no signal makes the samples; give one of both')
+    if sampled_on and sampled_on not in names:
+        raise UsageError(f'sampled_on: {sampled_on!r} is no signal; known: {", ".join(names)}')
+    return '' if period_s else sampled_on or names[0]
+
+
+def _repeats(repeat: bool, horizon_s: float) -> bool:
+    if repeat and not horizon_s:
+        raise UsageError('repeat: needs a horizon > 0, after which to begin anew')
+    return repeat
+
+
+RESTART = 'monitor/restart'
+"""Service that ends the stretch and begins anew."""
+_LOOK_S = 0.1
+_TELL_S = 1.0
+_REMIND = 5
+"""Every how many diagnostics a line in the log repeats what is awaited."""
+
+
+class LiveMonitor(Node):
+    """Judges whatever is published, from the first sample of all signals on.
+
+    Attributes:
+        ended: done, with an exception, when the node cannot do what it was asked to.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node`.
+
+        Raises:
+            UsageError: a parameter is unknown, missing or wrong.
+        """
+        super().__init__(interface.MTL_MONITOR, **node)
+        self.ended: Future = Future()
+        self._options = declared_options(self)
+        self._speak = {
+            name: self.create_publisher(kind, topic, qos)
+            for name, (kind, topic, qos) in outputs.OUTPUTS.items()
+        }
+        self._readers = self._make_readers()
+        self._holder = self._make_holder()
+        self._clock_missing = False
+        self._stretch_number = 0
+        self._begin_stretch()
+        self._told = 0
+        self._last_sample_ns = self._steady_ns()
+        self.create_service(Trigger, RESTART, self._restart)
+        # The graph, and an operator who looks at it, live on wall time, whatever the robot's is.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._looking = self.create_timer(_LOOK_S, self._look, clock=steady)
+        self.create_timer(_TELL_S, self._tell_regularly, clock=steady)
+        for spec in self._options.specs:
+            self.get_logger().info(f'{spec.name}: {spec.text}')
+
+    def close(self) -> None:
+        """Nothing is lost: every change was published when it came."""
+
+    def _make_readers(self) -> dict[str, TopicReader]:
+        by_topic: dict[str, list[SignalSource]] = {}
+        for source in self._options.sources:
+            by_topic.setdefault(self._full_name(source), []).append(source)
+        return {
+            topic: TopicReader(self, topic, sources, self._arrive)
+            for topic, sources in by_topic.items()
+        }
+
+    def _full_name(self, source: SignalSource) -> str:
+        try:
+            return self.resolve_topic_name(source.topic)
+        except rclpy_implementation.RCLError as error:
+            # What follows is where in the C code it was noticed.
+            reason = str(error).split(', at /')[0]
+            raise UsageError(
+                f"{self.get_name()}: parameter signals: '{source}': {reason}"
+            ) from None
+
+    def _make_holder(self) -> SampleHold:
+        options = self._options
+        topics = {
+            source.name: topic for topic, reader in self._readers.items()
+            for source in reader.sources
+        }
+        return SampleHold(
+            topics, sampled_on=topics.get(options.sampled_on, ''), period_ns=options.period_ns,
+            max_age_ns=options.max_age_ns,
+        )
+
+    def _begin_stretch(self) -> None:
+        options = self._options
+        self._stretch_number += 1
+        self._run_id = f'stretch-{self._stretch_number}'
+        self._seq = -1
+        self._newest_ns = 0
+        # On a grid the samples are as regular as it is, and max_age is a matter of the values.
+        self._stretch = Stretch(
+            options.specs, horizon_ns=options.horizon_ns,
+            max_gap_ns=0 if options.period_ns else options.max_age_ns,
+            assumptions=options.assumptions,
+        )
+
+    def _look(self) -> None:
+        """Hear the topics that are there; once all are, say what is judged."""
+        if self.ended.done():
+            return
+        try:
+            heard = [reader.look() for reader in self._readers.values()]
+        except UsageError as error:
+            self._looking.cancel()
+            self.ended.set_exception(UsageError(f'{self.get_name()}: {error}'))
+            return
+        if all(heard) and not self._looking.is_canceled():
+            self._looking.cancel()
+            self._tell_specs()
+
+    def _tell_specs(self) -> None:
+        options = self._options
+        signals = [
+            {
+                'name': source.name, 'topic': topic, 'type': reader.type_name,
+                'field': str(source.path), 'factor': source.factor,
+            }
+            for topic, reader in self._readers.items() for source in reader.sources
+        ]
+        self._speak['specs'].publish(outputs.specs_message(
+            options.specs, signals, sampled_on=options.sampled_on,
+            period=options.period_ns / NS_PER_S, max_age=options.max_age_ns / NS_PER_S,
+            horizon=options.horizon_ns / NS_PER_S,
+            time_source='clock' if options.by_clock else 'header',
+        ))
+
+    def _arrive(self, topic: str, stamp_ns: int | None, readings: Readings) -> None:
+        if stamp_ns is None or self._options.by_clock:
+            stamp_ns = self.get_clock().now().nanoseconds
+            self._clock_missing = stamp_ns == 0  # use_sim_time, and nobody publishes /clock yet
+            if self._clock_missing:
+                return
+        for sample in self._holder.arrive(topic, stamp_ns, readings):
+            self._judge(sample)
+
+    def _judge(self, sample: Sample) -> None:
+        self._last_sample_ns = self._steady_ns()
+        if self._stretch.ended:
+            if not self._options.repeat:
+                return
+            self._begin_stretch()
+        beyond = self._stretch.beyond(sample.stamp_ns)
+        changed = self._stretch.push(sample)
+        self._seq += 1
+        self._newest_ns = sample.stamp_ns
+        results = self._results()
+        for result in results:
+            self._speak['robustness'].publish(result)
+        if any(changed) or self._seq == 0 or self._stretch.ended:
+            self._speak['verdict'].publish(outputs.verdict_message(results))
+            self._tell()
+            self._log(changed)
+        if beyond and self._options.repeat:
+            self._judge(sample)
+
+    def _results(self) -> list[Any]:
+        return outputs.robustness_messages(
+            self._options.specs, self._stretch.standings, self._newest_ns, self._run_id, self._seq
+        )
+
+    def _restart(self, request: Any, response: Any) -> Any:
+        """End the stretch with what is known, and begin anew with the next sample."""
+        if not self._stretch.begun:
+            response.success, response.message = False, 'nothing to end: no sample yet'
+            return response
+        lines = '; '.join(self._lines())
+        response.success = True
+        response.message = f'{self._run_id} ended at {self._stretch.length_s:g} s: {lines}'
+        self._speak['verdict'].publish(outputs.verdict_message(self._results()))
+        self.get_logger().info(response.message)
+        self._holder.restart()
+        self._begin_stretch()
+        self._tell()
+        return response
+
+    def _lines(self) -> list[str]:
+        pairs = zip(self._options.specs, self._stretch.standings, strict=True)
+        return [f'{spec.name} {standing_line(standing)}' for spec, standing in pairs]
+
+    def _log(self, changed: list[bool]) -> None:
+        for standing, line in compress(
+            zip(self._stretch.standings, self._lines(), strict=True), changed
+        ):
+            if standing_level(standing) is Level.OK:
+                self.get_logger().info(line)
+            else:  # rclpy allows each line of code one severity
+                self.get_logger().error(line)
+
+    def _tell_regularly(self) -> None:
+        self._look()
+        awaited = self._awaited()
+        if awaited and self._told % _REMIND == 0:
+            self.get_logger().warning(awaited)
+        self._told += 1
+        self._tell()
+
+    def _awaited(self) -> str:
+        """What keeps the first sample from coming, or ''."""
+        absent = [reader.absence() for reader in self._readers.values() if not reader.received]
+        if absent:
+            return '; '.join(absent)
+        if self._clock_missing:
+            return 'waiting for /clock (use_sim_time)'
+        if self._stretch.begun:
+            return ''
+        missing = ', '.join(self._holder.missing) or 'every signal, with stamps close together'
+        return f'waiting for a value of {missing}'
+
+    def _silence(self) -> str:
+        limit_ns = self._options.max_age_ns
+        silent_ns = self._steady_ns() - self._last_sample_ns
+        if self._stretch.ended or not limit_ns or silent_ns <= limit_ns:
+            return ''
+        return f'no sample for {silent_ns / NS_PER_S:.1f} s'
+
+    def _tell(self) -> None:
+        """Publish the diagnostics of now."""
+        node, awaited = self.get_name(), self._awaited()
+        silence = awaited or self._silence()
+        pairs = zip(self._options.specs, self._stretch.standings, strict=True)
+        statuses = [
+            outputs.spec_status(node, spec, standing, silence) for spec, standing in pairs
+        ]
+        values = {
+            topic: f'{reader.received} messages, {reader.type_name}, {reader.qos}'
+            for topic, reader in self._readers.items()
+        }
+        level = Level.WARN if silence else Level.OK
+        line = silence or f'{self._run_id}, {self._stretch.length_s:g} s'
+        statuses.append(outputs.status(level, f'{node}: signals', line, values))
+        stamp_ns = self.get_clock().now().nanoseconds
+        message = DiagnosticArray(header=header(stamp_ns, ''), status=statuses)
+        self._speak['diagnostics'].publish(message)
+
+    @staticmethod
+    def _steady_ns() -> int:
+        return Clock(clock_type=ClockType.STEADY_TIME).now().nanoseconds

@@ -1,0 +1,128 @@
+"""How each node of a graph is doing, on ``/diagnostics``, for whoever asks.
+
+The form is that of diagnostic_updater (REP-107): names are ``NODE: WHAT``, levels OK, WARN and
+ERROR, figures are pairs of texts. They are of the wall clock, so no bag has them, and as nothing is
+said while nobody listens, a campaign pays for no more than a look once a second.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.running.parameters import Parameter, declare
+
+if TYPE_CHECKING:
+    pass
+
+
+PARAMETER = Parameter(
+    name='diagnostics', default=1.0, limits=(0.0, 3600.0),
+    description='wall-clock time between two reports on /diagnostics [s]; 0: none',
+)
+PATIENCE_S = 2.0
+"""A node that waits for longer [s] says so as a warning."""
+"""What is told of a free run so far, see :meth:`.FreeRunAccount.figures`; in lockstep it is 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """How a node is doing.
+
+    Attributes:
+        level: OK, WARN or ERROR of :class:`diagnostic_msgs.msg.DiagnosticStatus`.
+        message: one line for people.
+        values: figures by name, the unit in the name.
+    """
+
+    level: bytes = DiagnosticStatus.OK
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class Diagnostics:
+    """Asks a node how it is doing, and publishes the answer, while somebody subscribes.
+
+    Attributes:
+        watched: whether somebody does, so that it pays to measure.
+    """
+
+    def __init__(self, node: Node, health: Callable[[], Health]) -> None:
+        """Declare the parameter and begin.
+
+        Args:
+            node: who tells.
+            health: gives what to tell; it is asked once in a period.
+        """
+        period_s = declare(node, PARAMETER)
+        self._node, self._health = node, health
+        self.watched = False
+        if period_s:
+            topic = interface.DIAGNOSTICS
+            self._publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            node.create_timer(period_s, self._tell, clock=steady)
+
+    def _tell(self) -> None:
+        before, self.watched = self.watched, self._publisher.get_subscription_count() > 0
+        if not self.watched:
+            return
+        try:
+            health = self._health()
+        except Exception as error:  # What is only told must not end what it is told of.
+            line = f'{type(error).__name__}: {error}'.splitlines()[0]
+            health = Health(level=DiagnosticStatus.ERROR, message=line)
+        if not before:
+            return  # Its figures are of when nobody looked.
+        name = self._node.get_fully_qualified_name().lstrip('/')
+        status = DiagnosticStatus(
+            level=health.level, name=f'{name}: run', message=health.message, hardware_id='',
+            values=[KeyValue(key=key, value=_words(of)) for key, of in health.values.items()],
+        )
+        report = DiagnosticArray(status=[status])
+        report.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(report)
+
+
+class Pace:
+    """How often something was done, and how long it took, since the last look."""
+
+    def __init__(self) -> None:
+        """Begin now."""
+        self._count, self._total_s, self._most_s = 0, 0.0, 0.0
+        self._since_s = time.monotonic()
+
+    def took(self, seconds: float) -> None:
+        """It was done once more, and took so long [s]."""
+        self._count += 1
+        self._total_s += seconds
+        self._most_s = max(self._most_s, seconds)
+
+    def look(self, what: str) -> tuple[float, dict[str, object]]:
+        """How often a second, and the figures of ``what`` since the last look; begins anew."""
+        elapsed_s = max(time.monotonic() - self._since_s, 1e-9)
+        mean_ms = 1e3 * self._total_s / self._count if self._count else 0.0
+        figures: dict[str, object] = {
+            f'{what}s': self._count,
+            f'{what} time, mean [ms]': mean_ms, f'{what} time, most [ms]': 1e3 * self._most_s,
+        }
+        rate = self._count / elapsed_s
+        self._count, self._total_s, self._most_s = 0, 0.0, 0.0
+        self._since_s = time.monotonic()
+        return rate, figures
+
+
+def too_long(waited_s: float) -> bool:
+    """Whether a wait [s] is worth a warning."""
+    return waited_s > PATIENCE_S
+
+
+def _words(value: object) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,0 +1,80 @@
+"""The base class of nodes that look at a graph from outside, and must not disturb it.
+
+The nodes of a lockstep wait until each has found all its subscribers, and they count them: an
+observer that came early would be taken for one of them, and a message sent too soon. So it
+comes when the run has begun. It subscribes best effort, so that nobody ever waits for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from taxinet_msgs.msg import RunStatus
+
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.interface import Topic, is_latched
+
+_LOOK_PERIOD_S = 0.1
+AT_LEISURE = QoSProfile(
+    history=interface.LOCKSTEP.history, depth=interface.LOCKSTEP.depth,
+    reliability=ReliabilityPolicy.BEST_EFFORT, durability=interface.LOCKSTEP.durability,
+)
+
+
+class Observer(Node):
+    """A node beside a graph, whoever plays it: a simulator, or ``bag_player``."""
+
+    def __init__(self, name: str, **node: Any) -> None:
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(name, **node)
+        self._waiting: list[tuple[Topic, Callable[[Any], None], bool]] = []
+        # What is latched reaches those who come late, so being counted does no harm there.
+        self._found = False
+        self._status = self.create_subscription(
+            RunStatus, interface.RUN_STATUS.name, self._on_run_status, interface.RUN_STATUS.qos
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._looking = self.create_timer(_LOOK_PERIOD_S, self._look, clock=steady)
+
+    def watch(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
+        """Subscribe to a topic of the table, as soon as that disturbs nobody."""
+        if is_latched(topic.qos):
+            self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=raw)
+        else:
+            self._waiting.append((topic, callback, raw))
+
+    def found(self) -> None:
+        """Called once, when there is something to look at."""
+
+    def waits_for(self) -> list[str]:
+        """Who plays a graph, where nobody does: see :mod:`.waiting`."""
+        return [] if self._found else [f'{interface.SIMULATOR} or bag_player']
+
+    def close(self) -> None:
+        """Stop looking; called once before the node goes away."""
+        self._looking.cancel()
+
+    def _on_run_status(self, status: RunStatus) -> None:
+        if status.state == RunStatus.RUNNING:
+            self._join()
+
+    def _look(self) -> None:
+        """Join at once where no simulator counts heads, but a player plays."""
+        if not self._found and self._status.get_publisher_count():
+            self._found = True
+            self.found()
+        topic = self.resolve_topic_name(interface.ODOMETRY.name)
+        speakers = {info.node_name for info in self.get_publishers_info_by_topic(topic)}
+        if speakers and interface.SIMULATOR not in speakers:
+            self._join()
+
+    def _join(self) -> None:
+        if self._found:
+            self._looking.cancel()
+        for topic, callback, raw in self._waiting:
+            self.create_subscription(topic.type, topic.name, callback, AT_LEISURE, raw=raw)
+        self._waiting.clear()

@@ -1,0 +1,286 @@
+"""What every node of the lockstep has in common: take the scenario, get ready, report trouble."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from taxinet_msgs.msg import NodeStatus, Scenario
+
+from taxinet_ros.errors import InfraError
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.interface import Topic
+from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
+from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN, HeardSpeakers, first_stranger, heard_by
+from taxinet_ros.nodes.messages.convert import INTRUDER, blame_text, header, one_line
+from taxinet_ros.nodes.messages.step import is_read_raw, progress_cdr, step_reader
+
+_READY_POLL_S = 0.005
+_SILENT_LOOKS = 20
+
+
+class Participant(Node):
+    """A node that sets itself up for each scenario and then answers messages.
+
+    A subclass overrides :meth:`prepare`, and :meth:`clear` if it keeps what it hears. An exception
+    in a callback becomes an ERROR status that names the node, so that the run ends at once with a
+    reason instead of a timeout. Who speaks where the node listens is known at its READY. Who comes
+    later, but before the first step, may be a node of the run that was started anew: the node
+    waits until each is there once, and gets ready again. Who comes after that is charged.
+
+    Attributes:
+        run_id: the run that the node is set up for, or ''.
+        implementation: which of the exchangeable kinds it is; goes into every bag.
+        fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        silent_looks: how often :meth:`may_leave` was asked since the last message.
+    """
+
+    def __init__(self, name: str, **node: Any) -> None:
+        """Create the node; ``node`` goes to :class:`rclpy.node.Node` (context, namespace, …)."""
+        super().__init__(name, **node)
+        self.run_id = ''
+        self.implementation = ''
+        self.fingerprint = ''
+        self._scenario: Scenario | None = None
+        self.silent_looks = 0
+        self._speakers: list[tuple[Topic, Publisher]] = []
+        self._listeners: list[HeardSpeakers] = []
+        self._charged = self._begun = False
+        self._work, self._trouble, self._taken_s = Pace(), '', 0.0
+        self._diagnostics = Diagnostics(self, self.health)
+        self._status = self.speak(interface.NODE_STATUS)
+        self.listen(interface.SCENARIO, self._take)
+        # Getting ready is about processes finding each other, so it runs on wall time.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        report_ready = functools.partial(self._guarded(self._report_ready), None)
+        self._poll = self.create_timer(_READY_POLL_S, report_ready, clock=steady)
+        self._poll.cancel()
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Forget the previous run and set up for this one."""
+
+    def clear(self) -> None:
+        """Forget what was heard before READY: those who speak in the run say nothing till then."""
+
+    def speak(self, topic: Topic) -> Publisher:
+        """Publish on a topic of the table."""
+        publisher = self.create_publisher(topic.type, topic.name, topic.qos)
+        self._speakers.append((topic, publisher))
+        return publisher
+
+    def listen(
+        self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False,
+        newest: bool = False,
+    ) -> None:
+        """Subscribe to a topic of the table, with every exception reported.
+
+        Args:
+            topic: what is heard.
+            callback: takes the messages; of a topic that is read here, what they say.
+            raw: it takes their bytes.
+            newest: of messages that wait it takes the last; in lockstep no second one ever waits.
+        """
+        if is_read_raw(topic) and not raw:
+            callback, raw = self._reading(topic, callback), True
+        self._listeners.append(HeardSpeakers(
+            self, topic, self._guarded(callback, topic.each_step), raw=raw,
+            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.qos,
+        ))
+
+    def destroy_node(self) -> None:
+        """See :class:`rclpy.node.Node`."""
+        for heard in self._listeners:
+            heard.close()
+        super().destroy_node()
+
+    def report(self, state: int, *, seq: int = 0, stamp_ns: int = 0, detail: str = '') -> None:
+        """Tell the simulator how this node stands in the current run."""
+        ready = state == NodeStatus.READY
+        if state == NodeStatus.ERROR:
+            self._trouble = detail
+        self._status.publish(NodeStatus(
+            header=header(stamp_ns, ''),
+            run_id=self.run_id,
+            node=self.get_name(),
+            state=state,
+            seq=seq,
+            detail=detail,
+            listens=[heard.topic.name for heard in self._listeners] if ready else [],
+            implementation=self.implementation,
+            fingerprint=self.fingerprint,
+        ))
+
+    def progress(self, seq: int, stamp_ns: int) -> bytes:
+        """The status, serialised, of having come as far as control step ``seq``."""
+        return progress_cdr(
+            self.get_name(), self.implementation, self.fingerprint, self.run_id, seq, stamp_ns
+        )
+
+    def figures(self) -> Mapping[str, object]:
+        """What else there is to tell of this node on ``/diagnostics``."""
+        return {}
+
+    def health(self) -> Health:
+        """How this node is doing in its run."""
+        rate, work = self._work.look('message')
+        values = {
+            'run': self.run_id, 'implementation': self.implementation,
+            'fingerprint': self.fingerprint, 'message rate [1/s]': rate, **work, **self.figures(),
+        }
+        if self._trouble:
+            line = f'run {self.run_id}: {self._trouble}'
+            return Health(level=DiagnosticStatus.ERROR, message=line, values=values)
+        if self._scenario is None or self._poll.is_canceled():
+            return Health(message=f'run {self.run_id}' if self.run_id else 'no run', values=values)
+        if not too_long(time.monotonic() - self._taken_s):
+            return Health(message=f'run {self.run_id}: gets ready', values=values)
+        values['waits for'] = ', '.join(sorted(self.waits_for()))
+        unsettled = ', '.join(self._unsettled())
+        if not unsettled:  # any more, and its READY comes with the next look
+            return Health(message=f'run {self.run_id}: gets ready', values=values)
+        line = f'run {self.run_id}: not all ends are found on {unsettled}'
+        return Health(level=DiagnosticStatus.WARN, message=line, values=values)
+
+    def may_leave(self) -> bool:
+        """Whether nobody waits for this node, which was asked to end; asked every 0.05 s.
+
+        So it is without a run or a simulator, and where for a second nothing was said or heard.
+        """
+        self.silent_looks += 1
+        return self.without_simulator() or (self.silent_looks > _SILENT_LOOKS and all(
+            # What DDS has lost on its way it sends once more, as long as this node is there.
+            publisher.wait_for_all_acked(Duration()) for _, publisher in self._speakers
+        ))
+
+    def without_simulator(self) -> bool:
+        """Whether there is no run, or no simulator any more that could end it."""
+        heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
+        return not self.run_id or not heard.subscription.get_publisher_count()
+
+    def waits_for(self) -> set[str]:
+        """Names of those of the run that are not found yet: see :mod:`.waiting`."""
+        if self._scenario is None or self._poll.is_canceled():
+            return set()
+        present = self._scenario.participants
+        found: set[str] = set()
+        for topic, publisher in self._speakers:
+            names = topic.listeners(present)
+            if not heard_by(self, publisher, names):
+                ends = self.get_subscriptions_info_by_topic(publisher.topic_name)
+                found |= names - {end.node_name for end in ends} or names
+        for heard in self._listeners:
+            if not heard.settled(present):
+                found |= heard.absent(present) or heard.wanted(present)
+        return found - {self.get_name()}
+
+    def close(self) -> None:
+        """Finish what must not be lost; called once before the node goes away."""
+
+    def charge(self, error: InfraError) -> None:
+        """Have the run end for what somebody else did."""
+        Participant.report(self, NodeStatus.ERROR, detail=blame_text(error))
+
+    def spoken_into(self) -> bool:
+        """Whether somebody speaks where this node listens who was not there at its READY.
+
+        Tells the simulator of it, once.
+        """
+        if not self._charged and (stranger := first_stranger(self._listeners)) is not None:
+            if not self._begun:
+                self._wait_again()
+                return False
+            self._charged = True
+            self.charge(stranger.error(-1))
+        return self._charged
+
+    def _wait_again(self) -> None:
+        """Not ready any more."""
+        for heard in self._listeners:
+            heard.release()
+        self.report(NodeStatus.PROGRESS, detail='waits until each speaker is there once')
+        self._poll.reset()
+
+    def _take(self, scenario: Scenario) -> None:
+        before = self._scenario
+        waits = before is not None and not self._begun and before.run_id == scenario.run_id
+        if waits and before != scenario:
+            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody sent another scenario for this run')
+        if self.get_name() not in scenario.participants:
+            return
+        for heard in self._listeners:
+            heard.release()
+        self._charged = self._begun = False
+        self.run_id = scenario.run_id
+        self._scenario = scenario
+        self._trouble, self._taken_s = '', time.monotonic()
+        self.prepare(scenario)
+        self._poll.reset()
+        self._report_ready()
+
+    def _report_ready(self, _: None = None) -> None:
+        """Report ready as soon as every end has found all its other ends of this run.
+
+        Both directions count: a reader that does not know its writer yet drops what that sends.
+        """
+        if self._scenario is None or self._poll.is_canceled():
+            return
+        present = self._scenario.participants
+        if next(self._unsettled(), None) is not None:
+            return
+        for heard in self._listeners:
+            heard.pin(present)
+        self.clear()
+        self._begun = False
+        self._poll.cancel()
+        self.report(NodeStatus.READY)
+
+    def _unsettled(self) -> Iterator[str]:
+        """Topics on which not every end of this run has found this node's, or is alone."""
+        assert self._scenario is not None
+        present = self._scenario.participants
+        for topic, publisher in self._speakers:
+            if not heard_by(self, publisher, topic.listeners(present)):
+                yield topic.name
+        for heard in self._listeners:
+            if not heard.settled(present):
+                yield heard.topic.name
+
+    @staticmethod
+    def _reading(topic: Topic, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+        read = step_reader(topic)
+        return lambda cdr: callback(read(cdr))
+
+    def _guarded(
+        self, callback: Callable[[Any], None], begins: bool = False
+    ) -> Callable[[Any], None]:
+        @functools.wraps(callback)
+        def guarded(message: Any) -> None:
+            if message is not None:  # else a timer's
+                self.silent_looks = 0
+            if begins:
+                self._begun = True
+            watched = self._diagnostics.watched and message is not None
+            begun_s = time.perf_counter() if watched else 0.0
+            try:
+                callback(message)
+                if watched:
+                    self._work.took(time.perf_counter() - begun_s)
+            except Exception as error:
+                # What it cannot take may be somebody else's, and is not this node's fault then.
+                if self.spoken_into():
+                    return
+                if isinstance(error, InfraError):
+                    self.charge(error)
+                    return
+                reason = one_line(error)
+                self.get_logger().error(f'run {self.run_id}: {reason}')
+                self.report(NodeStatus.ERROR, detail=reason)
+
+        return guarded

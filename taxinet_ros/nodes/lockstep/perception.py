@@ -1,0 +1,57 @@
+"""The perception node: a camera frame (or the truth) in, an estimate of the tracking error out."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+from taxinet_msgs.msg import Scenario
+
+from taxinet_ros.bag.cdr.image import frame_of_cdr
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.perception.network import IMAGE_SHAPE, is_frame
+from taxinet_ros.core.perception.perception import Perception
+from taxinet_ros.core.types import TrackingError as Estimate
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.lockstep.participant import Participant
+from taxinet_ros.nodes.messages.step import StepMessage, error_cdr
+from taxinet_ros.nodes.running.parameters import refuse_unknown
+
+
+class PerceptionNode(Participant, abc.ABC):
+    """Runs one perception of the core, and subscribes to what that one needs only."""
+
+    def __init__(self, **node: Any) -> None:
+        """Choose the perception; a network never gets the truth, nor the truth the picture."""
+        super().__init__(interface.PERCEPTION, **node)
+        self._perception = self.choose()
+        refuse_unknown(self)
+        self.implementation = self._perception.word
+        self.fingerprint = self._perception.fingerprint
+        self._estimates = self.speak(interface.ESTIMATE)
+        if self._perception.needs_image:
+            self.listen(interface.IMAGE, self._see, raw=True, newest=True)
+        else:
+            self.listen(interface.TRUTH, self._know, newest=True)
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Forget the previous run."""
+        self._perception.begin()
+
+    @abc.abstractmethod
+    def choose(self) -> Perception:
+        """Which perception this node runs; may declare parameters to decide it."""
+
+    def _see(self, cdr: bytes) -> None:
+        stamp_ns, pixels = frame_of_cdr(cdr)
+        if not is_frame(pixels):
+            raise ValueError(f'image is {pixels.shape}, expected {IMAGE_SHAPE}')
+        self._say(self._perception.estimate(pixels, None), self.run_id, stamp_ns)
+
+    def _know(self, truth: StepMessage) -> None:
+        estimate = self._perception.estimate(None, truth.value)
+        self._say(estimate, truth.run_id, truth.stamp_ns)
+
+    def _say(self, estimate: Estimate, run_id: str, stamp_ns: int) -> None:
+        seq = stamp_ns // CONTROL_PERIOD_NS
+        self._estimates.publish(error_cdr(estimate, run_id, seq, stamp_ns))

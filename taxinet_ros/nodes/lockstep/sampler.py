@@ -1,0 +1,320 @@
+"""The client of the action ``run_scenario``: has the graph run one scene after the other."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from taxinet_msgs.msg import Verdict
+
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import plain_line
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.lockstep.endpoints import Gid
+from taxinet_ros.nodes.messages.convert import (
+    INTRUDER,
+    PROTOCOL,
+    account_of,
+    death_notice,
+    scenario_message,
+    statistics_of,
+)
+from taxinet_ros.nodes.running.parameters import Parameter, declare_all
+
+_WATCH_PERIOD_S = 0.1
+_SILENT_LOOKS = 20
+_ASK_AGAIN_S = 2.0
+PATIENCE = (
+    Parameter(
+        name='server_timeout', default=30.0, limits=(0.1, 3600.0),
+        description='wall-clock time to find the simulator [s]',
+    ),
+    Parameter(
+        name='silence_timeout', default=60.0, limits=(0.1, 3600.0),
+        description='wall-clock silence of the simulator that ends a run as INFRA_ERROR [s]',
+    ),
+)
+
+
+class _RunClient(ActionClient):
+    """An action client that outlives a second server's answer, for which rclpy 7.1 raises.
+
+    Attributes:
+        answered_twice: whether there was one.
+    """
+
+    answered_twice = False
+
+    async def execute(self, taken_data: Any) -> None:
+        """See :class:`rclpy.action.ActionClient`."""
+        try:
+            await super().execute(taken_data)
+        except RuntimeError as error:
+            if 'goals were accepted with the same ID' not in str(error):
+                raise
+            self.answered_twice = True
+
+
+class ScenarioSampler(Node):
+    """Drives the graph run by run over the action ``run_scenario``.
+
+    Attributes:
+        seq: the control step that the run at hand has reached, as far as is known.
+        interrupted: whether :meth:`interrupt` was called.
+        one_simulator: whether it is not awaited that a second simulator goes away.
+    """
+
+    def __init__(self, **node: Any) -> None:
+        """Declare parameters and join the graph; ``node`` goes to :class:`rclpy.node.Node`."""
+        super().__init__(interface.SCENARIO_SAMPLER, **node)
+        given = declare_all(self, PATIENCE)
+        self._limits = (given['server_timeout'], given['silence_timeout'])
+        self._client = _RunClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
+        topic = interface.OBITUARY
+        self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
+        self._goal: Any = None
+        self._asked_of: set[Gid] = set()
+        self._dead: set[Gid] = set()
+        self._answer: Future | None = None
+        self._finished: Future | None = None
+        self.interrupted = self.one_simulator = False
+        self._request: RunRequest | None = None
+        self.seq = 0
+        self._last_heard = self._last_asked = 0.0
+        self._silent_looks = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_PERIOD_S, self._watch, clock=steady)
+
+    def start(
+        self, executor: Any, requests: Iterable[RunRequest],
+        on_result: Callable[[RunRequest, RunResult], bool],
+    ) -> Future:
+        """Begin a campaign; the future is done when its last answer is taken.
+
+        Args:
+            executor: the one that spins this node.
+            requests: the runs, in order; drawn one at a time.
+            on_result: called with every answer; False ends the campaign.
+        """
+        self._executor = executor
+        self._finished = Future(executor=executor)
+        self._requests, self._on_result = iter(requests), on_result
+        executor.create_task(self._guarded(self._begin_next))
+        return self._finished
+
+    def interrupt(self) -> None:
+        """Cancel the run at hand, take its answer, and ask for no more."""
+        self.interrupted = True
+        self._silent_looks = 0
+        if self._goal is not None:
+            self._goal.cancel_goal_async()
+
+    def give_up(self) -> bool:
+        """Wait for no answer: the campaign ends with KeyboardInterrupt. False where none is on."""
+        if self._finished is None or self._finished.done():
+            return False
+        self._finished.set_exception(KeyboardInterrupt())
+        return True
+
+    def mourn(self, node: str, detail: str) -> None:
+        """A node's process is known to be dead: end its run at once, with the reason."""
+        if self._request is None or self._answer is None or self._answer.done():
+            return
+        if node == interface.SIMULATOR:
+            self._lose_simulator('died', detail)
+        else:
+            self._obituaries.publish(death_notice(self._request.run_id, node, detail, seq=self.seq))
+
+    def _lose_simulator(self, kind: str, detail: str) -> None:
+        """End the run in its stead."""
+        assert self._request is not None
+        assert self._answer is not None
+        if kind == 'died':
+            self._dead |= self._asked_of
+        self._obituaries.publish(death_notice(
+            self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
+        ))
+        self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
+
+    def close(self) -> None:
+        """Leave the graph; every answer is already taken."""
+        self._client.destroy()
+
+    # Run by run --------------------------------------------------------------------------------
+    #
+    # By callbacks, not by tasks that await: such a task of the events executor of rclpy 7.1 notices
+    # what another task brings at the next event only, and is looked after at every one till then.
+
+    def _guarded(self, action: Callable[..., None], *what: Any) -> Callable[..., None]:
+        """What it raises belongs to whoever waits for the campaign, not to the executor."""
+        finished = self._finished
+        assert finished is not None
+
+        def guarded(*came: Future) -> None:
+            try:
+                action(*what, *came)
+            except BaseException as error:
+                finished.set_exception(error)
+
+        return guarded
+
+    def _begin_next(self) -> None:
+        request = next(self._requests, None)
+        if request is None:
+            self._finish()
+            return
+        self._request, self.seq = request, 0
+        self._asked, self._last_heard = time.monotonic(), 0.0
+        self._answer = Future(executor=self._executor)
+        self._answer.add_done_callback(self._guarded(self._take_answer, request))
+        if self.interrupted:
+            self._answer.set_result(RunResult(outcome=Outcome.INTERRUPTED))
+        elif self._may_ask():
+            self._ask(request, self._answer)
+
+    def _take_answer(self, request: RunRequest, answer: Future) -> None:
+        self._goal = self._request = None
+        wall_s = time.monotonic() - self._asked
+        result = dataclasses.replace(answer.result(), wall_s=wall_s)
+        if not self._on_result(request, result) or self.interrupted:
+            self._finish()
+        else:
+            self._begin_next()
+
+    def _finish(self) -> None:
+        assert self._finished is not None
+        if not self._finished.done():
+            self._finished.set_result(None)
+
+    def _servers(self) -> dict[Gid, str]:
+        """Who serves the action, as far as the graph tells: node by the end that answers."""
+        name = self.resolve_service_name(f'{interface.RUN_SCENARIO}/_action/get_result')
+        # How DDS names the topic of a service's answers, by ROS 2 in all its implementations.
+        ends = self.get_publishers_info_by_topic(f'rr{name}Reply', no_mangle=True)
+        return {tuple(end.endpoint_gid): str(end.node_name) for end in ends}
+
+    def _may_ask(self) -> bool:
+        """Whether there is one simulator, and nothing lingers of one that died."""
+        servers = self._servers()
+        alone = len(servers) <= 1 and not self._dead & servers.keys()
+        return alone and self._client.server_is_ready()
+
+    def _ask(self, request: RunRequest, answer: Future) -> None:
+        self._asked_of = set(self._servers())
+        goal = interface.RUN_SCENARIO_TYPE.Goal(scenario=scenario_message(request))
+        self._last_heard = self._last_asked = time.monotonic()
+        sent = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        sent.add_done_callback(self._guarded(self._take_handle, answer))
+
+    def _take_handle(self, answer: Future, sent: Future) -> None:
+        handle = sent.result()
+        if answer.done():
+            return
+        if not handle.accepted:
+            answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
+            return
+        self._goal = handle
+        if self.interrupted:
+            handle.cancel_goal_async()
+        self._ask_result(handle, answer)
+
+    def _ask_result(self, handle: Any, answer: Future) -> None:
+        handle.get_result_async().add_done_callback(self._guarded(self._take_result, answer))
+
+    def _take_result(self, answer: Future, response: Future) -> None:
+        found = response.result()
+        if answer.done() or found.status == GoalStatus.STATUS_UNKNOWN:
+            return
+        result = result_of(found.result)
+        servers = self._servers()
+        strangers = [who for gid, who in servers.items() if gid not in self._asked_of]
+        if self._client.answered_twice:
+            strangers.append(interface.SIMULATOR)
+        if result.outcome is not Outcome.INFRA_ERROR and strangers:
+            detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
+            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
+        answer.set_result(result)
+
+    def _on_feedback(self, message: Any) -> None:
+        self._silent_looks = 0
+        self._last_heard = self._last_asked = time.monotonic()
+        self.seq = message.feedback.seq
+
+    def _watch(self) -> None:
+        answer = self._answer
+        if answer is None or answer.done():
+            return
+        server_timeout_s, silence_timeout_s = self._limits
+        now = time.monotonic()
+        self._silent_looks += 1
+        # One Ctrl-C in a terminal may have ended the simulator too; a dead one is seen for a while.
+        silent = self._silent_looks > _SILENT_LOOKS or not self._client.server_is_ready()
+        if self.interrupted and silent:
+            answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
+        elif self._last_heard:
+            if now - self._last_heard > silence_timeout_s:
+                self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
+            elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
+                self._last_asked = now
+                self._ask_result(self._goal, answer)
+        elif self._may_ask():
+            assert self._request is not None
+            self._ask(self._request, answer)
+        elif now - self._asked > server_timeout_s or self._is_shared():
+            answer.set_result(self._not_asked(f'within {server_timeout_s:g} s'))
+
+    def _is_shared(self) -> bool:
+        return self.one_simulator and len(self._servers()) > 1
+
+    def _not_asked(self, within: str) -> RunResult:
+        """Why there was nobody to ask, or more than one."""
+        names = sorted(self._servers().values())
+        if len(names) > 1:
+            others = [name for name in names if name != interface.SIMULATOR] or names
+            detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
+            return _broken(INTRUDER, others[0], detail, 0)
+        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
+
+
+def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
+    return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
+
+
+def result_of(answer: Any) -> RunResult:
+    """What the result of the action ``run_scenario`` says, whoever gave it."""
+    status, verdict = answer.status, answer.verdict
+    if status.outcome not in list(Outcome):
+        detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
+        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
+    outcome = Outcome(status.outcome)
+    judged = outcome.judged
+    return RunResult(
+        outcome=outcome,
+        kind=plain_line(status.kind),
+        who=plain_line(status.who),
+        detail=plain_line(status.detail),
+        last_seq=status.seq,
+        perception=status.perception,
+        fingerprint=status.fingerprint,
+        timing=plain_line(answer.timing),
+        free=account_of(answer.account).figures() if answer.account.ended else {},
+        **(_judged(verdict) if judged else {}),
+    )
+
+
+def _judged(verdict: Verdict) -> dict[str, Any]:
+    stopped = verdict.stopped_early
+    return {
+        'rho': {s.spec: s.rho_lower for s in verdict.specs if s.rho_lower == s.rho_upper},
+        'rho_lower': {s.spec: s.rho_lower for s in verdict.specs if stopped},
+        'rho_upper': {s.spec: s.rho_upper for s in verdict.specs if stopped},
+        'stopped_early': stopped,
+        'statistics': statistics_of(verdict),
+    }

@@ -1,0 +1,1 @@
+"""Messages from core values and back."""

@@ -1,0 +1,275 @@
+"""Which ROS domain a graph has for itself, and the refusal to join another graph's."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import psutil
+import rclpy
+from domain_coordinator import domain_id
+from domain_coordinator.impl import PORT_BASE
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+
+_BASE, _PER_DOMAIN = 7400, 250
+"""PB and DG of DDSI-RTPS 2.2, section 9.6.1.1: where the ports of a domain begin, and how many
+there are: of those who listen to all, and of each participant."""
+
+
+def anybody_here(domain: int) -> bool | None:
+    """Whether there is a participant on a domain on this machine, whoever started it.
+
+    Args:
+        domain: a ROS domain id, 0 to 232.
+
+    Returns:
+        True also where another program has one of the ports. None where that cannot be told from
+        ports: with another middleware than Fast DDS, or on a system that does not tell which are
+        in use.
+    """
+    if not get_rmw_implementation_identifier().startswith('rmw_fastrtps'):
+        return None
+    try:
+        used = {socket.laddr.port for socket in psutil.net_connections('udp') if socket.laddr}
+    except (psutil.Error, OSError):
+        return None
+    first = _BASE + _PER_DOMAIN * domain
+    return not used.isdisjoint(range(first, first + _PER_DOMAIN))
+
+
+HIGHEST = 232
+"""The highest domain id whose ports exist (DDSI-RTPS 2.2, section 9.6.1.1)."""
+BY_HAND = 'TAXINET_DOMAIN_ID'
+"""Environment variable that sets the domain of a graph that would choose one itself."""
+DISCOVERY_RANGE, LOCALHOST = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST'
+"""Environment variable of ROS 2 that says how far nodes look for others, and its narrowest word."""
+_PEERS = 'ROS_STATIC_PEERS'
+"""Environment variable of ROS 2 that names other machines to look at."""
+_RESERVED = 'TAXINET_RESERVED_DOMAIN'
+"""Environment variable that tells a child which domain its parent has made sure of."""
+# Participants announce themselves every 3 s, and their endpoints too: what was missed at first on a
+# busy machine is found after one period (3.4 s was seen) or two.
+_LOOK_S, _LOOK_FAR_S = 7.0, 3.5
+_LOOK_PERIOD_S = 0.05
+_NAMELESS = '_NODE_NAME_UNKNOWN_'
+_CHOICE = 100
+"""Number of domains to choose from: the ports of those above are given away by Linux."""
+# Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
+_domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
+_made_sure_of: set[int] = set()
+
+
+@contextlib.contextmanager
+def own_domain(wanted: int | None = None) -> Iterator[int]:
+    """Reserve a ROS domain id that nobody else uses, whether he reserves it or not.
+
+    Discovery stays on this machine unless the user has set another range. Of the domains from 1 to
+    100 those are passed over that are reserved, and those where anybody is: that is told by the
+    ports of DDS, in some hundredths of a second. Where they do not tell (nodes on other machines
+    may be meant, or another middleware is used) each is listened to for some seconds.
+    ``TAXINET_DOMAIN_ID`` sets the domain by hand, to look at the graph with other tools; a domain
+    that was set by hand is looked at for some seconds first, unless nobody is there.
+
+    Args:
+        wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
+
+    Raises:
+        UsageError: a domain that was set by hand is none, or belongs to another graph; or there is
+            no free one.
+    """
+    if wanted is None:
+        wanted = domain_by_hand()
+    with _localhost(), _free() if wanted is None else _reserved(wanted) as (domain, alone):
+        if wanted is not None:
+            refuse_neighbours(domain)
+        if not alone:
+            raise UsageError(
+                f'ROS domain {domain} is taken: another graph that starts on this machine has '
+                f'reserved it (TCP port {PORT_BASE + domain}); set another one'
+            )
+        with _set(_RESERVED, str(domain)):
+            yield domain
+
+
+def domain_by_hand() -> int | None:
+    """The domain that ``TAXINET_DOMAIN_ID`` sets, if it does.
+
+    Raises:
+        UsageError: it is none, or belongs to another graph.
+    """
+    text = os.environ.get(BY_HAND)
+    if not text:
+        return None
+    domain = domain_number(text, BY_HAND)
+    with _localhost():
+        refuse_neighbours(domain)
+    return domain
+
+
+def check_workers(workers: int) -> None:
+    """See that as many graphs can have domains, before anything is begun.
+
+    Raises:
+        UsageError: a domain is set by hand, and there is more than one worker; or it is none, or
+            belongs to another graph.
+    """
+    text = os.environ.get(BY_HAND)
+    if text and workers > 1:
+        raise UsageError(
+            f'{BY_HAND} {text}: one domain takes one graph, and there are {workers} workers; say '
+            f'--workers 1, or unset {BY_HAND} and each worker gets a domain of its own'
+        )
+    domain_by_hand()
+
+
+def domain_number(text: str, where: str) -> int:
+    """Read a ROS domain id.
+
+    Args:
+        text: what somebody typed.
+        where: option or variable, for the complaint.
+
+    Raises:
+        UsageError: it is none.
+    """
+    if not (text.isascii() and text.isdecimal() and int(text) <= HIGHEST):
+        raise UsageError(f'{where} {text!r}: a ROS domain is a whole number from 0 to {HIGHEST}')
+    return int(text)
+
+
+def refuse_neighbours(domain: int) -> None:
+    """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
+
+    Raises:
+        UsageError: names the node that is there, and says how to mend it.
+    """
+    if domain in _made_sure_of:
+        return  # What lingers there is left over from a graph of our own.
+    look_s = _LOOK_S
+    if anybody_here(domain) is False:
+        if not _looks_far():
+            return
+        look_s = _LOOK_FAR_S
+    found = _found(domain, clock_keepers, look_s)
+    if found:
+        raise UsageError(another_graph(domain, found))
+    _made_sure_of.add(domain)
+
+
+def _is_free(domain: int) -> bool:
+    """Whether nobody at all is on a domain, of any program."""
+    here = anybody_here(domain)
+    if here is False and not _looks_far():
+        return True
+    return not here and not _found(domain, Node.get_node_names, _LOOK_FAR_S)
+
+
+def _looks_far() -> bool:
+    """Whether nodes of this process find others on other machines."""
+    return os.environ.get(DISCOVERY_RANGE) != LOCALHOST or bool(os.environ.get(_PEERS))
+
+
+def _found(domain: int, look: Callable[[Node], list[str]], look_s: float) -> list[str]:
+    """Names of others that a node which joins a domain finds there within a time [s]."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        probe = Node(
+            f'taxinet_probe_{os.getpid()}', context=context, enable_rosout=False,
+            start_parameter_services=False,
+        )
+        deadline = time.monotonic() + look_s
+        while not (found := set(look(probe)) - {probe.get_name()}) and time.monotonic() < deadline:
+            time.sleep(_LOOK_PERIOD_S)
+        probe.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+    return sorted(found)
+
+
+def require_free_domain() -> None:
+    """For a simulator that is started by hand: see that it will be the only one.
+
+    Raises:
+        UsageError: another graph is on the domain of this process.
+    """
+    domain = domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
+    if os.environ.get(_RESERVED) != str(domain):
+        refuse_neighbours(domain)
+
+
+def clock_keepers(node: Node) -> list[str]:
+    """Full names of all nodes that publish the clock, as far as ``node`` knows them by name."""
+    found = node.get_publishers_info_by_topic(interface.CLOCK.name)
+    return sorted(
+        f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
+        # A publisher may be known a moment before the node that it belongs to.
+        if end.node_name != _NAMELESS
+    )
+
+
+def another_graph(domain: int, names: list[str]) -> str:
+    """One line for somebody whose graph would meet another one."""
+    they = ' and '.join(names)
+    verb = 'publishes' if len(names) == 1 else 'publish'
+    return (
+        f'another graph is on ROS domain {domain}: {they} {verb} /clock; end it (one that was '
+        'killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
+    )
+
+
+@contextlib.contextmanager
+def _free() -> Iterator[tuple[int, bool]]:
+    """A domain that was chosen, reserved, and found to be free after that."""
+    for _ in range(_CHOICE):
+        with contextlib.ExitStack() as stack:
+            domain, reserved = stack.enter_context(_reserved(next(_domains)))
+            if reserved and _is_free(domain):
+                yield domain, True
+                return
+    raise UsageError('all ROS domains from 1 to 100 are in use; end a graph')
+
+
+@contextlib.contextmanager
+def _reserved(domain: int) -> Iterator[tuple[int, bool]]:
+    """A domain, and whether it could be reserved."""
+    # Entered and left by hand: the library's manager swallows an OSError of its body.
+    reservation = domain_id(lambda: domain)
+    try:
+        reservation.__enter__()
+    except RuntimeError:
+        yield domain, False
+        return
+    try:
+        yield domain, True
+    finally:
+        reservation.__exit__(None, None, None)
+
+
+@contextlib.contextmanager
+def _localhost() -> Iterator[None]:
+    """Discovery on this machine only, unless the user has set another range."""
+    with _set(DISCOVERY_RANGE, os.environ.get(DISCOVERY_RANGE) or LOCALHOST):
+        yield
+
+
+@contextlib.contextmanager
+def _set(name: str, value: str) -> Iterator[None]:
+    """Have an environment variable within the ``with``."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before

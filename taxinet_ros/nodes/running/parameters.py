@@ -1,0 +1,259 @@
+"""Parameters with a description and a range, and an executable's ``--help`` made of them.
+
+Parameters that nobody declared, and words that are no arguments of ROS, are refused.
+"""
+
+from __future__ import annotations
+
+import difflib
+import sys
+import textwrap
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes import interface
+
+_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+_QOS = 'qos_overrides.'
+_FIXED = (
+    'the quality of service of these topics cannot be overridden: with another one a step could be '
+    'lost, or waited for in vain (docs/ros.md tells why)'
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One parameter of a node.
+
+    Attributes:
+        name: lower_snake_case.
+        default: value where nobody set one; its type is the parameter's. An empty list would have
+            no type, so one empty text stands for none.
+        description: one line with the unit.
+        limits: lowest and highest value, both allowed, of numbers.
+        words: those of which it has to be one, of a text.
+        takes: what else a text has to be, in words.
+    """
+
+    name: str
+    default: Any
+    description: str
+    limits: tuple[Any, Any] | None = None
+    words: tuple[str, ...] = ()
+    takes: str = ''
+
+    @property
+    def allowed(self) -> str:
+        """What it may be, in words."""
+        if self.limits:
+            low, high = (round(limit, 6) for limit in self.limits)
+            return f'{low}..{high}'
+        if isinstance(self.default, bool):
+            return 'true, false'
+        return ', '.join(self.words) or self.takes
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """What ``ros2 param describe`` tells of it."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=True)
+        if self.limits is None:
+            descriptor.additional_constraints = self.allowed
+        elif isinstance(self.default, float):
+            low, high = map(float, self.limits)
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=low, to_value=high, step=0.0)
+            ]
+        else:
+            low, high = self.limits
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        return descriptor
+
+
+def declare(node: Node, parameter: Parameter) -> Any:
+    """Declare one read-only parameter and return its value.
+
+    Raises:
+        UsageError: the value given is of another type, out of range, or none of its words.
+    """
+    where = f'{node.get_name()}: parameter {parameter.name}'
+    try:
+        value = node.declare_parameter(
+            parameter.name, parameter.default, parameter.descriptor
+        ).value
+    except ParameterException as error:
+        span_text = f'; allowed: {parameter.allowed}' if parameter.limits else ''
+        reason = ' '.join(str(error).split())
+        raise UsageError(f'{where}: {reason}{span_text}') from error
+    if parameter.words and value not in parameter.words:
+        raise UsageError(f'{where}: {value!r} is unknown; known: {parameter.allowed}')
+    return value
+
+
+def declare_all(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
+    """Declare parameters and return their values by name.
+
+    Of a list that holds one empty text by default, for none, empty texts are left out.
+
+    Raises:
+        UsageError: as :func:`declare`.
+    """
+    values = {}
+    for one in parameters:
+        value = declare(node, one)
+        values[one.name] = [text for text in value if text] if one.default == [''] else value
+    return values
+
+
+def refuse_unknown(node: Node) -> None:
+    """Refuse parameter overrides that the node has not declared; rclpy would ignore them silently.
+
+    Raises:
+        UsageError: names the parameter, and the nearest known one.
+    """
+    known = list(node._parameters)
+    for name in _given(node):
+        if name in known:
+            continue
+        if name.startswith(_QOS):
+            raise UsageError(f'{node.get_name()}: parameter {name}: {_FIXED}')
+        near = difflib.get_close_matches(name, known, 1)
+        own = sorted(set(known) - set(_OF_RCLPY))
+        hint = f'did you mean {near[0]}?' if near else f'known: {", ".join(own) or "none"}'
+        raise UsageError(f'{node.get_name()}: unknown parameter {name!r}; {hint}')
+
+
+def any_given(name: str, besides: Collection[str] = ()) -> bool:
+    """Whether the command line sets parameters, but for some, of a node that is yet to be made."""
+    probe = Node(name, start_parameter_services=False, enable_rosout=False)
+    try:
+        given = {name for name in _given(probe) if not name.startswith(_QOS)}
+        return not given <= set(besides)
+    finally:
+        probe.destroy_node()
+
+
+def _given(node: Node) -> list[str]:
+    """Names of the parameters that somebody set for a node, those of every node left out."""
+    return [name for name in node._parameter_overrides if name not in _OF_RCLPY]
+
+
+_WIDTH = 100
+_ENDS = (
+    '0 asked to end, or done',
+    '2 what it was given is wrong (one line says what)',
+    '4 the test bench broke',
+    '130, 143, 129 ended at once by the second Ctrl-C, SIGTERM or closed terminal',
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Usage:
+    """One executable of the package.
+
+    Attributes:
+        executable: as ``ros2 run taxinet_ros`` knows it.
+        does: what the node is for, a sentence or two.
+        parameters: all that it declares.
+        publishes, subscribes: names of its topics, relative to its namespace.
+        other: services and actions, in words.
+        ends: further exit codes, in words.
+    """
+
+    executable: str
+    does: str
+    parameters: tuple[Parameter, ...] = ()
+    publishes: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    other: str = ''
+    ends: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """What ``--help`` prints."""
+        sections = [
+            f'usage: ros2 run taxinet_ros {self.executable} [--ros-args [-p NAME:=VALUE] '
+            '[-r FROM:=TO] ...]',
+            '',
+            *textwrap.wrap(self.does, _WIDTH),
+            '',
+            *_listed('publishes', self.publishes),
+            *_listed('subscribes', self.subscribes),
+            *(_listed('and', [self.other]) if self.other else ()),
+            '',
+            'parameters, which are read when it starts:' if self.parameters else 'no parameters',
+            *(line for one in self.parameters for line in _parameter_lines(one)),
+            '',
+            'exit codes:',
+            *(f'  {line}' for line in (*_ENDS, *self.ends)),
+        ]
+        return '\n'.join(sections)
+
+
+def spoken(node: str) -> tuple[str, ...]:
+    """Topics of the graph on which a node speaks."""
+    topics = (
+        *interface.TOPICS, interface.OBITUARY, *interface.TRANSFORMS, interface.DIAGNOSTICS,
+        *interface.SCENE,
+    )
+    return tuple(topic.name for topic in topics if node in topic.publishers)
+
+
+def heard(node: str, *but: str) -> tuple[str, ...]:
+    """Topics of the graph that a node hears, some left out."""
+    names = interface.PARTICIPANTS
+    found = [topic.name for topic in interface.TOPICS if node in topic.listeners(names)]
+    told = [interface.OBITUARY.name] if node in interface.OBITUARY.subscribers else []
+    return tuple(name for name in (*found, *told) if name not in but)
+
+
+def read_arguments(usage: Usage, arguments: Sequence[str]) -> bool:
+    """See that there is nothing on a command line but arguments of ROS.
+
+    Args:
+        usage: of the executable.
+        arguments: the command line, the program first.
+
+    Returns:
+        Whether help was asked for, and has been printed.
+
+    Raises:
+        UsageError: names the first word that is not known.
+    """
+    try:
+        words = remove_ros_args(list(arguments))[1:]
+    except rclpy_implementation.UnknownROSArgsError as error:
+        raise UsageError(
+            f'{usage.executable}: what follows --ros-args has words that ROS does not know: {error}'
+        ) from None
+    if {'-h', '--help'} & set(words):
+        print(usage.text)
+        sys.stdout.flush()
+        return True
+    if words:
+        raise UsageError(
+            f'{usage.executable}: unknown argument {words[0]!r}; parameters are given as '
+            '--ros-args -p NAME:=VALUE; --help lists them'
+        )
+    return False
+
+
+def _listed(what: str, names: Iterable[str]) -> list[str]:
+    text = ', '.join(names)
+    head = f'{what + ":":12}{text}'
+    return textwrap.wrap(head, _WIDTH, subsequent_indent=12 * ' ') if text else []
+
+
+def _parameter_lines(one: Parameter) -> list[str]:
+    value = str(one.default).lower() if isinstance(one.default, bool) else repr(one.default)
+    value = "['']" if one.default == [''] else value
+    head = f'  {one.name} = {value}'
+    body = f'{one.description}; {one.allowed}' if one.allowed else one.description
+    return [head, *textwrap.wrap(body, _WIDTH, initial_indent=6 * ' ', subsequent_indent=6 * ' ')]

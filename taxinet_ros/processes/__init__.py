@@ -1,0 +1,1 @@
+"""Processes of the program: children, pools, signals and ends."""

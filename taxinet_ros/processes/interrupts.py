@@ -1,0 +1,222 @@
+"""Interrupts and exit codes: Ctrl-C, SIGTERM and a closed terminal, and who may end the process.
+
+The first interrupt asks for an end in order, the second for an end now. An exit code is a verdict:
+0 says that every run satisfied its specifications. So where somebody's code runs, nobody but us
+decides when the process ends and with which code; beyond reach is what ends a process below
+Python, as C's ``exit`` does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
+from typing import Any, NoReturn
+
+from taxinet_ros.errors import warn_once
+
+exit_now: Callable[[int], NoReturn] = os._exit
+"""``os._exit`` as it is, for us."""
+RECEIVED_STOPS: list[int] = []
+"""Numbers of the signals that came and asked this process to end, oldest first."""
+_EXITS = ('_exit', 'execv', 'execve')
+_FORKED = ('multiprocessing.popen_fork', 'multiprocessing.forkserver')
+"""Who ends, by ``os._exit``, a child in which somebody's code is loaded: it is at its end."""
+_AGAIN_S = 0.01
+_kept_by = 0
+
+
+def raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
+
+    While a library in C++ is being loaded the signal is put off: pybind11 lets no exception out of
+    there, and would abort the process for it.
+
+    Raises:
+        KeyboardInterrupt: else.
+    """
+    if _is_loading(frame):
+        resend_signal(number)
+        return
+    RECEIVED_STOPS.append(number)
+    raise KeyboardInterrupt
+
+
+def resend_signal(number: int) -> None:
+    """Have a signal come a moment later; at once it would be where it was."""
+    who = threading.main_thread().ident
+    assert who is not None
+    again = threading.Timer(_AGAIN_S, signal.pthread_kill, (who, number))
+    again.daemon = True
+    again.start()
+
+
+def _is_loading(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_name in ('create_module', 'exec_module') and isinstance(
+            frame.f_locals.get('self'), ExtensionFileLoader
+        ):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def refuse_exits() -> None:
+    """From now on, have Python's ways to end this process at once raise SystemExit instead.
+
+    Its children may end as they like. A Ctrl-C is noted from now on, wherever it is handled.
+    """
+    global _kept_by
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        with contextlib.suppress(ValueError):  # not the main thread, which alone is interrupted
+            signal.signal(signal.SIGINT, raise_interrupt)
+    if not _kept_by:
+        for name in _EXITS:
+            refusing = _refusing(name, getattr(os, name))
+            for module in (os, sys.modules[os.name]):
+                setattr(module, name, refusing)
+    _kept_by = os.getpid()
+
+
+def _refusing(name: str, end: Callable[..., NoReturn]) -> Callable[..., NoReturn]:
+    def refuse(*words: Any, **named: Any) -> NoReturn:
+        caller = sys._getframe(1).f_globals.get('__name__')
+        if os.getpid() != _kept_by or (name == '_exit' and caller in _FORKED):
+            end(*words, **named)
+        called = f'os.{name}({", ".join(map(repr, words))})'
+        if threading.current_thread() is not threading.main_thread():  # where it would be silent
+            warn_once(f"{called}: refused, in a thread of somebody's code")
+        raise SystemExit(called)
+
+    return refuse
+
+
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What asks a program to end."""
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
+_STUCK_S = 5.0
+"""How long whoever was told to give up may take."""
+
+
+@contextlib.contextmanager
+def interrupts(
+    first: Callable[[], None], second: Callable[[], bool] = lambda: False,
+    gone_s: float | None = None,
+) -> Iterator[None]:
+    """Within the ``with``, have the first interrupt call ``first``, and the next one ``second``.
+
+    Where that helps nothing, for somebody's code does not come back, the process is ended after
+    :data:`_STUCK_S`.
+
+    Args:
+        first: has what is at hand end in order.
+        second: has whoever waits give up, or answers False where there is nobody to be told.
+        gone_s: the process is ended so long after the second interrupt [s], whatever ``second``
+            answers; for what has nothing to clear away that the kernel does not. None: not so.
+
+    Raises:
+        KeyboardInterrupt: where ``second`` answers False, and at the third interrupt.
+    """
+    asked = 0
+    stuck = threading.Timer(_STUCK_S if gone_s is None else gone_s, _exit_stuck)
+    stuck.daemon = True
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked += 1
+        RECEIVED_STOPS.append(number)
+        if asked == 1:
+            first()
+            return
+        told = asked == 2 and second()
+        if asked == 2 and (told or gone_s is not None):
+            stuck.start()
+        if not told:
+            raise KeyboardInterrupt
+
+    with signals_handled(handle):
+        try:
+            yield
+        finally:
+            stuck.cancel()
+
+
+@contextlib.contextmanager
+def signals_handled(
+    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
+) -> Iterator[None]:
+    """Within the ``with``, have signals handled; under ``nohup`` no closed terminal is one."""
+    before = handle_signals(handle, numbers)
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def handle_signals(
+    handle: Callable[[int, FrameType | None], None], numbers: Sequence[signal.Signals] = _STOPS
+) -> dict[signal.Signals, Any]:
+    """Have signals handled, to the end of the process; what they were handled by before."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        numbers = [number for number in numbers if number != signal.SIGHUP]
+    return {number: signal.signal(number, handle) for number in numbers}
+
+
+@contextlib.contextmanager
+def lost_interrupts_resent() -> Iterator[None]:
+    """Within the ``with``, have an interrupt come again that Python could not raise.
+
+    In a destructor, or in a callback of the import system, it would be printed and forgotten.
+    """
+    before = sys.unraisablehook
+
+    def hook(what: Any) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):
+            before(what)
+            return
+        # At once, it would be raised right here.
+        resend_signal(_newest_stop())
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:
+    """What handles a signal by ending the process where it stands, whatever its threads are at.
+
+    For where nothing is begun, or all is done: :data:`INTERRUPTED` is told apart.
+    """
+    def handle(number: int, frame: FrameType | None) -> NoReturn:
+        RECEIVED_STOPS.append(number)
+        exit_now(interrupted_exit_code(code))
+
+    return handle
+
+
+def _exit_stuck() -> None:
+    line = b'taxinet: error: what is at hand does not come back; it is left where it stands\n'
+    with contextlib.suppress(OSError):
+        os.write(2, line)  # not print: its lock may be held by what does not come back
+    exit_now(interrupted_exit_code(INTERRUPTED))
+
+
+def interrupted_exit_code(code: int) -> int:
+    """An exit code, where an interrupt's is that of the signal that came: 130, or 143 of SIGTERM.
+
+    So do shells, with 128 and the signal's number (POSIX.1-2024, XCU section 2.8.2).
+    """
+    return 128 + _newest_stop() if code == INTERRUPTED else code
+
+
+def _newest_stop() -> int:
+    return RECEIVED_STOPS[-1] if RECEIVED_STOPS else signal.SIGINT

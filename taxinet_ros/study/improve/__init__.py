@@ -1,0 +1,1 @@
+"""Retraining on counterexamples, round by round, and whether a round is kept."""

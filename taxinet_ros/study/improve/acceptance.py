@@ -1,0 +1,245 @@
+"""Whether a retrained network replaces the one before it, judged on the same unseen scenes.
+
+It has to be better in something, and *not worse* in failures anywhere that was looked at. That few
+failures more were seen proves nothing of that: it has to be shown that failures did not become more
+by as much as a margin (non-inferiority), over all scenes and in each place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+
+from taxinet_ros.analysis.causes.region import Interval, Kinds, Region, interval_cells
+from taxinet_ros.analysis.experiment.arms import ArmComparison, compare_arms
+from taxinet_ros.analysis.experiment.pairs import PairedRates
+from taxinet_ros.analysis.report.values import plain_values
+from taxinet_ros.analysis.runs.features import (
+    CLOUDS_KIND,
+    CROSS_TRACK,
+    DISTANCE,
+    HEADING,
+    RAIN,
+    TIME_OF_DAY,
+    Mask,
+    feature_columns,
+)
+from taxinet_ros.campaign.rates import rate
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import table
+from taxinet_ros.core.outcome import Outcome
+
+INCUMBENT, CANDIDATE = 'incumbent', 'candidate'
+MARGIN, PLACE_MARGIN = 0.01, 0.05
+
+_PARTS = 4
+_DARK = ('broken', 'overcast', 'stratus')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """What the runs say.
+
+    Attributes:
+        accepted: whether the candidate is the network from now on.
+        why: in words, what decided.
+        pairs: scenes judged with both.
+        failed_before, failed_now: of them, with the incumbent and with the candidate.
+        only_before, only_now: failed with one of them only.
+        failures_p: two-sided exact McNemar test of whether they fail equally often.
+        more_failures: upper bound, at the level of the test, of how much more often the candidate
+            fails: a difference of rates.
+        rho_change: typical change of the headline's robustness [m, or as its predicate].
+        rho_low, rho_high: its 95 % interval.
+        rho_p: two-sided Wilcoxon test of whether there is any.
+        off_before, off_now: runs that left the runway.
+        satisfied_low: lower end of the candidate's 95 % Clopper-Pearson interval.
+        worse: places in which it is not shown that failures did not become more by the margin.
+    """
+
+    accepted: bool
+    why: str
+    pairs: int
+    failed_before: int
+    failed_now: int
+    only_before: int
+    only_now: int
+    failures_p: float
+    more_failures: float
+    rho_change: float
+    rho_low: float
+    rho_high: float
+    rho_p: float
+    off_before: int
+    off_now: int
+    satisfied_low: float
+    worse: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, None where there is no number."""
+        return plain_values(asdict(self))
+
+
+def decide(
+    before: Sequence[RunRow], now: Sequence[RunRow], alpha: float, *, margin: float = MARGIN,
+    place_margin: float = PLACE_MARGIN, causes: Sequence[Region] = (),
+) -> Decision:
+    """Compare the runs of two networks over the scenes that were judged with both.
+
+    The candidate is accepted if it fails less often, or fails no more often and keeps to the
+    centreline better (robustness), at a level of ``alpha``; and if it is shown, at this level each,
+    that it neither fails nor leaves the runway more often by ``margin`` or more, nor fails more
+    often by ``place_margin`` or more in any quarter of the scenes along the runway, over the day,
+    by offset or by heading of the start, nor in rain or when it is dry under light or dark skies,
+    nor in a cause of the incumbent's failures or outside them all. All of this has to be shown, so
+    a network that is worse by a margin in any of it gets through with a probability of ``alpha`` at
+    most (intersection-union test: Berger, Technometrics 24, 1982).
+
+    Args:
+        before: runs of the incumbent.
+        now: runs of the candidate, of the same scenes.
+        alpha: probability, for either reason, of accepting a network that is no better.
+        margin: more failures that count as none, a difference of rates over all scenes.
+        place_margin: the same in a place, where there are fewer runs to tell by.
+        causes: regions of the incumbent's failures.
+    """
+    found = compare_arms(INCUMBENT, before, CANDIDATE, now)
+    satisfied, off, rho = found.satisfied, found.off_runway, found.rho
+    bounds = _places(found, causes, alpha, place_margin)
+    worse = {name: bound for name, bound in bounds.items() if bound >= place_margin}
+    more, more_off = _more(satisfied, alpha), _more(off, alpha)
+    better = _better(found, alpha)
+    refusal = _refusal(found, alpha, more, more_off, margin, worse) if found.pairs else ''
+    why = refusal if better or satisfied.second < satisfied.first else ''
+    return Decision(
+        accepted=bool(better) and not refusal, why=why or better or 'not better beyond doubt',
+        pairs=satisfied.pairs, failed_before=satisfied.pairs - satisfied.first,
+        failed_now=satisfied.pairs - satisfied.second,
+        only_before=satisfied.only_second, only_now=satisfied.only_first,
+        failures_p=satisfied.p_value, more_failures=more, rho_change=rho.change.value,
+        rho_low=rho.change.low, rho_high=rho.change.high, rho_p=rho.p_value, off_before=off.first,
+        off_now=off.second,
+        satisfied_low=rate(satisfied.second, satisfied.pairs).low if found.pairs else 0.0,
+        worse=tuple(sorted(worse)),
+    )
+
+
+def _better(found: ArmComparison, alpha: float) -> str:
+    """In what the candidate is better beyond doubt, or ''."""
+    satisfied, rho = found.satisfied, found.rho
+    if satisfied.second > satisfied.first and satisfied.p_value <= alpha:
+        return f'fails less often (p {satisfied.p_value:.2g})'
+    if satisfied.second >= satisfied.first and rho.change.value > 0 and rho.p_value <= alpha:
+        return f'fails no more often and keeps nearer to the centreline (p {rho.p_value:.2g})'
+    return ''
+
+
+def _refusal(
+    found: ArmComparison, alpha: float, more: float, more_off: float, margin: float,
+    worse: Mapping[str, float],
+) -> str:
+    """Why the candidate may be worse, or ''."""
+    satisfied, off = found.satisfied, found.off_runway
+    if off.second > off.first:
+        return f'leaves the runway more often ({off.second} runs, not {off.first})'
+    if satisfied.second < satisfied.first:
+        return 'fails more often'
+    if more >= margin:
+        return (f'may fail up to {100 * more:.1f} points more often by {satisfied.pairs} scenes, '
+                f'and {100 * margin:g} is the margin')
+    # Where failures became fewer beyond doubt, so did the worst of them, unless one sees otherwise.
+    if satisfied.p_value > alpha and more_off >= margin:
+        return (f'may leave the runway up to {100 * more_off:.1f} points more often by '
+                f'{satisfied.pairs} scenes, and {100 * margin:g} is the margin')
+    if worse:
+        most = max(worse, key=lambda name: worse[name])
+        others = f', and in {len(worse) - 1} places more' if len(worse) > 1 else ''
+        return (f'may fail up to {100 * worse[most]:.1f} points more often where it is about '
+                f'"{most}"{others}')
+    return ''
+
+
+def _more(rates: PairedRates, alpha: float) -> float:
+    """Upper bound of how much rarer a yes has become, or more frequent for leaving the runway."""
+    return _bound(rates.only_first, rates.only_second, rates.pairs, alpha)
+
+
+def _places(
+    found: ArmComparison, causes: Sequence[Region], alpha: float, place_margin: float
+) -> dict[str, float]:
+    """Upper bound of how much more often the candidate fails in each place.
+
+    What was mended in a cause must not make up for new failures beside it, so of every other place
+    only the part outside the causes counts. Parts that are too small to show anything are left to
+    the places that hold them.
+    """
+    if not found.pairs:
+        return {}
+    frame = feature_columns(table([one for one, _ in found.pairs]))
+    before, now = np.array([
+        [run.outcome is Outcome.FAIL for run in pair] for pair in found.pairs]).T
+    # Of so many pairs without any failure the bound is below the margin.
+    least = math.ceil(float(norm.ppf(1 - alpha)) ** 2 * (1 - place_margin) / place_margin)
+    inside = np.zeros(len(frame), dtype=bool)
+    masks = {'no cause found': inside}
+    for cause in causes:
+        masks[cause.words()] = mask = cause.mask(frame)
+        inside |= mask
+    np.logical_not(inside, out=inside)
+    for words, mask in _parts(frame, min(_PARTS, len(frame) // least)):
+        outside = mask & inside
+        masks[words] = outside if outside.sum() >= least else mask
+    return {
+        words: _bound(int((~before & now)[mask].sum()), int((before & ~now)[mask].sum()),
+                      int(mask.sum()), alpha)
+        for words, mask in masks.items() if mask.sum() >= least
+    }
+
+
+def _parts(frame: pd.DataFrame, most: int) -> Iterator[tuple[str, Mask]]:
+    """Stretches of the runway, of the day and of the start's pose, and skies."""
+    for feature in (DISTANCE, TIME_OF_DAY, CROSS_TRACK, HEADING):
+        values = frame[feature.name].to_numpy(dtype=np.float64)
+        for low, high in zip(*interval_cells(values, max(most, 1))[:2], strict=True):
+            part = Interval(feature=feature.name, low=float(low), high=float(high))
+            yield part.words(), part.mask(frame)
+    dry = Interval(feature=RAIN.name, low=None, high=0.0).mask(frame)
+    dark = Kinds(feature=CLOUDS_KIND.name, kinds=_DARK).mask(frame)
+    yield 'rain', ~dry
+    yield 'dark clouds, no rain', dry & dark
+    yield 'light clouds or none, no rain', dry & ~dark
+
+
+def _bound(more: int, fewer: int, pairs: int, alpha: float) -> float:
+    """Upper bound of a difference of paired rates, from the pairs that changed either way.
+
+    The greatest difference that the score test of Tango (Statistics in Medicine 17, 1998) does not
+    reject in favour of a smaller one, at a one-sided level; 1 where there is no pair.
+    """
+    if not pairs:
+        return 1.0
+    quantile = float(norm.ppf(1 - alpha))
+    low, high = (more - fewer) / pairs, 1.0
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _score(more, fewer, pairs, middle) > -quantile else (
+            low, middle)
+    return high
+
+
+def _score(more: int, fewer: int, pairs: int, difference: float) -> float:
+    """Tango's statistic: how far what was seen lies above a difference, in standard errors."""
+    b = -more - fewer + (2 * pairs - more + fewer) * difference
+    c = -fewer * difference * (1 - difference)
+    fewer_rate = (math.sqrt(max(b * b - 8 * pairs * c, 0.0)) - b) / (4 * pairs)
+    variance = pairs * (2 * fewer_rate + difference * (1 - difference))
+    gap = more - fewer - pairs * difference
+    if variance <= 0:
+        return math.copysign(math.inf, gap) if gap else 0.0
+    return gap / math.sqrt(variance)

@@ -1,0 +1,293 @@
+"""Falsify, learn from the failures, judge, and keep what is better: the paper's loop, repeated.
+
+The paper went round it once and left further rounds to future work (its conclusion). Here each
+round looks for failures of the best network so far, trains it further on places along the
+failed runs among pictures of the whole world, runs both networks on scenes that neither has
+seen, and keeps the new one only where :mod:`.acceptance` finds it better.
+
+The folder holds every stage's own folder, ``stages.jsonl``, ``rounds.jsonl`` with what each
+round decided and why, and ``best.safetensors`` with its card.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.analysis.causes.region import Region, part_of
+from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.perception.weights import card_path, load_model
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import disk_error
+from taxinet_ros.files.journal import JournalOwner, open_journal
+from taxinet_ros.files.sealed_json import read_sealed
+from taxinet_ros.study.improve.acceptance import Decision, decide
+from taxinet_ros.study.improve.options import FALSIFY, JUDGE, TRAIN, ImproveOptions
+from taxinet_ros.study.stages.stage import Stage, analysis_stage, campaign_stage, training_stage
+
+ROUNDS_NAME = 'rounds.jsonl'
+_WHEN = 'date'
+
+
+class RoundLedger(JournalOwner):
+    """The open ledger; one process at a time. A context manager."""
+
+    def __init__(self, out: Path) -> None:
+        """Open it in the loop's folder, making it if need be.
+
+        Raises:
+            UsageError: another process has it open, or it is damaged.
+        """
+        self._path = out / ROUNDS_NAME
+        self._journal = open_journal(self._path, 'taxinet improve')
+        self._known = [_undated(event) for event in self._journal.events]
+
+    def write(self, values: Mapping[str, Any]) -> None:
+        """Put a round down, unless it says what it said before."""
+        plain = json.loads(json.dumps(values))
+        if plain in self._known:
+            return
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds')
+        try:
+            self._journal.append({**plain, _WHEN: now})
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        self._known.append(plain)
+
+
+def _undated(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key != _WHEN}
+
+
+START = 'start.safetensors'
+"""The network to begin with: a copy, so that the folder holds all that the loop depends on."""
+
+
+def falsify_name(number: int) -> str:
+    """Folder of the campaign that looks for failures in a round."""
+    return f'round-{number}-falsify'
+
+
+def incumbent_name(number: int) -> str:
+    """Folder of the incumbent's runs on the scenes that judge."""
+    return f'round-{number}-incumbent'
+
+
+def candidate_name(number: int) -> str:
+    """Folder of the candidate's runs on the same scenes."""
+    return f'round-{number}-candidate'
+
+
+def analyze_name(number: int) -> str:
+    """Folder of what the failures have in common."""
+    return f'round-{number}-analyze'
+
+
+def candidate_weights(number: int) -> str:
+    """Weights file that a round trains."""
+    return f'round-{number}-train/candidate.safetensors'
+
+
+def search_stage(options: ImproveOptions, number: int, incumbent: str) -> Stage:
+    """Look for failures of the incumbent."""
+    return _campaign(
+        options, falsify_name(number), incumbent, options.sampler,
+        options.seed_of(number, FALSIFY), also=(f'{falsify_name(number)}/{LEDGER_NAME}',),
+    )
+
+
+def round_stages(
+    options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
+) -> tuple[Stage, ...]:
+    """Group the failures, learn from them, and run both networks on scenes new to both.
+
+    Args:
+        options: of the loop.
+        number: of the round, from 1.
+        incumbent: weights file of the best network so far.
+        campaigns: folders with failed runs, this round's last.
+    """
+    seed = options.seed_of(number, JUDGE)
+    return (
+        analysis_stage(analyze_name(number), falsify_name(number), 1),
+        _training(options, number, incumbent, campaigns),
+        _campaign(options, incumbent_name(number), incumbent, 'random', seed),
+        _campaign(options, candidate_name(number), candidate_weights(number), 'random', seed),
+    )
+
+
+def _campaign(
+    options: ImproveOptions, name: str, weights: str, sampler: str, seed: int,
+    also: tuple[str, ...] = (),
+) -> Stage:
+    return campaign_stage(
+        name, options.program, sampler=sampler, seed=seed, runs=options.runs,
+        workers=options.workers, weights=weights, outputs=also,
+    )
+
+
+def _training(
+    options: ImproveOptions, number: int, incumbent: str, campaigns: Sequence[str]
+) -> Stage:
+    added = [word for portion in options.add for word in ('--add', portion)]
+    for campaign in campaigns:
+        added += ['--add-runs', f'{campaign}={options.counterexamples}']
+    return training_stage(
+        candidate_weights(number), options.base, '--learning-rate', f'{options.learning_rate:g}',
+        '--start', incumbent, *['--varied'] * options.varied, *added,
+        images=options.images, validation=options.validation,
+        added=options.counterexamples * len(campaigns), epochs=options.epochs,
+        seed=options.seed_of(number, TRAIN), workers=options.workers,
+        inputs=(incumbent, *(f'{campaign}/{LEDGER_NAME}' for campaign in campaigns)),
+        programs=[text.rpartition('=')[0] for text in options.add],
+    )
+
+
+BEST = 'best.safetensors'
+RunStages = Callable[[Sequence[Stage]], int]
+"""Does what is not done of some stages; their exit code."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """What came of a round.
+
+    Attributes:
+        number: from 1.
+        incumbent: sha256 of the weights that it began with.
+        searched, failed: runs of the search that were judged, and those of them that failed.
+        causes: what its failures have in common, in words.
+        clusters: groups of failures that are alike, in words.
+        candidate: sha256 of the weights that it trained; '' where there was no failure.
+        decision: on them; None where there was no failure.
+    """
+
+    number: int
+    incumbent: str
+    searched: int
+    failed: int
+    causes: tuple[str, ...] = ()
+    clusters: tuple[str, ...] = ()
+    candidate: str = ''
+    decision: Decision | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for the ledger."""
+        return {
+            'round': self.number, 'incumbent': self.incumbent, 'searched': self.searched,
+            'failed': self.failed, 'causes': list(self.causes), 'clusters': list(self.clusters),
+            'candidate': self.candidate,
+            'decision': None if self.decision is None else self.decision.to_json(),
+        }
+
+
+class Improvement:
+    """The loop. What is done is not done again, so the same call goes on where one stopped."""
+
+    def __init__(
+        self, out: Path, options: ImproveOptions, ledger: RoundLedger, run_stages: RunStages,
+        on_round: Callable[[Round], None],
+    ) -> None:
+        """Nothing is started yet.
+
+        Args:
+            out: folder of the loop.
+            options: what to do.
+            ledger: of the rounds.
+            run_stages: runs a round's commands.
+            on_round: called with each round that is over.
+        """
+        self._out = out
+        self._options = options
+        self._ledger = ledger
+        self._run_stages = run_stages
+        self._on_round = on_round
+        self._incumbent = START
+
+    def run(self) -> int:
+        """Go round until the rounds are over, or no run fails any more.
+
+        Returns:
+            Exit code: 0 done, else that of the stage that stopped.
+
+        Raises:
+            UsageError: a network, program or folder cannot be used.
+        """
+        _copy(self._options.start_path, self._out / START)
+        for number in range(1, self._options.rounds + 1):
+            code, done = self._round(number)
+            if done is None:
+                return code
+            self._ledger.write(done.to_json())
+            self._on_round(done)
+            if done.decision is None:
+                break
+            if done.decision.accepted:
+                self._incumbent = candidate_weights(number)
+        _copy(self._out / self._incumbent, self._out / BEST)
+        return 0
+
+    def _round(self, number: int) -> tuple[int, Round | None]:
+        """One round, or the exit code of the stage that stopped it."""
+        options, incumbent = self._options, self._incumbent
+        if code := self._run_stages([search_stage(options, number, incumbent)]):
+            return code, None
+        found = self._judged(falsify_name(number))
+        failed = sum(row.outcome is Outcome.FAIL for row in found)
+        sha256 = load_model(self._out / incumbent).card.weights_sha256
+        if not failed:
+            return 0, Round(number=number, incumbent=sha256, searched=len(found), failed=0)
+        campaigns = [
+            falsify_name(earlier) for earlier in range(1, number + 1)
+        ]
+        if code := self._run_stages(round_stages(options, number, incumbent, campaigns)):
+            return code, None
+        analysis = self._analysis(number)
+        return 0, Round(
+            number=number, incumbent=sha256, searched=len(found), failed=failed,
+            causes=_words(analysis['causes']), clusters=_words(analysis['clusters']),
+            candidate=load_model(self._out / candidate_weights(number)).card.weights_sha256,
+            decision=decide(
+                self._judged(incumbent_name(number)), self._judged(candidate_name(number)),
+                options.alpha, margin=options.margin, place_margin=options.place_margin,
+                causes=_regions(analysis['causes']),
+            ),
+        )
+
+    def _judged(self, campaign: str) -> list[RunRow]:
+        rows = read_ledger(self._out / campaign / LEDGER_NAME).rows
+        return [row for row in rows if row.outcome.judged]
+
+    def _analysis(self, number: int) -> Mapping[str, Any]:
+        path = self._out / analyze_name(number) / 'analysis.json'
+        return read_sealed(path).values
+
+
+def _words(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    return tuple(str(entry['words']) for entry in entries)
+
+
+def _regions(causes: Sequence[Mapping[str, Any]]) -> list[Region]:
+    return [Region(parts=tuple(map(part_of, cause['region']))) for cause in causes]
+
+
+def _copy(weights: Path, to: Path) -> None:
+    """Copy a weights file and its card, checked; the card first, as when they are saved."""
+    load_model(weights)
+    try:
+        for one, other in ((card_path(weights), card_path(to)), (weights, to)):
+            if not other.exists() or other.read_bytes() != one.read_bytes():
+                write_whole(other, partial(shutil.copyfile, one))
+    except OSError as error:
+        raise UsageError(f'{to}: cannot be written ({error.strerror})') from error

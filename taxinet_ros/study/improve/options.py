@@ -1,0 +1,171 @@
+"""What ``taxinet improve`` is asked to do, checked before any work goes into it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+from taxinet_ros.campaign.samplers.registry import SAMPLERS
+from taxinet_ros.campaign.scenes.programs import find_program, known_programs
+from taxinet_ros.core.perception.weights import load_model, weights_path
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+from taxinet_ros.training.data.portions import parse_portion
+
+FACTS_NAME = 'improve.json'
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    'rounds': (1, 100), 'budget': (6, 10_000_000), 'images': (1, 1_000_000),
+    'validation': (1, 1_000_000), 'counterexamples': (1, 1_000_000), 'epochs': (1, 10_000),
+    'learning_rate': (1e-8, 1.0), 'alpha': (1e-6, 0.5), 'margin': (1e-4, 0.5),
+    'place_margin': (1e-4, 0.5), 'seed': (0, 10**12), 'workers': (1, 64),
+}
+
+FALSIFY, TRAIN, JUDGE = range(3)
+"""What a seed is for."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ImproveOptions:
+    """How to improve a network; checked on construction.
+
+    Attributes:
+        program: Scenic program in which it has to do well.
+        start: word or weights file of the network to begin with.
+        rounds: most rounds.
+        budget: runs of all rounds together; a third each to look for failures, and to judge the
+            old and the new network.
+        base: program whose pictures are learned beside the counterexamples, lest the rest be
+            forgotten.
+        images: of that program, in every round.
+        validation: held back, to choose the epoch.
+        counterexamples: pictures along failed runs, for each round so far.
+        add: further pictures as ``PROGRAM=COUNT``.
+        epochs, learning_rate: of every training.
+        varied: whether the look of the rendered world varies.
+        sampler: how failures are looked for.
+        alpha: probability of accepting a network that is no better, or worse by a margin.
+        margin: difference of failure rates that counts as none over all scenes.
+        place_margin: the same in a part of them.
+        seed: of everything random; no seed of one purpose is one of another.
+        workers: processes; nothing depends on them.
+
+    Raises:
+        UsageError: a number is out of range, or a word is not known.
+    """
+
+    program: str = 's_falsif'
+    start: str = 'taxinet'
+    rounds: int = 3
+    budget: int = 3600
+    base: str = 'training_full'
+    images: int = 12_000
+    validation: int = 1_500
+    counterexamples: int = 4_000
+    add: tuple[str, ...] = ()
+    epochs: int = 8
+    learning_rate: float = 1e-3
+    varied: bool = False
+    sampler: str = 'ce'
+    alpha: float = 0.05
+    margin: float = 0.01
+    place_margin: float = 0.05
+    seed: int = 1
+    workers: int = 2
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise UsageError(f'improve: {name} is {value:g}, outside {low:g}..{high:g}')
+        if self.sampler not in SAMPLERS:
+            known = ', '.join(SAMPLERS)
+            raise UsageError(f'improve: sampler {self.sampler!r} is unknown; known: {known}')
+        if self.runs < 2:
+            raise UsageError(
+                f'improve: --budget {self.budget} leaves {self.runs} runs for each of the three '
+                f'campaigns of {self.rounds} rounds; ask for more runs or fewer rounds'
+            )
+
+    @property
+    def runs(self) -> int:
+        """Runs of each of the three campaigns of a round."""
+        return self.budget // (3 * self.rounds)
+
+    def checked(self) -> Self:
+        """The same with programs' paths made absolute, for the commands run in another folder.
+
+        Raises:
+            UsageError: a program or the network cannot be used.
+        """
+        load_model(self.start_path)
+        added = [parse_portion(text, 'program') for text in self.add]
+        return replace(
+            self, program=_absolute_program(self.program), base=_absolute_program(self.base),
+            add=tuple(str(replace(one, name=_absolute_program(one.name))) for one in added),
+        )
+
+    @property
+    def start_path(self) -> Path:
+        """The weights file to begin with."""
+        return weights_path(self.start)
+
+    def seed_of(self, number: int, purpose: int) -> int:
+        """Seed for one purpose in a round."""
+        return 100_000 * (self.seed + 1) + 10 * number + purpose
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; the inverse of :meth:`from_json`."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Read back what :meth:`to_json` gave.
+
+        Raises:
+            UsageError: values are missing, unknown or out of range.
+        """
+        names = {field.name for field in fields(cls)}
+        if set(values) != names:
+            raise UsageError(f'has not the keys {", ".join(sorted(names))}')
+        try:
+            return cls(**{**values, 'add': tuple(values['add'])})
+        except TypeError as error:
+            raise UsageError(f'has a value that cannot be: {error}') from error
+
+
+def _absolute_program(program: str) -> str:
+    """A program's word or path as it holds in any folder."""
+    path = find_program(program)
+    return program if program in known_programs() else str(path.resolve())
+
+
+def write_options(out: Path, options: ImproveOptions) -> None:
+    """Put the options into the folder.
+
+    Raises:
+        BagWriteError: it cannot be written to.
+    """
+    write_sealed(out / FACTS_NAME, options.to_json())
+
+
+def read_options(out: Path) -> ImproveOptions:
+    """Read them back.
+
+    Raises:
+        UsageError: the folder is none of ``taxinet improve``, or the file is damaged.
+    """
+    path = out / FACTS_NAME
+    try:
+        values = read_sealed(path).values
+    except OSError as error:
+        raise UsageError(
+            f'--resume: {path}: {error.strerror}; name the folder of an earlier taxinet improve'
+        ) from error
+    try:
+        return ImproveOptions.from_json(values)
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error

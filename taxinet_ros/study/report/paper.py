@@ -1,0 +1,450 @@
+"""What the paper reports and says, and whether our runs agree: in kind, or not, or not clear.
+
+Fremont, Chiu, Margineantu, Osipychev and Seshia, Formal Analysis and Redesign of a Neural
+Network-Based Aircraft Taxiing System with VerifAI, CAV 2020. Its figures are of its own
+networks in its own simulator; nothing here is used to tune anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_shift
+from taxinet_ros.study.report.claim import (
+    NOTHING_KNOWN,
+    Claim,
+    Question,
+    all_of,
+    evenly_often,
+    judge,
+    mean_above,
+    more_often,
+    mostly,
+    mostly_lower,
+    pairs_more_often,
+    share_above,
+)
+from taxinet_ros.study.report.results import Results, share_of
+from taxinet_ros.study.stages.plan import GENERIC, HALTON, ITERATIVE, ORIGINAL, SPECIALISED
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PaperNetwork:
+    """A network's rates, as fractions.
+
+    Attributes:
+        satisfied: share of the runs that satisfy phi_eventually.
+        off_runway: share that leaves the runway; None where the paper does not say.
+        source: where the paper says so.
+    """
+
+    satisfied: float
+    off_runway: float | None
+    source: str
+
+_SECTION_RETRAINING, _SECTION_APPENDIX = 'section 3.4', 'appendix A.1'
+PAPER_NETWORKS = {
+    ORIGINAL: PaperNetwork(satisfied=0.552, off_runway=0.091, source='section 3.2'),
+    GENERIC: PaperNetwork(satisfied=0.82, off_runway=0.039, source=_SECTION_RETRAINING),
+    HALTON: PaperNetwork(satisfied=0.83, off_runway=0.006, source=_SECTION_RETRAINING),
+    SPECIALISED: PaperNetwork(satisfied=0.86, off_runway=0.005, source=_SECTION_RETRAINING),
+    ITERATIVE[0]: PaperNetwork(satisfied=0.85, off_runway=None, source=_SECTION_APPENDIX),
+    ITERATIVE[1]: PaperNetwork(satisfied=0.73, off_runway=None, source=_SECTION_APPENDIX),
+    ITERATIVE[2]: PaperNetwork(satisfied=0.82, off_runway=None, source=_SECTION_APPENDIX),
+}
+"""By the study's names."""
+PAPER_RUNS = 4_000
+"""About so many runs were made with each network."""
+PAPER_RULE = 'ce-verifai'
+"""The sampler that learns as the paper's did."""
+LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
+"""Ends of the stretches of runway that the paper tells apart."""
+PAPER_LEARNED = (0.05, None, 0.16, 0.79, None)
+"""What cross-entropy learned of the generic network's failures, by stretch (section 3.4)."""
+PAPER_ELSEWHERE = 0.01
+"""What it gave to the stretches without a figure of their own, together."""
+CROSSING_M = (1200.0, 1600.0)
+"""Starts that bracket the crossing near 1,450 m (Fig. 8)."""
+START_M = (0.0, 400.0)
+"""Starts at which the paper's model also has difficulty (Figs. 6 and 8)."""
+EARLY_H, LATE_MORNING_H = (6.0, 8.0), (9.5, 12.0)
+"""Where the original network consistently fails and where it works well (section 3.3, Fig. 4); the
+limits are ours, the paper has none."""
+EIGHT_H, TWO_H, AFTERNOON_H = (7.0, 9.0), (13.0, 15.0), (12.0, 18.0)
+"""About 8 am and 2 pm (Fig. 5), and the afternoon of Fig. 7; the limits are ours."""
+ALMOST_ALL = 0.95
+"""Share of runs that "almost all" and "always" ask for; ours, the paper has none."""
+SEVERAL_M = 2.0
+"""What "several meters" ask for at least [m]; ours."""
+EVEN = 0.10
+"""Share by which parts of a day may differ that is "consistent across the entire day"; ours."""
+
+
+_DEBUGGING, _RETRAINING, _APPENDIX = 'section 3.3', 'section 3.4', 'appendix A.1'
+_TOLERANCE_M = 1.5
+_PARTS_OF_DAY_H = ((6.0, 9.0), (9.0, 12.0), (12.0, 15.0), (15.0, 18.0))
+_AT, _OFF = 'that start at 1,200-1,600 m', 'that start elsewhere'
+
+
+def judge_claims(results: Results) -> tuple[Claim, ...]:
+    """Hold our runs against every statement that they can speak of, all as one family."""
+    parts: tuple[Callable[[Results], Iterator[Question]], ...] = (
+        _day, _clouds, _runway, _blame, _shadows, _retraining, _even_day, _learning, _iteration,
+    )
+    return judge([question for part in parts for question in part(results)])
+
+# Falsification and debugging ---------------------------------------------------------------------
+
+
+def _day(results: Results) -> Iterator[Question]:
+    original = results.networks.get(ORIGINAL)
+    if original is None:
+        return
+    failed = original.runs.failed
+    early, late = (
+        failed[original.within('time_of_day_h', *hours)] for hours in (EARLY_H, LATE_MORNING_H)
+    )
+    yield Question(
+        name='morning', source=f'{_DEBUGGING}, Fig. 4', sides=more_often(early, late),
+        statement='the original network fails more in the early morning than in the late morning',
+        evidence=f'from 6 to 8 h {_fail(early)}, from 9:30 to 12 h {_fail(late)}.',
+    )
+    yield Question(
+        name='early_morning', source=f'{_DEBUGGING}, Fig. 4',
+        sides=mostly(int(early.sum()), int((~early).sum())),
+        statement='the original network consistently fails in the early morning (most runs)',
+        evidence=f'from 6 to 8 h {_fail(early)}.',
+    )
+    yield Question(
+        name='late_morning', source=f'{_DEBUGGING}, Fig. 4',
+        sides=share_above(int((~late).sum()), len(late), ALMOST_ALL),
+        statement='the original network works well in the late morning, almost all runs satisfying '
+        f'the formula (more than {_percent(ALMOST_ALL, 0)} %)',
+        evidence=f'from 9:30 to 12 h {_share(~late)} satisfy it.',
+    )
+
+
+def _clouds(results: Results) -> Iterator[Question]:
+    original = results.networks.get(ORIGINAL)
+    if original is None:
+        return
+    frame = original.runs.frame
+    known = frame['rho'].to_numpy(dtype=float)
+    dry = (frame['rain_percent'] == 0).to_numpy() & ~np.isnan(known)
+    for name, hours, words, first, second in (
+        ('clouds_morning', EIGHT_H, 'at 8 am', 'stratus', 'clear'),
+        ('clouds_reversal', TWO_H, 'at 2 pm', 'clear', 'stratus'),
+    ):
+        there = dry & original.within('time_of_day_h', *hours)
+        rho = {
+            sky: known[there & (frame['clouds'] == sky).to_numpy()]
+            for sky in (first, second)
+        }
+        yield Question(
+            name=name, source=f'{_DEBUGGING}, Fig. 5', sides=mostly_lower(rho[first], rho[second]),
+            statement=f'{words} the original network performs worse under {_sky(first)} than under '
+            f'{_sky(second)}',
+            evidence=f'of the dry runs from {hours[0]:g} to {hours[1]:g} h the median ρ is '
+            f'{" and ".join(_median(rho[sky], _sky(sky)) for sky in (first, second))}.',
+        )
+
+
+def _runway(results: Results) -> Iterator[Question]:
+    """Where a network fails more often than along the rest of the runway."""
+    for name, what, words, source in (
+        (ORIGINAL, 'crossing', 'fails around the crossing, more than along the rest of the runway',
+         f'{_DEBUGGING}, Fig. 6'),
+        (HALTON, 'crossing', 'still does not handle the crossing well: it fails there, more than '
+         'along the rest of the runway', _RETRAINING),
+        (GENERIC, 'crossing', "has its worst performance where the learned program's starts are, "
+         'around the crossing', _RETRAINING),
+        (ORIGINAL, 'start', 'has difficulty at the start of the runway: it fails more than '
+         'elsewhere off the crossing', _RETRAINING),
+        (HALTON, 'start', 'has difficulty at the start of the runway: it fails more than elsewhere '
+         'off the crossing', _RETRAINING),
+    ):
+        network = results.networks.get(name)
+        if network is None:
+            continue
+        there = network.within('distance_m', *(CROSSING_M if what == 'crossing' else START_M))
+        others = ~there & ~network.within('distance_m', *CROSSING_M)
+        at, off = network.runs.failed[there], network.runs.failed[others]
+        place = '1,200-1,600 m' if what == 'crossing' else '0-400 m'
+        rest = 'of the others' if what == 'crossing' else 'at 400-1,200 and 1,600-2,000 m'
+        yield Question(
+            name=f'{name}_{what}', source=source, statement=f'the {_title(name)} network {words}',
+            sides=more_often(at, off), evidence=f'of starts at {place} {_fail(at)}, {rest} '
+            f'{_fail(off)}.',
+        )
+
+
+def _blame(results: Results) -> Iterator[Question]:
+    truth = next((
+        one for one in (results.localized or {}).get('substitutions', ())
+        if one['substitution'] == 'truth'
+    ), None)
+    if truth is not None and truth['judged']:
+        passed, judged = truth['passed'], truth['judged']
+        yield Question(
+            name='blame', source=_DEBUGGING, sides=share_above(passed, judged, ALMOST_ALL),
+            statement='with ground truth for the network the counterexamples satisfy the formula '
+            f'(more than {_percent(ALMOST_ALL, 0)} %): the network is to blame',
+            evidence=f'{passed:,} of {judged:,} do '
+            f'({_percent(truth["low"])}-{_percent(truth["high"])} %).',
+        )
+
+
+def _shadows(results: Results) -> Iterator[Question]:
+    """Fig. 7: one place, a clear sky, and the afternoon alone, for it is then that there is one."""
+    pairs = results.experiment_pairs.get('shadows')
+    if pairs is None:
+        return
+    known = pairs.dropna(subset=['rho_shadows', 'rho_no_shadows']).sort_values('time_of_day')
+    known = known[known['time_of_day'].between(*AFTERNOON_H)]
+    rho = known[['rho_shadows', 'rho_no_shadows']].to_numpy(dtype=float)
+    if not len(rho):
+        return
+    gain = rho[:, 1] - rho[:, 0]
+    shift = paired_shift(rho[:, 0].tolist(), rho[:, 1].tolist())
+    failing = [int((column <= 0).sum()) for column in rho.T]
+    yield Question(
+        name='shadows', source=f'{_DEBUGGING}, Fig. 7',
+        sides=mostly(int((gain > 0).sum()), int((gain < 0).sum())),
+        statement="under a clear sky, in the afternoon, the original network does better without "
+        "the aircraft's shadow",
+        evidence=f'ρ grows in {shift.more} and shrinks in {shift.less} of {shift.pairs} pairs from '
+        f'12 to 18 h, typically by {shift.change.value:+.2f} m '
+        f'({shift.change.low:+.2f} to {shift.change.high:+.2f}); with the shadow '
+        f'{failing[0]} of them fail, without it {failing[1]}.',
+    )
+    steps = np.abs(rho[1::2] - rho[:len(rho) // 2 * 2:2])
+    if not len(steps):
+        return
+    yield Question(
+        name='shadows_fluctuation', source=f'{_DEBUGGING}, Fig. 7',
+        sides=mostly(int((steps[:, 0] > steps[:, 1]).sum()),
+                     int((steps[:, 0] < steps[:, 1]).sum())),
+        statement='in the afternoon its performance fluctuates with the shadow, and less without',
+        evidence='from one run to the next in the day ρ changes by '
+        f'{steps[:, 0].mean():.2f} m with '
+        f'the shadow and {steps[:, 1].mean():.2f} m without (means of {len(steps)} steps).',
+    )
+
+# Retraining --------------------------------------------------------------------------------------
+
+
+def _retraining(results: Results) -> Iterator[Question]:
+    yield from _paired(results, ORIGINAL, GENERIC, +1, 'generic', _RETRAINING,
+                       'images of the falsification program make a network that satisfies the '
+                       'formula more often (55.2 to 82 %)')
+    yield from _paired(results, ORIGINAL, GENERIC, -1, 'generic_off', _RETRAINING,
+                       'images of the falsification program make a network that leaves the '
+                       'runway less often (9.1 to 3.9 %)', off=True)
+    yield from _paired(results, GENERIC, HALTON, +1, 'halton', _RETRAINING,
+                       'the Halton network satisfies the formula more often than the generic one '
+                       '(82 to 83 %)')
+    yield from _paired(results, GENERIC, HALTON, -1, 'halton_off', _RETRAINING,
+                       'the Halton network leaves the runway less often than the generic one '
+                       '(3.9 to 0.6 %)', off=True)
+    yield from _paired(results, HALTON, SPECIALISED, +1, 'specialised', _RETRAINING,
+                       'the specialised network does better than the Halton one (83 to 86 %)')
+    yield from _paired(results, HALTON, SPECIALISED, +1, 'specialised_crossing', _RETRAINING,
+                       'the specialised network does better than the Halton one around the '
+                       'crossing', where=_AT)
+    yield from _specialised_elsewhere(results)
+    yield from _several_metres(results)
+
+
+def _specialised_elsewhere(results: Results) -> Iterator[Question]:
+    found = [
+        _pair_of(results, other, SPECIALISED, where=_OFF) for other in (GENERIC, HALTON)
+    ]
+    known = [rates for rates in found if rates is not None]
+    if len(known) == len(found):
+        yield Question(
+            name='specialised_elsewhere', source=_RETRAINING,
+            statement='the specialised network does worse than the generic and the Halton one over '
+            'the rest of the runway',
+            sides=all_of([pairs_more_often(rates).opposite for rates in known]),
+            evidence='; '.join(
+                _pair_words(rates, _title(other), SPECIALISED, 'satisfy', _OFF)
+                for rates, other in zip(known, (GENERIC, HALTON), strict=True)
+            ) + '.',
+        )
+
+
+def _several_metres(results: Results) -> Iterator[Question]:
+    """After ten seconds a run has ρ = 1.5 m less its greatest deviation from then on."""
+    network = results.networks.get(SPECIALISED)
+    if network is None:
+        return
+    there = network.within('distance_m', *CROSSING_M)
+    rho = network.runs.frame['rho'].to_numpy(dtype=float)[there]
+    away = _TOLERANCE_M - rho[~np.isnan(rho)]
+    far = away > SEVERAL_M
+    yield Question(
+        name='specialised_metres', source=_RETRAINING,
+        sides=mostly(int(far.sum()), int((~far).sum())),
+        statement='around the crossing the specialised network still typically deviates several '
+        f'metres from the centreline (most runs by more than {SEVERAL_M:g} m)',
+        evidence=f'of starts at 1,200-1,600 m {_share(far)} deviate by more than {SEVERAL_M:g} m '
+        f'after ten seconds; the median is {_typical(away)} m.' if len(far) else 'no run.',
+    )
+
+
+def _even_day(results: Results) -> Iterator[Question]:
+    for name in (GENERIC, HALTON):
+        network = results.networks.get(name)
+        if network is None:
+            continue
+        groups = [
+            network.runs.failed[network.within('time_of_day_h', low, np.nextafter(high, 19))]
+            if high == _PARTS_OF_DAY_H[-1][1] else
+            network.runs.failed[network.within('time_of_day_h', low, high)]
+            for low, high in _PARTS_OF_DAY_H
+        ]
+        shares = ', '.join(
+            f'{_percent(share_of(group).rate)} % of {len(group):,} from {low:g} to {high:g} h'
+            for group, (low, high) in zip(groups, _PARTS_OF_DAY_H, strict=True)
+        )
+        yield Question(
+            name=f'{name}_day', source=f'{_RETRAINING}, Fig. 4',
+            sides=evenly_often(groups, EVEN) if all(map(len, groups)) else NOTHING_KNOWN,
+            statement=f"the {_title(name)} network's performance is consistent across the day (no "
+            f'three hours fail {_percent(EVEN, 0)} points more or less often than the rest)',
+            evidence=f'fail: {shares}.',
+        )
+
+
+def _iteration(results: Results) -> Iterator[Question]:
+    more, crossing, learned = ITERATIVE
+    yield from _paired(results, GENERIC, more, +1, 'iterative_generic', _APPENDIX,
+                       'further training with 20 % generic images does better than none '
+                       '(82 to 85 %)')
+    yield from _paired(results, more, learned, -1, 'iterative_learned', _APPENDIX,
+                       'images of the learned failures do worse than generic ones (85 to 82 %)')
+    yield from _paired(results, more, crossing, -1, 'iterative_crossing', _APPENDIX,
+                       'images of the crossing do worse than generic ones (85 to 73 %)')
+    yield from _paired(results, GENERIC, crossing, -1, 'iterative_regression', _APPENDIX,
+                       'images of the crossing do worse than no further training (82 to 73 %)')
+
+
+def _paired(
+    results: Results, first: str, second: str, sign: int, name: str, source: str, statement: str, *,
+    off: bool = False, where: str = '',
+) -> Iterator[Question]:
+    """Whether the second network does better (+1) or worse, or leaves the runway less (-1)."""
+    rates = _pair_of(results, first, second, off=off, where=where)
+    if rates is not None:
+        sides = pairs_more_often(rates)
+        yield Question(
+            name=name, statement=statement, source=source,
+            sides=sides if sign > 0 else sides.opposite,
+            evidence=_pair_words(
+                rates, _title(first), _title(second), 'leave the runway' if off else 'satisfy',
+                where) + '.',
+        )
+
+
+def _pair_of(
+    results: Results, first: str, second: str, *, off: bool = False, where: str = ''
+) -> PairedRates | None:
+    pair = results.pair(first, second)
+    if pair is None:
+        return None
+    at = pair.at(*CROSSING_M)
+    among = {_AT: at, _OFF: ~at}.get(where)
+    return pair.off_runway() if off else pair.satisfied(among)
+
+# Learning ----------------------------------------------------------------------------------------
+
+
+def _learning(results: Results) -> Iterator[Question]:
+    """The paper's rule alone; what ours has learned stands beside it in the table."""
+    choice = results.distances
+    found = results.searches.get(PAPER_RULE, ())
+    if choice is None or not found:
+        return
+
+    def within(low: float, high: float) -> np.ndarray:
+        return np.array([
+            choice.probability_within(low, high, one.probabilities[choice.dimension.name])
+            for one in found
+        ])
+
+    before, on, end = LEARNED_EDGES_M[2:5]
+    there, difference = within(before, end), within(on, end) - within(before, on)
+    yield Question(
+        name='learned', source=_RETRAINING, sides=mean_above(there.tolist(), 0.5),
+        statement="cross-entropy by VerifAI's rule comes to a distribution of the generic "
+        "network's failures with starts at 1,200-1,600 m above all (95 % of it)",
+        evidence=f'{_searches(there)} of what was learned, '
+        f'{_percent(choice.probability_within(before, end), 0)} % of the program.',
+    )
+    yield Question(
+        name='learned_on_crossing', source=_RETRAINING, sides=mean_above(difference.tolist(), 0.0),
+        statement='of these, more on the crossing, at 1,400-1,600 m (79 %), than before it, at '
+        '1,200-1,400 m (16 %)',
+        evidence=f'{_searches(within(on, end))} at 1,400-1,600 m, '
+        f'{_searches(within(before, on))} at 1,200-1,400 m.',
+    )
+
+# Words -------------------------------------------------------------------------------------------
+
+
+def _title(name: str) -> str:
+    return 'Halton' if name == HALTON else name
+
+
+def _sky(clouds: str) -> str:
+    return 'a clear sky' if clouds == 'clear' else f'{clouds} clouds'
+
+
+def _fail(failed: np.ndarray) -> str:
+    return f'{_share(failed)} fail' if len(failed) else 'no run was judged'
+
+
+def _share(hits: np.ndarray) -> str:
+    """Such as ``63.8 % (51.3-75.0) of 69 runs``."""
+    if not len(hits):
+        return 'no run'
+    found = share_of(hits)
+    ends = f'{_percent(found.low)}-{_percent(found.high)}'
+    return f'{_percent(found.rate)} % ({ends}) of {len(hits):,} runs'
+
+
+def _median(values: np.ndarray, where: str) -> str:
+    return f'{_typical(values)} m under {where} ({len(values)} runs)'
+
+
+def _typical(values: np.ndarray) -> str:
+    return f'{np.median(values):.2f}' if len(values) else 'unknown'
+
+
+def _searches(shares: np.ndarray) -> str:
+    words = f'{_percent(float(shares.mean()))} %'
+    if len(shares) == 1:
+        return f'{words} (one search)'
+    return (
+        f'{words} ({_percent(float(shares.min()))} to {_percent(float(shares.max()))} in '
+        f'{len(shares)} searches)'
+    )
+
+
+def _pair_words(rates: PairedRates, first: str, second: str, verb: str, place: str) -> str:
+    scenes = f'scenes {place}' if place else 'scenes'
+    if not rates.pairs:
+        return f'no {scenes} were judged with both'
+    value, low, high = (100 * part for part in rates.difference)
+    return (
+        f'of {rates.pairs:,} {scenes} {100 * rates.first / rates.pairs:.1f} % {verb} with the '
+        f'{first} network and {100 * rates.second / rates.pairs:.1f} % with the {second} one: '
+        f'{value:+.1f} points ({low:+.1f} to {high:+.1f})'
+    )
+
+
+def _percent(share: float, digits: int = 1) -> str:
+    return f'{100 * share:.{digits}f}'

@@ -1,0 +1,325 @@
+"""What the stages of a study have found, read back from their folders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates
+from taxinet_ros.analysis.runs.campaign import CampaignRuns, Weighting, runs_of
+from taxinet_ros.analysis.runs.settled import settled_cross_track_m
+from taxinet_ros.campaign.learned_result import LEARNED_NAME, LearnedResult
+from taxinet_ros.campaign.rates import Rate, rate
+from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
+from taxinet_ros.campaign.scenes.search_space import Choice
+from taxinet_ros.core.perception.weights import weights_path
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.sealed_json import read_sealed
+from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.plan import (
+    ANALYZE,
+    BEST,
+    LOCALIZE,
+    NETWORKS,
+    ORIGINAL,
+    campaign_of,
+    search_of,
+    weights_of,
+)
+
+SETTLED_RUNS = 400
+"""Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
+
+_SCENE = ('cross_track_m', 'distance_m', 'heading_deg', 'clouds', 'rain_percent', 'time_of_day_h')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """A network that was evaluated.
+
+    Attributes:
+        name: of :data:`.plan.NETWORKS`.
+        runs: its campaign.
+        table: judged runs with all columns of the table, by index.
+        card: its model card, empty where there is none.
+        settled_m: median |cross-track error| [m] after the first ten seconds, of at most
+            :data:`SETTLED_RUNS` runs, evenly spread; NaN where a bag is gone.
+    """
+
+    name: str
+    runs: CampaignRuns
+    table: pd.DataFrame
+    card: Mapping[str, Any]
+    settled_m: np.ndarray
+
+    @property
+    def satisfied(self) -> Rate:
+        """Share of the judged runs that satisfy their formula."""
+        return share_of(~self.runs.failed)
+
+    @property
+    def off_runway(self) -> Rate:
+        """Share of the judged runs that leave the runway."""
+        return share_of(self.off)
+
+    @property
+    def off(self) -> np.ndarray:
+        """Which runs left the runway."""
+        return self.runs.frame['left_runway'].to_numpy() > 0
+
+    @property
+    def unjudged(self) -> int:
+        """Number of runs without a verdict: the bench broke them, or no scene was drawn."""
+        return sum(self.runs.others.values())
+
+    def within(self, column: str, low: float, high: float) -> np.ndarray:
+        """Which runs have a value of a feature in [low, high)."""
+        values = self.runs.frame[column].to_numpy()
+        return np.asarray((values >= low) & (values < high))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Two networks on the same scenes.
+
+    Attributes:
+        first, second: their names; differences are the second's less the first's.
+        frame: scenes judged with both: ``distance_m``, and ``satisfied`` and ``off`` of each.
+    """
+
+    first: str
+    second: str
+    frame: pd.DataFrame
+
+    def satisfied(self, among: np.ndarray | None = None) -> PairedRates:
+        """How often they satisfy, on all scenes or on some."""
+        return self._paired('satisfied', among)
+
+    def off_runway(self) -> PairedRates:
+        """How often they leave the runway."""
+        return self._paired('off', None)
+
+    def at(self, low: float, high: float) -> np.ndarray:
+        """Scenes that start there along the runway [m]."""
+        return np.asarray(self.frame['distance_m'].between(low, high, inclusive='left'))
+
+    def _paired(self, name: str, among: np.ndarray | None) -> PairedRates:
+        frame = self.frame if among is None else self.frame[among]
+        return paired_rates(
+            frame[f'{name}_first'].tolist(), frame[f'{name}_second'].tolist()
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """Everything that is there; what is not done yet is missing.
+
+    Attributes:
+        networks: by name, in the study's order.
+        searches: what those for the generic network's failures learned, by sampler, one for each
+            seed.
+        localized: values of ``localize.json``, or None.
+        analysis: values of ``analysis.json``, or None.
+        experiments: values of ``experiment.json`` by the experiment's name.
+        experiment_pairs: the pairs of runs of these experiments.
+    """
+
+    networks: Mapping[str, Network]
+    searches: Mapping[str, tuple[LearnedResult, ...]]
+    localized: Mapping[str, Any] | None
+    analysis: Mapping[str, Any] | None
+    experiments: Mapping[str, Mapping[str, Any]]
+    experiment_pairs: Mapping[str, pd.DataFrame]
+
+    def pair(self, first: str, second: str) -> Pair | None:
+        """Two networks on the scenes that were judged with both; None if one is missing.
+
+        Raises:
+            UsageError: they did not have the same scenes.
+        """
+        if first not in self.networks or second not in self.networks:
+            return None
+        return _pair(self.networks[first], self.networks[second])
+
+    @property
+    def distances(self) -> Choice | None:
+        """The choice of where to start along the runway, of what was learned."""
+        for found in self.searches.values():
+            for choice in found[0].choices:
+                if 'distance' in choice.feeds and choice.pieces:
+                    return choice
+        return None
+
+
+def read_results(config: StudyConfig, out: Path) -> Results:
+    """Read what is done.
+
+    Raises:
+        UsageError: a table or a file is damaged.
+    """
+    networks = {}
+    for name in NETWORKS:
+        folder = out / campaign_of(name)
+        if (folder / PARQUET_NAME).is_file():
+            card = (out / weights_of(name)).with_suffix('.json')
+            networks[name] = _network(name, folder, card, bags=True)
+    names = [Path(word).stem for word in config.experiments]
+    folders = {name: out / f'experiment-{name}' for name in names}
+    values = {name: _sealed_values(folder / 'experiment.json') for name, folder in folders.items()}
+    return Results(
+        networks=networks, searches=_searches(config, out),
+        localized=_sealed_values(out / LOCALIZE / 'localize.json'),
+        analysis=_sealed_values(out / ANALYZE / 'analysis.json'),
+        experiments={name: found for name, found in values.items() if found is not None},
+        experiment_pairs=_pairs({
+            name: folder / 'pairs.parquet' for name, folder in folders.items()
+        }),
+    )
+
+
+def read_tables(config: StudyConfig, folder: Path) -> Results:
+    """What a study's tables say, where its folder is not at hand: those that the package ships.
+
+    Of a network the table with the most runs counts, ``s_falsif_<word>_<runs>.parquet``, and that
+    of ``truth`` says whether the original network's failures are its own. ``experiment_<name>
+    .parquet`` has the pairs of an experiment; the searches have folders, as in a study.
+
+    Args:
+        config: what was run.
+        folder: of the tables.
+
+    Raises:
+        UsageError: there is none, or one is damaged or was not drawn at random.
+    """
+    networks = {}
+    for name in NETWORKS:
+        word = config.best if name == BEST else name
+        path = _largest(folder, word)
+        if path is not None:
+            card = weights_path(word).with_suffix('.json')
+            networks[name] = _network(name, path, card, bags=False)
+    if not networks:
+        raise UsageError(f'--tables {folder}: has no s_falsif_NETWORK_RUNS.parquet')
+    names = [Path(word).stem for word in config.experiments]
+    return Results(
+        networks=networks, searches=_searches(config, folder),
+        localized=_on_truth(networks.get(ORIGINAL), _largest(folder, 'truth')), analysis=None,
+        experiments={}, experiment_pairs=_pairs({
+            name: folder / f'experiment_{name}.parquet' for name in names
+        }),
+    )
+
+
+def _largest(folder: Path, word: str) -> Path | None:
+    start, end = f's_falsif_{word}_', '.parquet'
+    found = {
+        int(runs): path for path in folder.glob(f'{start}*{end}')
+        if (runs := path.name.removeprefix(start).removesuffix(end)).isdecimal()
+    }
+    return found[max(found)] if found else None
+
+
+def _on_truth(original: Network | None, path: Path | None) -> dict[str, Any] | None:
+    """The original network's failed scenes on the true state, as ``taxinet localize`` has them."""
+    if original is None or path is None:
+        return None
+    truth = _network('truth', path, None, bags=False)
+    frame = _pair(original, truth).frame
+    again = frame[~frame['satisfied_first']]
+    passed = share_of(again['satisfied_second'].to_numpy())
+    count = len(again)
+    shares = {
+        'substitution': 'truth', 'judged': count, 'passed': int(again['satisfied_second'].sum()),
+        'low': passed.low, 'high': passed.high,
+    }
+    return {
+        'failed': int(original.runs.failed.sum()), 'judged': len(original.table),
+        'looked_into': count, 'counted': count, 'sentences': [], 'substitutions': [shares],
+    }
+
+
+def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, ...]]:
+    found = {
+        sampler: tuple(
+            LearnedResult.read(folder) for seed in config.learning_seeds
+            if ((folder := out / search_of(sampler, seed)) / LEARNED_NAME).is_file()
+        )
+        for sampler in config.samplers
+    }
+    return {sampler: searches for sampler, searches in found.items() if searches}
+
+
+def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
+    return {name: read_any_table(path) for name, path in paths.items() if path.is_file()}
+
+
+def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:
+    """The runs in a campaign's folder, or in a table of one."""
+    table = read_table(path)
+    runs = runs_of(table, path)
+    if runs.weighting is not Weighting.DRAWN:
+        raise UsageError(f'{path}: its runs were chosen by a sampler, and a study judges networks '
+                         'on scenes that were drawn at random; evaluate with --sampler random')
+    judged = table[table['run_id'].isin(runs.frame['run_id'])].sort_values('index')
+    ids = judged['run_id'].tolist() if bags else []
+    some = ids[:: max(1, -(-len(ids) // SETTLED_RUNS))]
+    return Network(
+        name=name,
+        runs=runs,
+        table=judged.reset_index(drop=True),
+        card=(_json_values(card) if card else None) or {},
+        settled_m=settled_cross_track_m(path, some),
+    )
+
+
+def _pair(first: Network, second: Network) -> Pair:
+    one, other = (
+        network.runs.frame[['index', *_SCENE]]
+        .assign(satisfied=~network.runs.failed, off=network.off).set_index('index')
+        for network in (first, second)
+    )
+    common = one.index.intersection(other.index)
+    one, other = one.loc[common], other.loc[common]
+    for name in _SCENE:
+        if not one[name].equals(other[name]):
+            raise UsageError(
+                f'{first.runs.path} and {second.runs.path}: have not the same {name}; evaluate '
+                'both networks on one program with one seed'
+            )
+    return Pair(first=first.name, second=second.name, frame=pd.DataFrame({
+        'distance_m': one['distance_m'],
+        'satisfied_first': one['satisfied'], 'satisfied_second': other['satisfied'],
+        'off_first': one['off'], 'off_second': other['off'],
+    }))
+
+
+def _json_values(path: Path) -> dict[str, Any] | None:
+    try:
+        values = load_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise UsageError(f'{path}: cannot be read ({error}); do its stage again') from error
+    return dict(values)
+
+
+def _sealed_values(path: Path) -> dict[str, Any] | None:
+    """The values of a sealed file, whose tables are those that it vouches for."""
+    if not path.is_file():
+        return None
+    found = read_sealed(path)
+    for name in found.files:
+        if (table := path.with_name(name)).is_file():
+            found.check_file(table, 'do its stage again')
+    return found.values
+
+
+def share_of(hits: Sequence[bool] | np.ndarray) -> Rate:
+    """A share with its 95 % Clopper-Pearson interval."""
+    return rate(int(np.count_nonzero(hits)), len(hits))

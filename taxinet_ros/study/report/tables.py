@@ -1,0 +1,289 @@
+"""The figures of a study as tables: networks, hours, runway, pairs, what was learned, stages.
+
+Shares are fractions 0..1 in the data frames; the columns below say how people see them: which,
+under which titles, in which units.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from taxinet_ros.analysis.report.parts import Column, Table
+from taxinet_ros.campaign.learned_result import LearnedTogether
+from taxinet_ros.campaign.rates import Rate
+from taxinet_ros.study.report.paper import LEARNED_EDGES_M, PAPER_LEARNED, PAPER_NETWORKS
+from taxinet_ros.study.report.results import Network, Results, share_of
+from taxinet_ros.study.stages.log import StageRecord
+from taxinet_ros.study.stages.plan import (
+    BEST,
+    GENERIC,
+    HALTON,
+    ITERATIVE,
+    ORIGINAL,
+    SPECIALISED,
+    search_of,
+)
+from taxinet_ros.study.stages.progress import Records
+from taxinet_ros.study.stages.stage import Stage
+
+PAIRS = (
+    (ORIGINAL, GENERIC), (ORIGINAL, HALTON), (ORIGINAL, SPECIALISED), (GENERIC, HALTON),
+    (GENERIC, SPECIALISED), (HALTON, SPECIALISED), *((GENERIC, one) for one in ITERATIVE),
+    (ITERATIVE[0], ITERATIVE[1]), (ITERATIVE[0], ITERATIVE[2]), (ORIGINAL, BEST),
+    (SPECIALISED, BEST),
+)
+"""Networks that are compared on their common scenes."""
+_MEDIANS = {
+    'median_rho': 'rho', 'median_settle_s': 'settle_time_s',
+    'median_cte_error_m': 'cte_error_mean_abs_m',
+}
+WEIGHTED = 'ce'
+"""The sampler whose weights have a bound, so that what it found tells of the program itself."""
+HOURS = tuple(float(hour) for hour in range(6, 19))
+DISTANCES_M = tuple(float(metre) for metre in range(0, 2001, 100))
+
+
+def networks_frame(results: Results) -> pd.DataFrame:
+    """One line for each network, the paper's figures beside ours."""
+    return pd.DataFrame([_network_line(network) for network in results.networks.values()])
+
+
+def hours_frame(results: Results) -> pd.DataFrame:
+    """One line for each network and hour."""
+    return _binned(results, 'time_of_day_h', HOURS)
+
+
+def distances_frame(results: Results) -> pd.DataFrame:
+    """One line for each network and 100 m of runway to start on."""
+    return _binned(results, 'distance_m', DISTANCES_M)
+
+
+def pairs_frame(results: Results) -> pd.DataFrame:
+    """One line for each two networks that are compared."""
+    lines = []
+    for first, second in PAIRS:
+        pair = results.pair(first, second)
+        if pair is not None and len(pair.frame):
+            lines.append({
+                'first': first, 'second': second, 'scenes': len(pair.frame),
+                **_pair_columns('satisfied', pair.satisfied()),
+                **_pair_columns('off_runway', pair.off_runway()),
+            })
+    return pd.DataFrame(lines)
+
+
+def learned_frame(results: Results) -> pd.DataFrame:
+    """One line for each stretch of runway of which the paper tells what was learned.
+
+    Of each sampler the mean of its searches, the least and the greatest: how much such searches
+    differ by chance, which is no interval of where the failures are. That is in ``of_failures``,
+    from random runs, and in ``weighted``, from the runs of ``ce`` with their weights, both as the
+    runs have it: no bin is given anything where nothing was found.
+    """
+    choice = results.distances
+    if choice is None:
+        return pd.DataFrame()
+    generic = results.networks.get(GENERIC)
+    found = results.searches.get(WEIGHTED, ())
+    together = None
+    if found and all(one.evidence for one in found):
+        together = LearnedTogether(found, [Path(search_of(WEIGHTED, 0))] * len(found))
+    lines = []
+    for (low, high), paper in zip(
+        itertools.pairwise(LEARNED_EDGES_M), PAPER_LEARNED, strict=True
+    ):
+        line = {
+            'from_m': low, 'to_m': high, 'program': choice.probability_within(low, high),
+            'paper': paper,
+        }
+        for sampler, searches in results.searches.items():
+            shares = [
+                choice.probability_within(low, high, one.probabilities[choice.dimension.name])
+                for one in searches
+            ]
+            line |= {sampler: sum(shares) / len(shares), f'{sampler}_least': min(shares),
+                     f'{sampler}_greatest': max(shares)}
+        if generic is not None:
+            there = generic.within('distance_m', low, high)[generic.runs.failed]
+            line |= {'failures': int(there.sum()), **_with_interval('of_failures', share_of(there))}
+        if together is not None:
+            line |= _with_interval('weighted', together.within(choice.dimension.name, low, high))
+        lines.append(line)
+    return pd.DataFrame(lines)
+
+
+def _network_line(network: Network) -> dict[str, Any]:
+    paper, table = PAPER_NETWORKS.get(network.name), network.table
+    errors: Mapping[str, Mapping[str, float]] = network.card.get('errors', {})
+    return {
+        'network': network.name,
+        'runs': len(table),
+        'without_verdict': network.unjudged,
+        'satisfied_runs': int((~network.runs.failed).sum()),
+        **_with_interval('satisfied', network.satisfied),
+        'paper_satisfied': paper.satisfied if paper else None,
+        'off_runway_runs': int(network.off.sum()),
+        **_with_interval('off_runway', network.off_runway),
+        'paper_off_runway': paper.off_runway if paper else None,
+        'paper_source': paper.source if paper else '',
+        **{name: _median(table[column].to_numpy(dtype=float)) for name, column in _MEDIANS.items()},
+        'median_settled_cte_m': _median(network.settled_m),
+        'images': network.card.get('images'),
+        'validation_cte_mae_m': errors.get('cte_m', {}).get('mae'),
+        'validation_he_mae_deg': errors.get('he_deg', {}).get('mae'),
+        'perception': network.runs.perception,
+        'perception_sha256': str(network.table['perception_fingerprint'].iloc[0]),
+        'program': network.runs.program,
+        'seed': int(table['seed'].iloc[0]),
+    }
+
+
+def _binned(results: Results, column: str, edges: tuple[float, ...]) -> pd.DataFrame:
+    """Bins are closed below; the last one above too."""
+    unit = column.rpartition('_')[2]
+    lines = []
+    for network in results.networks.values():
+        passed, off = ~network.runs.failed, network.off
+        rho = network.runs.frame['rho'].to_numpy(dtype=float)
+        for low, high in itertools.pairwise(edges):
+            end = np.nextafter(high, np.inf) if high == edges[-1] else high
+            inside = network.within(column, low, end)
+            lines.append({
+                'network': network.name, f'from_{unit}': low, f'to_{unit}': high,
+                'runs': int(inside.sum()), 'satisfied_runs': int(passed[inside].sum()),
+                **_with_interval('satisfied', share_of(passed[inside])),
+                'off_runway_runs': int(off[inside].sum()),
+                **_with_interval('off_runway', share_of(off[inside])),
+                'median_rho': _median(rho[inside]),
+            })
+    return pd.DataFrame(lines)
+
+
+def _pair_columns(name: str, rates: Any) -> dict[str, Any]:
+    return {
+        f'{name}_first': rates.first,
+        f'{name}_second': rates.second,
+        f'{name}_only_first': rates.only_first,
+        f'{name}_only_second': rates.only_second,
+        **_with_interval(f'{name}_difference', rates.difference),
+        f'{name}_mcnemar_p': rates.p_value,
+    }
+
+
+def _with_interval(name: str, found: Rate | Any) -> dict[str, float]:
+    value, low, high = found
+    return {name: value, f'{name}_low': low, f'{name}_high': high}
+
+
+def _median(values: np.ndarray) -> float:
+    """Of the values that are known; NaN where none is."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def stages_frame(found: Sequence[Stage], records: Records) -> pd.DataFrame:
+    """One line for each stage; ``done`` is False where the log has no end of it."""
+    return pd.DataFrame([
+        _stage_line(stage, records.get(stage.name, StageRecord())) for stage in found
+    ])
+
+
+def _stage_line(stage: Stage, record: StageRecord) -> dict[str, Any]:
+    facts = record.facts if record.key else {}
+    return {
+        'stage': stage.name, 'done': bool(record.key), 'runs': stage.runs,
+        'wall_s': record.wall_s if record.sittings else None, 'sittings': record.sittings,
+        'at_least': record.killed, 'cores': facts.get('cores'), 'workers': facts.get('workers'),
+        'date': facts.get('date', ''), 'version': facts.get('version', ''),
+        'skipped': record.skipped, 'command': shlex.join(['taxinet', *stage.command()]),
+    }
+
+
+_PERCENT = 100
+Columns = tuple[tuple[str, str, int | None, bool], ...]
+"""Name in the data frame, title, digits, and whether it is a share, to be shown in percent."""
+NETWORK_COLUMNS: Columns = (
+    ('network', 'network', None, False), ('runs', 'runs', None, False),
+    ('satisfied', 'satisfied [%]', 1, True), ('satisfied_low', 'from', 1, True),
+    ('satisfied_high', 'to', 1, True), ('paper_satisfied', 'the paper [%]', 1, True),
+    ('off_runway', 'off the runway [%]', 1, True), ('off_runway_low', 'from', 1, True),
+    ('off_runway_high', 'to', 1, True), ('paper_off_runway', 'the paper [%]', 1, True),
+)
+MORE_COLUMNS: Columns = (
+    ('network', 'network', None, False), ('median_rho', 'median ρ [m]', 2, False),
+    ('median_settle_s', 'median time to settle [s]', 1, False),
+    ('median_settled_cte_m', 'median |CTE| after 10 s [m]', 3, False),
+    ('median_cte_error_m', 'median error of CTE in a run [m]', 2, False),
+    ('validation_cte_mae_m', 'error of CTE on pictures [m]', 3, False),
+    ('validation_he_mae_deg', 'error of heading on pictures [°]', 3, False),
+    ('without_verdict', 'runs without a verdict', None, False),
+    ('perception', 'weights', None, False),
+)
+LEARNED_COLUMNS: Columns = (
+    ('from_m', 'from [m]', 0, False), ('to_m', 'to [m]', 0, False),
+    ('program', 'the program', 1, True),
+    *(
+        column for sampler in ('ce', 'ce-verifai', 'mab') for column in (
+            (sampler, f'learned by {sampler}', 1, True), (f'{sampler}_least', 'least', 1, True),
+            (f'{sampler}_greatest', 'greatest', 1, True),
+        )
+    ),
+    ('of_failures', 'failures of random runs', 1, True), ('of_failures_low', 'from', 1, True),
+    ('of_failures_high', 'to', 1, True), ('weighted', 'failures that ce found, weighted', 1, True),
+    ('weighted_low', 'from', 1, True), ('weighted_high', 'to', 1, True),
+    ('paper', 'learned in the paper', 1, True),
+)
+PAIR_COLUMNS: Columns = (
+    ('first', 'first', None, False), ('second', 'second', None, False),
+    ('scenes', 'scenes', None, False),
+    ('satisfied_difference', 'satisfied', 1, True),
+    ('satisfied_difference_low', 'from', 1, True), ('satisfied_difference_high', 'to', 1, True),
+    ('satisfied_mcnemar_p', 'p', None, False),
+    ('off_runway_difference', 'off the runway', 1, True),
+    ('off_runway_difference_low', 'from', 1, True), ('off_runway_difference_high', 'to', 1, True),
+    ('off_runway_mcnemar_p', 'p', None, False),
+)
+
+
+def binned_columns(unit: str, digits: int) -> Columns:
+    """Columns of a table by the hour, or by the metre."""
+    return (
+        ('network', 'network', None, False), (f'from_{unit}', f'from [{unit}]', digits, False),
+        (f'to_{unit}', f'to [{unit}]', digits, False), ('runs', 'runs', None, False),
+        ('satisfied', 'satisfied [%]', 1, True), ('satisfied_low', 'from', 1, True),
+        ('satisfied_high', 'to', 1, True), ('off_runway', 'off the runway [%]', 1, True),
+        ('median_rho', 'median ρ [m]', 2, False),
+    )
+
+
+def table_of(
+    frame: pd.DataFrame, name: str, title: str, caption: str, columns: Columns
+) -> Table:
+    """A data frame as a table for people; columns that it lacks are left out."""
+    present = [column for column in columns if column[0] in frame]
+    return Table(
+        name=name, title=title, caption=caption,
+        columns=tuple(Column(name=key, title=words, decimals=digits)
+                      for key, words, digits, _ in present),
+        rows=tuple(
+            tuple(_cell(line[key], share=share) for key, _, _, share in present)
+            for line in frame.to_dict('records')
+        ),
+    )
+
+
+def _cell(value: object, *, share: bool) -> str | int | float | None:
+    if isinstance(value, str):
+        return value
+    if value is None or pd.isna(value):  # type: ignore[call-overload]  # a cell is no array
+        return None
+    assert isinstance(value, int | float)
+    return _PERCENT * value if share else value

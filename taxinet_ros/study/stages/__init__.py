@@ -1,0 +1,1 @@
+"""Stages of a study: planned, run, repeated where they are no longer valid."""

@@ -1,0 +1,340 @@
+"""The numbers of a case study: checked, scaled, and read from and written to files.
+
+YAML for people (``scenarios/case_study.yaml``), JSON for a study begun. Every complaint is one
+line with the file, the key, and what is expected there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros.campaign.experiment import find_experiment
+from taxinet_ros.campaign.samplers.sampler import LAG
+from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import YamlFile, read_yaml
+from taxinet_ros.files.sealed_json import read_sealed, write_sealed
+
+LEAST_IMAGES, LEAST_VALIDATION, LEAST_EPOCHS = 128, 32, 2
+LEAST_RUNS, LEAST_LOCALIZED, LEAST_PAIRS = 20, 5, 10
+_ALL_EPOCHS_FROM = 0.1
+"""Scale from which a network gets all its epochs: fewer would be another training, not less."""
+_LARGEST_SCALE = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyConfig:
+    """One case study, as it is run.
+
+    Attributes:
+        images, validation, epochs: of every training.
+        training_seed: of scenes, first weights and order.
+        original, generic, specialised: programs that the networks of these names learn from; a
+            shipped word or the path of one.
+        program: whose scenes every network is evaluated on.
+        runs: how many of them.
+        seed: of these scenes.
+        localized: failed runs of the original network that are run again on the true state.
+        experiments: scenes by the word or file of the experiment.
+        learning_program, learning_runs: of every search for the distribution of the generic
+            network's failures.
+        samplers, learning_seeds: there is a search for each two; further training adds what the
+            first one has learned.
+        further_epochs: of training the generic network on.
+        share: of images that are added then.
+        crossing: program of the images at the crossing.
+        best: perception word or file of one more network to evaluate, or ''.
+        workers: processes that work at once; results do not depend on them.
+        scale: what the sizes were multiplied with, for people to read.
+    """
+
+    images: int
+    validation: int
+    epochs: int
+    training_seed: int
+    original: str
+    generic: str
+    specialised: str
+    program: str
+    runs: int
+    seed: int
+    localized: int
+    learning_program: str
+    samplers: tuple[str, ...]
+    learning_runs: int
+    learning_seeds: tuple[int, ...]
+    further_epochs: int
+    share: float
+    crossing: str
+    experiments: Mapping[str, int] = field(default_factory=dict)
+    best: str = ''
+    workers: int = 2
+    scale: float = 1.0
+
+    @property
+    def added(self) -> int:
+        """Images that are added for further training."""
+        return max(1, round(self.share * self.images))
+
+
+def scaled(config: StudyConfig, scale: float) -> StudyConfig:
+    """A study of another size.
+
+    Images and runs are multiplied, down to what a smoke run needs. Epochs stay as they are, but in
+    the smallest studies.
+
+    Raises:
+        UsageError: no such scale.
+    """
+    if not 0 < scale <= _LARGEST_SCALE:
+        raise UsageError(f'--scale {scale:g}: needs to be above 0, at most {_LARGEST_SCALE:g}')
+    if scale == 1:
+        return config
+
+    def size(value: int, least: int) -> int:
+        return max(round(scale * value), min(value, least))
+
+    def epochs(value: int) -> int:
+        part = min(1.0, scale / _ALL_EPOCHS_FROM)
+        return max(round(part * value), min(value, LEAST_EPOCHS))
+
+    return dataclasses.replace(
+        config, scale=scale * config.scale,
+        images=size(config.images, LEAST_IMAGES),
+        validation=size(config.validation, LEAST_VALIDATION),
+        epochs=epochs(config.epochs), further_epochs=epochs(config.further_epochs),
+        runs=size(config.runs, LEAST_RUNS), learning_runs=size(config.learning_runs, LEAST_RUNS),
+        localized=size(config.localized, LEAST_LOCALIZED),
+        experiments={name: size(runs, LEAST_PAIRS) for name, runs in config.experiments.items()},
+    )
+
+
+def resized(
+    config: StudyConfig, *, runs: int | None, images: int | None, workers: int | None
+) -> StudyConfig:
+    """The study with sizes that were asked for outright.
+
+    Args:
+        config: the study.
+        runs: on which every network is evaluated, or None.
+        images: of every training, or None; as large a share of them is held back as before.
+        workers: processes that work at once, or None.
+    """
+    if runs is not None:
+        config = dataclasses.replace(config, runs=runs)
+    if images is not None:
+        held_back = max(1, round(images * config.validation / config.images))
+        config = dataclasses.replace(config, images=images, validation=held_back)
+    if workers is not None:
+        config = dataclasses.replace(config, workers=workers)
+    return config
+
+
+SHIPPED = 'case_study.yaml'
+STUDY_NAME = 'study.json'
+_LEARNERS = ('ce', 'ce-verifai', 'mab')
+"""Samplers that tell what they have learned, as a program that can be run."""
+_MOST_SHARE = 10
+# Where each value stands in a file, and what it has to be.
+_WHOLE: Mapping[str, tuple[str, int, int]] = {
+    'images': ('training.images', 1, 1_000_000),
+    'validation': ('training.validation', 1, 1_000_000),
+    'epochs': ('training.epochs', 1, 10_000),
+    'training_seed': ('training.seed', 0, 2**63 - 1),
+    'runs': ('evaluation.runs', 1, 10_000_000),
+    'seed': ('evaluation.seed', 0, 2**63 - 1),
+    'localized': ('debugging.localize', 1, 10_000_000),
+    'learning_runs': ('learning.runs', 1, 10_000_000),
+    'further_epochs': ('iteration.epochs', 1, 10_000),
+    'workers': ('workers', 1, LAG),
+}
+_PROGRAMS: Mapping[str, str] = {
+    'original': 'training.original', 'generic': 'training.generic',
+    'specialised': 'training.specialised', 'program': 'evaluation.program',
+    'learning_program': 'learning.program', 'crossing': 'iteration.crossing',
+}
+_OTHERS: Mapping[str, str] = {
+    'experiments': 'debugging.experiments', 'samplers': 'learning.sampler',
+    'learning_seeds': 'learning.seed', 'share': 'iteration.share', 'best': 'best',
+}
+_PLACES = {**{name: place for name, (place, _, _) in _WHOLE.items()}, **_PROGRAMS, **_OTHERS}
+
+
+def shipped_config() -> Path:
+    """The study that comes with the package: the paper's, with the paper's sizes."""
+    return shipped_folder() / SHIPPED
+
+
+def read_config(path: Path) -> StudyConfig:
+    """Read a study that a person wrote; what it leaves out is as in the shipped one.
+
+    Raises:
+        UsageError: one line with the file, the key, and how to mend it.
+    """
+    shipped = shipped_config()
+    values = _Values(shipped, read_yaml(shipped)).all()
+    own = _Values(path, read_yaml(path, option='--config'))
+    values |= own.all()
+    config = StudyConfig(**values)
+    own.check_seeds(config)
+    return config
+
+
+def write_study(out: Path, config: StudyConfig) -> None:
+    """Put down what a study is, for ``--resume`` and for its report."""
+    write_sealed(out / STUDY_NAME, dataclasses.asdict(config))
+
+
+def read_study(out: Path, option: str) -> StudyConfig:
+    """What the study in ``out`` is.
+
+    Args:
+        out: its folder.
+        option: that needs it, for the message.
+
+    Raises:
+        UsageError: no study was begun there, or the file is damaged.
+    """
+    path = out / STUDY_NAME
+    try:
+        values = read_sealed(path).values
+        lists = {name: tuple(values[name]) for name in ('samplers', 'learning_seeds')}
+        return StudyConfig(**{**values, **lists})
+    except FileNotFoundError:
+        raise UsageError(
+            f'{option}: {path}: no such file, so no case study was begun there; '
+            f'{"leave --resume out" if option == "--resume" else "name its folder with --out"}'
+        ) from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
+
+
+class _Values(YamlFile):
+    """The values in one file, checked one by one."""
+
+    def __init__(self, path: Path, content: object) -> None:
+        super().__init__(path)
+        self._leaves: dict[str, Any] = {}
+        known = set(_PLACES.values())
+        groups = {place.partition('.')[0] for place in known if '.' in place}
+        for key, value in self._mapping('', content).items():
+            if key not in groups:
+                self._put(key, value, known, groups)
+                continue
+            for inner, leaf in self._mapping(key, value).items():
+                self._put(f'{key}.{inner}', leaf, known, groups)
+
+    def all(self) -> dict[str, Any]:
+        """What the file gives, by the name of the study's attribute."""
+        found: dict[str, Any] = {}
+        for name, (place, low, high) in _WHOLE.items():
+            if place in self._leaves:
+                found[name] = self._whole(place, self._leaves[place], low, high)
+        for name, place in _PROGRAMS.items():
+            if place in self._leaves:
+                found[name] = self._program(place, self._leaves[place])
+        others: dict[str, Callable[[object], object]] = {
+            'experiments': self._experiments, 'samplers': self._samplers,
+            'learning_seeds': self._learning_seeds, 'share': self._share, 'best': self._best,
+        }
+        for name, read in others.items():
+            if _OTHERS[name] in self._leaves:
+                found[name] = read(self._leaves[_OTHERS[name]])
+        return found
+
+    def check_seeds(self, config: StudyConfig) -> None:
+        """No network may be judged, nor a search begun, on the scenes that it has learned from."""
+        seeds = {
+            'training.seed': (config.training_seed,), 'evaluation.seed': (config.seed,),
+            'learning.seed': config.learning_seeds,
+        }
+        for place, own in seeds.items():
+            for other, others in seeds.items():
+                for seed in own if other < place else ():
+                    if seed in others:
+                        raise self._wrong(place, f'is {seed}, as {other} is; give it another, or a '
+                                          'network is judged on scenes that it has seen')
+
+    def _put(self, key: str, value: object, known: set[str], groups: set[str]) -> None:
+        if key not in known:
+            group = key.partition('.')[0]
+            here = sorted(one for one in known if one.startswith(f'{group}.'))
+            raise self._wrong(key, f'unknown key; known: {", ".join(here or sorted(groups))}')
+        self._leaves[key] = value
+
+    def _whole(self, where: str, value: object, low: int, high: int) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self._wrong(where, f'expected a whole number, {low} to {high}, got {value!r:.60}')
+        return value
+
+    def _word(self, where: str, value: object) -> str:
+        if not isinstance(value, str) or not value:
+            raise self._wrong(where, f'expected a word, got {value!r:.60}')
+        return value
+
+    def _program(self, where: str, value: object) -> str:
+        word = self._beside(self._word(where, value))
+        self._checked(where, partial(find_program, word))
+        return word
+
+    def _experiments(self, value: object) -> dict[str, int]:
+        where = _OTHERS['experiments']
+        found = {}
+        for name, runs in self._mapping(where, {} if value is None else value).items():
+            word = self._beside(name)
+            self._checked(f'{where}.{name}', partial(find_experiment, word))
+            found[word] = self._whole(f'{where}.{name}', runs, 1, 1_000_000)
+        stems = [Path(word).stem for word in found]
+        if len(set(stems)) < len(stems):
+            raise self._wrong(where, 'two experiments have the same name; rename one of the files')
+        return found
+
+    def _samplers(self, value: object) -> tuple[str, ...]:
+        where = _OTHERS['samplers']
+        words = tuple(self._word(where, word) for word in self._some(where, value))
+        for word in words:
+            if word not in _LEARNERS:
+                what = f'expected one that tells what it learned ({", ".join(_LEARNERS)})'
+                raise self._wrong(where, f'{what}, got {word}')
+        return words
+
+    def _learning_seeds(self, value: object) -> tuple[int, ...]:
+        where = _OTHERS['learning_seeds']
+        return tuple(self._whole(where, seed, 0, 2**63 - 1) for seed in self._some(where, value))
+
+    def _some(self, where: str, value: object) -> list[object]:
+        """One thing or several, each once."""
+        found = value if isinstance(value, list) else [value]
+        if not found or any(one in found[:at] for at, one in enumerate(found)):
+            raise self._wrong(where, f'expected one or several, each once, got {value!r:.60}')
+        return found
+
+    def _share(self, value: object) -> float:
+        if (
+            isinstance(value, int | float) and not isinstance(value, bool)
+            and 0 < value <= _MOST_SHARE
+        ):
+            return float(value)
+        what = f'expected a number above 0, at most {_MOST_SHARE}, got {value!r:.60}'
+        raise self._wrong(_OTHERS['share'], what)
+
+    def _best(self, value: object) -> str:
+        if value in ('', None):
+            return ''
+        word = self._beside(self._word('best', value))
+        self._checked('best', partial(check_perception, word))
+        return word
+
+    def _beside(self, word: str) -> str:
+        """A file's whole path, of one beside this file or from here; else the word itself."""
+        if Path(word).suffix:
+            for path in (self._path.parent / word, Path(word)):
+                if path.is_file():
+                    return str(path.resolve())
+        return word

@@ -1,0 +1,121 @@
+"""What became of the stages of a study: ``stages.jsonl``, append-only and flushed to the disk."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taxinet_ros import __version__
+from taxinet_ros.core.provenance import Provenance, differences, known, provenance
+from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.journal import JournalOwner, damaged_line, open_journal, read_journal
+
+LOG_NAME = 'stages.jsonl'
+
+
+@dataclass(kw_only=True)
+class StageRecord:
+    """What is known of one stage.
+
+    Attributes:
+        identity: of what was begun last (:meth:`.stage.Stage.identity`), '' where nothing was.
+        key, outputs: of what was done last; '' and empty where it is not done.
+        runs: number of runs that the last beginning asked for.
+        wall_s: wall time of all sittings since it was begun anew [s].
+        sittings: how many they were. One that was killed outright has left no time.
+        killed: whether one was.
+        facts: of its last end: command, date, cores, version.
+        stacks: machine, libraries and code of each sitting; empty where one did not tell.
+        skipped: why there was nothing to do, or ''.
+    """
+
+    identity: str = ''
+    key: str = ''
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    runs: int = 0
+    wall_s: float = 0.0
+    sittings: int = 0
+    killed: bool = False
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    skipped: str = ''
+    stacks: tuple[Provenance, ...] = ()
+    _open: bool = False
+
+    def take(self, event: Mapping[str, Any]) -> None:
+        """One more event of the stage."""
+        if event['event'] == 'begin':
+            self.killed = self._open or (self.killed and event['resumed'])
+            if not event['resumed']:
+                self.wall_s, self.sittings, self.killed, self.stacks = 0.0, 0, False, ()
+            self.identity, self.runs, self._open = event['identity'], event['runs'], True
+            self.stacks = (*self.stacks, known(event.get('provenance')))
+            self.key, self.outputs, self.skipped = '', {}, ''
+            return
+        self._open = False
+        self.wall_s += event['wall_s']
+        self.sittings += 1
+        if event['event'] == 'end':
+            self.key, self.outputs, self.facts = event['key'], event['outputs'], event
+            self.skipped = event.get('skipped', '')
+
+
+class StageLog(JournalOwner):
+    """The open log of one study; one process at a time. A context manager."""
+
+    def __init__(self, out: Path) -> None:
+        """Open the log in the study's folder, making it if need be.
+
+        Raises:
+            UsageError: another process has it open, or it is damaged.
+        """
+        self._path = out / LOG_NAME
+        self._journal = open_journal(self._path, 'taxinet case-study or improve')
+        sync_folder(out)
+        self.records = read_records(out)
+
+    def write(self, event: str, stage: str, **values: Any) -> None:
+        """Put down one event: ``begin``, ``end`` or ``stopped``."""
+        line = {
+            'event': event, 'stage': stage, **values,
+            'date': datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds'),
+            'cores': len(os.sched_getaffinity(0)), 'version': __version__,
+        }
+        if event == 'begin':
+            line['provenance'] = dict(provenance())
+        try:
+            self._journal.append(line)
+            self._journal.sync()
+        except OSError as error:
+            raise disk_error(self._path, error) from error
+        self.records.setdefault(stage, StageRecord()).take(line)
+
+
+def other_stack(records: Mapping[str, StageRecord]) -> str:
+    """One line where a stage was begun on another machine or version than this; else ''."""
+    before = [stack for record in records.values() for stack in record.stacks]
+    if not all(before):
+        return 'nothing tells on which machine and versions all the stages so far were made'
+    found = differences(*before, provenance())
+    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
+
+
+def read_records(out: Path) -> dict[str, StageRecord]:
+    """What is known of each stage, by its name; also while the study is under way.
+
+    Raises:
+        UsageError: a whole line is damaged.
+    """
+    path = out / LOG_NAME
+    if not path.exists():
+        return {}
+    records: dict[str, StageRecord] = {}
+    for number, event in enumerate(read_journal(path), start=1):
+        try:
+            records.setdefault(event['stage'], StageRecord()).take(event)
+        except (ValueError, KeyError, TypeError) as error:
+            raise damaged_line(path, number, str(error)) from error
+    return records

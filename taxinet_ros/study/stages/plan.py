@@ -1,0 +1,161 @@
+"""The stages of the case study, in the paper's order: falsify, debug, retrain, learn, iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from taxinet_ros.campaign.record.table import PARQUET_NAME
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.stage import (
+    Kind,
+    Resume,
+    Stage,
+    analysis_stage,
+    campaign_stage,
+    training_stage,
+    workers_option,
+)
+
+ORIGINAL, GENERIC, HALTON, SPECIALISED = 'original', 'generic', 'halton', 'specialised'
+ITERATIVE = ('iterative-generic', 'iterative-crossing', 'iterative-learned')
+BEST = 'best'
+NETWORKS = (ORIGINAL, GENERIC, HALTON, SPECIALISED, *ITERATIVE, BEST)
+"""Names of the networks; their campaigns are ``evaluate-<name>``, but of the original one."""
+
+FALSIFY, ANALYZE, LOCALIZE, REPORT = (
+    'falsify-original', 'analyze-original', 'localize-original', 'report'
+)
+
+_TRIALS = 4
+"""Runs that `taxinet localize` makes of one failed run: as it was, and three substitutions."""
+
+
+def campaign_of(network: str) -> str:
+    """Folder of the campaign that a network was evaluated in."""
+    return FALSIFY if network == ORIGINAL else f'evaluate-{network}'
+
+
+def weights_of(network: str) -> str:
+    """Weights file of a network that the study trains."""
+    return f'train-{network}/{network}.safetensors'
+
+
+def search_of(sampler: str, seed: int) -> str:
+    """Folder of a search for the generic network's failures."""
+    return f'learn-{sampler}-{seed}'
+
+
+def learned_program(config: StudyConfig) -> str:
+    """What the first search has learned, whose pictures are added for further training."""
+    return f'{search_of(config.samplers[0], config.learning_seeds[0])}/learned.scenic'
+
+
+def stages(config: StudyConfig) -> tuple[Stage, ...]:
+    """All stages of a study, each after those whose files it needs."""
+    found = [*_falsification(config), *_debugging(config), *_retraining(config)]
+    found += [*_learning(config), *_iteration(config)]
+    if config.best:
+        found.append(_evaluation(config, BEST, config.best))
+    everything = tuple(name for stage in found for name in stage.outputs)
+    found.append(Stage(
+        name=REPORT, words=('case-study', '--report-only', '--out', '.'), wants=everything,
+        outputs=(f'{REPORT}/case_study.html', f'{REPORT}/case_study.json',
+                 f'{REPORT}/networks.parquet'),
+        kind=Kind.REPORT, amount=1, resume=Resume.REPLACE,
+    ))
+    return tuple(found)
+
+
+def stages_until(found: Sequence[Stage], name: str) -> tuple[Stage, ...]:
+    """The stages up to one of them.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    names = [stage.name for stage in found]
+    if name not in names:
+        raise UsageError(f'--until {name}: no such stage; known: {", ".join(names)}')
+    return tuple(found[:names.index(name) + 1])
+
+
+def _falsification(config: StudyConfig) -> Iterator[Stage]:
+    yield _training(config, ORIGINAL, config.original)
+    yield _evaluation(config, ORIGINAL)
+
+
+def _debugging(config: StudyConfig) -> Iterator[Stage]:
+    table = f'{FALSIFY}/{PARQUET_NAME}'
+    yield analysis_stage(ANALYZE, FALSIFY, 2)
+    yield Stage(
+        name=LOCALIZE, words=('localize', FALSIFY, '--out', LOCALIZE), runs=config.localized,
+        hints=workers_option(config.workers), inputs=(table,),
+        outputs=(f'{LOCALIZE}/localize.json', f'{LOCALIZE}/localize.parquet'), kind=Kind.TRIALS,
+        amount=_TRIALS * config.localized, resume=Resume.SAME, needs_failures=FALSIFY,
+    )
+    for word, runs in config.experiments.items():
+        yield _experiment(config, word, runs)
+
+
+def _experiment(config: StudyConfig, word: str, runs: int) -> Stage:
+    name, weights = f'experiment-{Path(word).stem}', weights_of(ORIGINAL)
+    return Stage(
+        name=name, words=('experiment', word, '--perception', weights, '--out', name), runs=runs,
+        hints=workers_option(config.workers), inputs=(weights,), experiment=word,
+        outputs=(f'{name}/experiment.json', f'{name}/pairs.parquet'), kind=Kind.RUNS,
+        amount=2 * runs, resume=Resume.OPTION, accepts=(0, 4),
+    )
+
+
+def _retraining(config: StudyConfig) -> Iterator[Stage]:
+    yield _training(config, GENERIC, config.generic)
+    yield _training(config, HALTON, config.generic, '--sampler', 'halton')
+    yield _training(config, SPECIALISED, config.specialised,
+                    '--validation-program', config.generic)
+    for network in (GENERIC, HALTON, SPECIALISED):
+        yield _evaluation(config, network)
+
+
+def _learning(config: StudyConfig) -> Iterator[Stage]:
+    for sampler in config.samplers:
+        for seed in config.learning_seeds:
+            yield campaign_stage(
+                search_of(sampler, seed), config.learning_program, sampler=sampler, seed=seed,
+                runs=config.learning_runs, workers=config.workers, weights=weights_of(GENERIC),
+            )
+
+
+def _iteration(config: StudyConfig) -> Iterator[Stage]:
+    programs = (config.generic, config.crossing, learned_program(config))
+    for network, program in zip(ITERATIVE, programs, strict=True):
+        # The same seed: the images of the generic network once more, and others.
+        yield _training(
+            config, network, config.generic, '--start', weights_of(GENERIC),
+            '--add', f'{program}={config.added}', epochs=config.further_epochs, added=program,
+        )
+    for network in ITERATIVE:
+        yield _evaluation(config, network)
+
+
+def _training(
+    config: StudyConfig, network: str, program: str, *more: str, epochs: int = 0, added: str = ''
+) -> Stage:
+    """The training of a network; further training of the generic one where images are added."""
+    learned = added if added == learned_program(config) else ''
+    inputs = [weights_of(GENERIC)] * bool(added) + [learned] * bool(learned)
+    others = [added] * bool(added) + [config.generic] * ('--validation-program' in more)
+    return training_stage(
+        weights_of(network), program, *more, images=config.images, validation=config.validation,
+        added=config.added if added else 0, epochs=epochs or config.epochs,
+        seed=config.training_seed, workers=config.workers, inputs=inputs, programs=others,
+        needs=learned,
+    )
+
+
+def _evaluation(config: StudyConfig, network: str, perception: str = '') -> Stage:
+    return campaign_stage(
+        campaign_of(network), config.program, sampler='random', seed=config.seed, runs=config.runs,
+        workers=config.workers, weights=weights_of(network), perception=perception,
+        needs=weights_of(network) if network == ITERATIVE[2] else '',
+    )

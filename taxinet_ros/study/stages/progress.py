@@ -1,0 +1,151 @@
+"""How far a study is: what is done, what has to be done again, how long the rest takes.
+
+And the lines that say so: headings of stages, the list of them, times.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.study.stages.config import StudyConfig
+from taxinet_ros.study.stages.log import StageRecord
+from taxinet_ros.study.stages.stage import Kind, Stage
+
+Records = Mapping[str, StageRecord]
+_DEFAULT_SECONDS = {Kind.RUNS: 3.5, Kind.TRIALS: 2.0, Kind.LOOKS: 0.0025, Kind.REPORT: 60.0}
+"""What one takes where this study does not know yet: on one core of a small machine."""
+_START_S = 25.0
+"""What every command takes before it gets to work."""
+_SHARED_AMONG_WORKERS = (Kind.RUNS, Kind.TRIALS)
+"""What workers share among themselves."""
+
+
+class State(Enum):
+    """How far a stage is."""
+
+    DONE = 'done'
+    BEGUN = 'begun'
+    STALE = 'other'
+    """Its folder holds what another command, other inputs or another version has made."""
+    OPEN = 'to do'
+
+
+def state_of(stage: Stage, records: Records, out: Path) -> State:
+    """How far a stage is, by what it depends on now and what lies in its folder.
+
+    Raises:
+        UsageError: a program, an experiment or a network cannot be read.
+    """
+    record = records.get(stage.name, StageRecord())
+    there = _is_not_empty(out / stage.name)
+    if not stage.ready(out):
+        return State.STALE if there else State.OPEN
+    if record.key and record.key == stage.key(out) and stage.results(out) == record.outputs:
+        return State.DONE
+    if not there:
+        return State.OPEN
+    return State.BEGUN if record.identity == stage.identity(out) else State.STALE
+
+
+def can_resume(folder: Path) -> bool:
+    """Whether a campaign, or an arm of an experiment, has got as far as its ledger."""
+    return any((folder / place / LEDGER_NAME).is_file() for place in ('', *_names(folder)))
+
+
+def seconds_left(
+    rest: Iterable[Stage], found: Sequence[Stage], records: Records, workers: int
+) -> float:
+    """About how long some stages take [s].
+
+    Args:
+        rest: these stages.
+        found: all stages; those of them that are done tell how fast this machine is.
+        records: of them.
+        workers: processes that work at once.
+    """
+    pace = {
+        kind: one_s / (workers if kind in _SHARED_AMONG_WORKERS else 1)
+        for kind, one_s in _DEFAULT_SECONDS.items()
+    }
+    pace |= _measured(found, records)
+    return sum(_START_S + stage.amount * pace[stage.kind] for stage in rest)
+
+
+def _measured(found: Sequence[Stage], records: Records) -> dict[Kind, float]:
+    """Wall time of one of each kind, of the stages that are done."""
+    sums: dict[Kind, tuple[float, float]] = {}
+    for stage in found:
+        record = records.get(stage.name, StageRecord())
+        if record.key and not record.killed and not record.skipped:
+            wall_s, amount = sums.get(stage.kind, (0.0, 0.0))
+            work_s = max(record.wall_s - _START_S, 0.2 * record.wall_s)
+            sums[stage.kind] = (wall_s + work_s, amount + stage.amount)
+    return {kind: wall_s / amount for kind, (wall_s, amount) in sums.items()}
+
+
+def _is_not_empty(folder: Path) -> bool:
+    return folder.is_dir() and any(folder.iterdir())
+
+
+def _names(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir()] if folder.is_dir() else []
+
+
+def study_heading(config: StudyConfig, found: Sequence[Stage], out: Path) -> str:
+    """What is about to be done."""
+    size = '' if config.scale == 1 else f'scale {config.scale:g}, '
+    return (
+        f'case study in {len(found)} stages: {size}{config.images:,} images and {config.epochs} '
+        f'epochs a network, {config.runs:,} runs each, {workers_words(config.workers)} -> {out}'
+    )
+
+
+def stage_line(number: int, found: Sequence[Stage], *, resume: bool = False) -> str:
+    """Number, name and command of a stage."""
+    stage = found[number - 1]
+    command = shlex.join(['taxinet', *stage.command(resume=resume)])
+    return f'[{number}/{len(found)}] {stage.name}: {command}'
+
+
+def time_line(elapsed_s: float, left_s: float) -> str:
+    """Time since the command was started, and about how much there is to come."""
+    return f'{clock(elapsed_s)} gone, about {rough_duration(left_s)} to go'
+
+
+def list_lines(found: Sequence[Stage], records: Records, out: Path) -> list[str]:
+    """Every stage with how far it is, and its command."""
+    width = max(len(stage.name) for stage in found)
+    lines = []
+    for number, stage in enumerate(found, 1):
+        state = state_of(stage, records, out)
+        words = f'{state.value:<5}'
+        if state is State.DONE:
+            words += f' in {clock(records[stage.name].wall_s)}'
+        command = shlex.join(['taxinet', *stage.command()])
+        lines.append(f'{number:2d}  {stage.name:<{width}}  {words:<17}  {command}')
+    return lines
+
+
+def workers_words(workers: int) -> str:
+    """Such as ``2 workers``."""
+    return '1 worker' if workers == 1 else f'{workers} workers'
+
+
+def clock(seconds: float) -> str:
+    """A time as ``1:02:03``."""
+    whole = round(seconds)
+    return f'{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}'
+
+
+def rough_duration(seconds: float) -> str:
+    """A time that is not known exactly, as ``3 h 20 min``."""
+    minutes = math.ceil(seconds / 60)
+    if minutes < 90:
+        return f'{minutes} min'
+    hours, minutes = divmod(10 * round(minutes / 10), 60)
+    return f'{hours} h {minutes} min' if minutes else f'{hours} h'

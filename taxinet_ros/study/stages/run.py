@@ -1,0 +1,227 @@
+"""Run the stages of a study one after the other, each as a process; leave out what is done."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import taxinet_ros
+from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
+from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.interrupts import INTERRUPTED, interrupts
+from taxinet_ros.study.stages.log import StageLog, other_stack
+from taxinet_ros.study.stages.progress import (
+    State,
+    can_resume,
+    clock,
+    seconds_left,
+    stage_line,
+    state_of,
+    time_line,
+)
+from taxinet_ros.study.stages.stage import Resume, Stage
+
+_GRACE_S = 20.0
+"""For a command that was told twice to end, before it is killed."""
+
+
+def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
+    """Run a command to its end.
+
+    It is in a process group of its own, so that Ctrl-C comes to it through us, and once: the first
+    one ends what it is at in order, the second one at once.
+
+    Args:
+        command: the program with its words.
+        folder: where it runs.
+
+    Returns:
+        Its exit code, negative for the signal that killed it; and whether we were interrupted.
+    """
+    process = subprocess.Popen(
+        list(command), cwd=folder, stdin=subprocess.DEVNULL, env=_environment(), process_group=0,
+    )
+    asked: list[bool] = []
+
+    def pass_on() -> None:
+        asked.append(True)
+        process.send_signal(signal.SIGINT)
+
+    try:
+        with interrupts(pass_on):
+            return process.wait(), bool(asked)
+    except KeyboardInterrupt:
+        process.send_signal(signal.SIGINT)
+        return _wait_or_kill(process), True
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+
+def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
+    try:
+        return process.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """This very package, wherever the command runs; else as a shell would start it."""
+    here = str(Path(taxinet_ros.__file__).resolve().parents[2])
+    path = os.pathsep.join(part for part in (here, os.environ.get('PYTHONPATH', '')) if part)
+    return {**os.environ, 'PYTHONPATH': path}
+
+
+BROKEN = 4
+_TERMINATED = 128 + signal.SIGTERM
+
+
+class StudyRun:
+    """One sitting of a study."""
+
+    def __init__(
+        self, out: Path, found: Sequence[Stage], *, log: StageLog, command: Sequence[str],
+        workers: int, show: Callable[[str], None],
+    ) -> None:
+        """Nothing is started yet.
+
+        Args:
+            out: folder of the study, where the commands run.
+            found: its stages, as far as they are wanted.
+            log: what became of them.
+            command: program that takes a stage's words.
+            workers: processes that a stage uses, to tell how long the rest takes.
+            show: prints a line.
+        """
+        self._out = out
+        self._stages = tuple(found)
+        self._log = log
+        self._command = tuple(command)
+        self._workers = workers
+        self._show = show
+
+    def run(self) -> int:
+        """Do what is not done.
+
+        Returns:
+            Exit code: 0 all is done, 130 interrupted, or that of the stage that failed.
+
+        Raises:
+            UsageError: a stage cannot be begun.
+            RecordError: the study's folder was moved or deleted.
+        """
+        self._check_runs()
+        if warning := other_stack(self._log.records):
+            self._show(warning)
+        self._began = time.monotonic()
+        for number, stage in enumerate(self._stages, 1):
+            state = state_of(stage, self._log.records, self._out)
+            if state is State.DONE:
+                took = clock(self._log.records[stage.name].wall_s)
+                self._show(f'[{number}/{len(self._stages)}] {stage.name}: done, kept ({took})')
+                continue
+            code = self._stage(number, stage, state)
+            if code:
+                return code
+        return 0
+
+    def _check_runs(self) -> None:
+        """A campaign cannot be made smaller, and none is thrown away."""
+        for stage in self._stages:
+            record = self._log.records.get(stage.name)
+            if record is None or not stage.runs or record.runs <= stage.runs:
+                continue
+            if stage.ready(self._out) and record.identity == stage.identity(self._out):
+                raise UsageError(
+                    f'{self._out / stage.name}: was begun with {record.runs:,} runs, more than the '
+                    f'{stage.runs:,} asked for now; ask for as many, or name another --out'
+                )
+
+    def _stage(self, number: int, stage: Stage, state: State) -> int:
+        """Do one stage; 0 if it is done."""
+        resume = self._make_room(stage, state)
+        rest = self._stages[number - 1:]
+        left_s = seconds_left(rest, self._stages, self._log.records, self._workers)
+        self._show('')
+        self._show(stage_line(number, self._stages, resume=resume))
+        self._show(time_line(time.monotonic() - self._began, left_s))
+        key = stage.key(self._out)
+        self._log.write('begin', stage.name, identity=stage.identity(self._out), runs=stage.runs,
+                        resumed=resume)
+        if why := self._nothing_to_do(stage):
+            self._show(why)
+            self._log.write('end', stage.name, key=key, outputs={}, wall_s=0.0, skipped=why)
+            return 0
+        words = stage.command(resume=resume)
+        begun = time.monotonic()
+        code, interrupted = run_command([*self._command, *words], self._out)
+        wall_s = time.monotonic() - begun
+        self._log.check_in_place()  # before it is said that this or that is missing
+        trouble = self._trouble(stage, code)
+        if trouble:
+            self._log.write('stopped', stage.name, wall_s=wall_s, code=code)
+            return self._stopped(stage, code, trouble, interrupted=interrupted)
+        self._log.write('end', stage.name, key=key, outputs=stage.results(self._out),
+                        wall_s=wall_s, code=code, command=list(words), workers=self._workers)
+        if interrupted:
+            self._show(f'interrupted after {stage.name}; --resume goes on')
+            return INTERRUPTED
+        return 0
+
+    def _make_room(self, stage: Stage, state: State) -> bool:
+        """Put away what another command left; whether the stage goes on where it was."""
+        folder = self._out / stage.name
+        if state is State.BEGUN and stage.resume is Resume.OPTION and can_resume(folder):
+            return True
+        if state is State.BEGUN and stage.resume is Resume.SAME:
+            return True
+        if stage.resume is not Resume.REPLACE and folder.is_dir() and any(folder.iterdir()):
+            aside = _unused_name(folder)
+            folder.rename(aside)
+            why = 'is of other inputs' if state is State.STALE else 'is not whole'
+            self._show(f'{stage.name}: what was there {why}, kept as {aside.name}')
+        folder.mkdir(exist_ok=True)
+        return False
+
+    def _nothing_to_do(self, stage: Stage) -> str:
+        if stage.needs and not (self._out / stage.needs).is_file():
+            return f'there is no {stage.needs}, for nothing was found: nothing to do'
+        if not stage.needs_failures:
+            return ''
+        outcomes = read_table(self._out / stage.needs_failures)['outcome']
+        if (outcomes == 'FAIL').any():
+            return ''
+        return f'none of the {len(outcomes)} runs of {stage.needs_failures} failed: nothing to do'
+
+    def _trouble(self, stage: Stage, code: int) -> str:
+        """Why a stage that has ended is not done; '' where it is."""
+        if code not in stage.accepts:
+            return f'exit code {code}' if code >= 0 else f'killed by signal {-code}'
+        missing = [name for name in stage.outputs if not (self._out / name).is_file()]
+        if missing:
+            return f'{missing[0]} is missing'
+        table = f'{stage.name}/{PARQUET_NAME}'
+        made = len(read_table(self._out / table)) if table in stage.outputs else stage.runs
+        if made < stage.runs:
+            return f'{made:,} of {stage.runs:,} runs were made'
+        return ''
+
+    def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:
+        if interrupted or code in (INTERRUPTED, _TERMINATED):
+            self._show(f'interrupted in {stage.name}; --resume goes on')
+            return INTERRUPTED
+        self._show(f'stopped at {stage.name}: {trouble}; once it is mended, --resume goes on')
+        return code if code > 0 and code not in stage.accepts else BROKEN
+
+
+def _unused_name(folder: Path) -> Path:
+    number = 1
+    while (aside := folder.with_name(f'{folder.name}.before-{number}')).exists():
+        number += 1
+    return aside

@@ -1,0 +1,1 @@
+"""Data sets: drawn, rendered, stored and read."""

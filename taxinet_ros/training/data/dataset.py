@@ -1,0 +1,147 @@
+"""Labelled pictures in memory: one per scene of a Scenic program, as the paper's training sets are.
+
+A picture is kept as the network gets it, 12 KiB instead of 211.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.campaign.samplers.registry import make_sampler
+from taxinet_ros.campaign.samplers.sampler import Exhausted
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, accepted_scene
+from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.data.photographs import photographs
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is in all."""
+
+_Labelled = tuple[NDArray[np.uint8], float, float]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Dataset:
+    """Pictures and what a perfect network would say to them.
+
+    Attributes:
+        pictures: what the network sees, (N, 64, 192) uint8.
+        cte_m, he_rad: true errors there, (N,) [m] and [rad].
+    """
+
+    pictures: NDArray[np.uint8]
+    cte_m: NDArray[np.float64]
+    he_rad: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    def take(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Dataset:
+        """Some of the rows."""
+        return Dataset(
+            pictures=self.pictures[rows], cte_m=self.cte_m[rows], he_rad=self.he_rad[rows]
+        )
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Progress that no one wants to see."""
+
+
+SAMPLERS = ('random', 'halton', 'sobol', 'grid')
+"""How scenes may be drawn: samplers that need no results of runs."""
+
+
+def draw_scenes(
+    program: str | Path, *, seed: int, images: int, sampler: str = 'random',
+    progress: Progress = no_progress,
+) -> list[Scenario]:
+    """The first scenes of a program, leaving out those that are rejected.
+
+    Args:
+        program: word of a shipped Scenic program or path of one.
+        seed: of the scenes.
+        images: number of scenes.
+        sampler: a word of :data:`SAMPLERS`; ``random`` draws as Scenic does.
+        progress: told after every scene.
+
+    Raises:
+        UsageError: the program is wrong, rejects more scenes than it gives, or has too few.
+    """
+    scenes: list[Scenario] = []
+    rejected = 0
+    with SceneSource(program, seed=seed) as source:
+        for note in source.drawn_notes if sampler == 'random' else source.notes:
+            print(note, file=sys.stderr)
+        scene = _scene_drawer(source, sampler, seed, images)
+        while len(scenes) < images:
+            try:
+                scenes.append(scene(len(scenes) + rejected))
+            except Rejected as error:
+                rejected += 1
+                if rejected > images:
+                    raise UsageError(f'{error}; most scenes are rejected') from None
+            except Exhausted as error:
+                raise UsageError(f'{program}: {error}, which are fewer than {images}') from error
+            else:
+                progress('scenes', len(scenes), images)
+    return scenes
+
+
+def _scene_drawer(
+    source: SceneSource, sampler: str, seed: int, images: int
+) -> Callable[[int], Scenario]:
+    """What gives the scene of a number, from 0 on."""
+    if sampler == 'random':
+        return source.scene
+    points = make_sampler(sampler, source.space(), seed, images)
+
+    def scene(index: int) -> Scenario:
+        ticket, point = points.next()
+        try:
+            return accepted_scene(source, index, point, points.again)[0]
+        finally:
+            points.tell(ticket, None)
+
+    return scene
+
+
+def make_dataset(
+    scenes: Sequence[Scenario],
+    *,
+    workers: int,
+    varied: bool = False,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> Dataset:
+    """Photograph scenes. The result does not depend on the number of worker processes.
+
+    Args:
+        scenes: what to photograph; the place of one in the sequence is its number.
+        workers: processes to do it in; 1 is this one.
+        varied: whether the look of the world varies.
+        seed: of what is drawn for that.
+        progress: told after every picture.
+
+    Raises:
+        InfraError: a worker process died, or the simulator failed.
+    """
+    pictures = np.empty((len(scenes), *INPUT_SHAPE), np.uint8)
+    truth = np.empty((len(scenes), 2))
+    taken = photographs(enumerate(scenes), _shrunk, varied=varied, seed=seed, workers=workers)
+    for row, (picture, cte_m, he_rad) in enumerate(taken):
+        pictures[row] = picture
+        truth[row] = cte_m, he_rad
+        progress('images', row + 1, len(scenes))
+    return Dataset(pictures=pictures, cte_m=truth[:, 0], he_rad=truth[:, 1])
+
+
+def _shrunk(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Labelled:
+    return shrink(image), truth.cte_m, truth.he_rad

@@ -1,0 +1,374 @@
+"""Datasets on disk: a folder of images of a Scenic program's scenes, with a table of labels.
+
+``images/000000.png`` and so on, ``labels.parquet`` with a row for each, and ``dataset.json``,
+which is written last: a folder without it is not finished. ``request.json`` says what was
+asked for and ``finished.jsonl`` which images are done, as long as it is being made.
+
+An image is a pure function of program, seed and number, so an interrupted dataset is continued
+by rendering what is missing, and ends up the same to the byte. Files are put in place whole
+and never replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import os
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from taxinet_ros import __version__
+from taxinet_ros.campaign.scenes.programs import find_program, program_digest, program_text
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import RecordError, UsageError
+from taxinet_ros.files.atomic import FULL_DISK
+from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line
+from taxinet_ros.files.plain_values import check_kind
+from taxinet_ros.files.sealed_json import read_sealed, sealed_text
+from taxinet_ros.training.data.dataset import SAMPLERS, Progress, draw_scenes, no_progress
+from taxinet_ros.training.data.photographs import photographs
+
+IMAGES = 'images'
+LABELS = 'labels.parquet'
+FACTS = 'dataset.json'
+REQUEST = 'request.json'
+FINISHED = 'finished.jsonl'
+
+
+def image_name(index: int) -> str:
+    """Path of an image within the folder."""
+    return f'{IMAGES}/{index:06d}.png'
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FinishedImage:
+    """An image that lies in the folder.
+
+    Attributes:
+        index: its number.
+        cte_m, he_rad: true errors [m], [rad].
+        sha256: digest of its file.
+    """
+
+    index: int
+    cte_m: float
+    he_rad: float
+    sha256: str
+
+
+class FinishedImages(JournalOwner):
+    """The open record: one writer at a time; a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        """Open ``path`` to append, making it if need be; a torn last line is cut off.
+
+        Raises:
+            UsageError: it cannot be opened, is no such record, or another command writes to it.
+        """
+        self._path = path
+        try:
+            self._journal = Journal(path)
+        except BlockingIOError as error:
+            raise UsageError(f'dataset: {path.parent}: another command is writing to it') from error
+        except OSError as error:
+            raise UsageError(f'dataset: {path}: {error.strerror}') from error
+        try:
+            self.rows = self._read()
+        except BaseException:
+            self._journal.close()
+            raise
+
+    def add(self, row: FinishedImage) -> None:
+        """Record that an image is in its place.
+
+        Raises:
+            OSError: the line could not be written whole, as on a full disk.
+        """
+        self._journal.append(asdict(row))
+        self.rows[row.index] = row
+
+    def _read(self) -> dict[int, FinishedImage]:
+        rows = {}
+        for number, event in enumerate(self._journal.events, start=1):
+            try:
+                row = FinishedImage(**event)
+                for name, kind in FinishedImage.__annotations__.items():
+                    check_kind(name, kind, getattr(row, name))
+            except (TypeError, ValueError) as error:
+                raise damaged_line(self._path, number, str(error)) from error
+            rows[row.index] = row
+        return rows
+
+
+_LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
+
+
+def _draft_name(name: str) -> str:
+    return f'.{name}.draft'
+
+_DRAFT = _draft_name(REQUEST)
+"""What a kill or a full disk may leave of a dataset before it is begun."""
+_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+"""Lossless at every level; higher ones take several times as long for a tenth of the room."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DatasetOptions:
+    """Which dataset to make, and where; checked on construction.
+
+    Attributes:
+        program: word of a shipped Scenic program or path of one.
+        out: folder to make; missing or empty, unless ``resume``.
+        count: images, one per scene.
+        sampler: a word of :data:`~taxinet_ros.training.data.dataset.SAMPLERS`.
+        seed: of everything random.
+        varied: whether the look of the world varies.
+        workers: processes that render; the result does not depend on them.
+        resume: whether to continue what was interrupted.
+
+    Raises:
+        UsageError: a number is out of range, or the sampler is not known.
+    """
+
+    program: str
+    out: Path
+    count: int
+    sampler: str = 'random'
+    seed: int = 0
+    varied: bool = False
+    workers: int = 2
+    resume: bool = False
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _LIMITS.items():
+            if not low <= getattr(self, name) <= high:
+                value = getattr(self, name)
+                raise UsageError(f'dataset: {name} is {value}, outside {low}..{high}')
+        if self.sampler not in SAMPLERS:
+            known = ', '.join(SAMPLERS)
+            raise UsageError(f'dataset: sampler {self.sampler!r} is unknown; known: {known}')
+
+    def request(self) -> dict[str, Any]:
+        """All that the images depend on, for the record and to compare when resuming.
+
+        Raises:
+            UsageError: the program is unknown or cannot be read.
+        """
+        path = find_program(self.program)
+        return {
+            'program': path.stem,
+            'program_sha256': program_digest(path),
+            'program_text': program_text(path),
+            'sampler': self.sampler,
+            'seed': self.seed,
+            'count': self.count,
+            'varied': self.varied,
+            'package_version': __version__,
+        }
+
+
+def write_dataset(options: DatasetOptions, progress: Progress = no_progress) -> int:
+    """Make a dataset, or the missing part of it.
+
+    Args:
+        options: what to do.
+        progress: told of the stages ``scenes``, ``checked`` (images of an earlier try) and
+            ``images``.
+
+    Returns:
+        How many images had to be rendered.
+
+    Raises:
+        UsageError: options, program or folder cannot be used.
+        RecordError: the disk is full, or the folder was moved or deleted meanwhile.
+        InfraError: a worker process died, or the simulator failed.
+    """
+    request = options.request()
+    if not options.resume:
+        _check_new(options.out)
+    else:
+        _check_request(options.out, request)
+        if (options.out / FACTS).exists():
+            return 0
+    scenes = draw_scenes(
+        options.program, seed=options.seed, images=options.count, sampler=options.sampler,
+        progress=progress,
+    )
+    if not options.resume:  # not before: a program that is refused leaves no folder behind
+        _begin(options.out, request)
+    with FinishedImages(options.out / FINISHED) as finished:
+        rendered = _render(options, scenes, finished, progress)
+        _complete(options.out, request, scenes, finished)
+    (options.out / FINISHED).unlink()
+    return rendered
+
+
+def _check_new(out: Path) -> None:
+    try:
+        if out.exists() and (not out.is_dir() or {path.name for path in out.iterdir()} - {_DRAFT}):
+            begun = (out / REQUEST).is_file()
+            mend = 'say --resume, or name another' if begun else 'name another'
+            raise UsageError(f'dataset: --out {out}: exists and is not empty; {mend}')
+    except OSError as error:
+        raise _unwritable_error(out, error) from error
+
+
+def _begin(out: Path, request: Mapping[str, Any]) -> None:
+    """Make the folder, and write down there what for."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _write_once(out / REQUEST, sealed_text(request).encode())
+        (out / IMAGES).mkdir()
+    except OSError as error:
+        raise (_record_error if error.errno in FULL_DISK else _unwritable_error)(
+            out, error
+        ) from error
+
+
+def _check_request(out: Path, request: Mapping[str, Any]) -> None:
+    path = out / REQUEST
+    try:
+        begun = read_sealed(path).values
+        (out / IMAGES).mkdir(exist_ok=True)
+    except FileNotFoundError as error:
+        raise UsageError(
+            f'dataset: --resume: {path}: no such file, so nothing was begun; leave --resume out'
+        ) from error
+    except OSError as error:
+        raise UsageError(
+            f'dataset: --resume: {path}: cannot be read; name another --out'
+        ) from error
+    for name, value in request.items():
+        before = begun.get(name)
+        if before != value:
+            raise UsageError(
+                f'dataset: --resume: {out} was begun with {name} {before}, not {value}; repeat its '
+                'options, or name another --out'
+            )
+
+
+def _render(
+    options: DatasetOptions, scenes: list[Scenario], finished: FinishedImages, progress: Progress
+) -> int:
+    _check_finished(options.out, finished, progress)
+    missing = [
+        (index, scene) for index, scene in enumerate(scenes)
+        if index not in finished.rows or not (options.out / image_name(index)).exists()
+    ]
+    done = len(scenes) - len(missing)
+    taken = photographs(
+        missing, partial(_store, options.out),
+        varied=options.varied, seed=options.seed, workers=options.workers,
+    )
+    with closing(taken) as images:
+        for row in images:
+            _record(options.out, finished, row)
+            done += 1
+            progress('images', done, len(scenes))
+    return len(missing)
+
+
+def _check_finished(out: Path, finished: FinishedImages, progress: Progress) -> None:
+    """See that what is said to be done is there as it was; what is missing may be made again."""
+    for done, row in enumerate(finished.rows.values(), 1):
+        path = out / image_name(row.index)
+        if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != row.sha256:
+            raise _differs_error(path)
+        progress('checked', done, len(finished.rows))
+
+
+def _store(
+    out: Path, index: int, image: NDArray[np.uint8], truth: TrackingError
+) -> FinishedImage:
+    """Write one image; done where it was rendered, for compressing takes its time too."""
+    _, encoded = cv2.imencode('.png', cv2.cvtColor(image, cv2.COLOR_RGB2BGR), _PNG)
+    data = encoded.tobytes()
+    try:
+        _write_once(out / image_name(index), data)
+    except OSError as error:
+        raise _record_error(out, error) from None  # an OSError's traceback does not travel well
+    sha256 = hashlib.sha256(data).hexdigest()
+    return FinishedImage(index=index, cte_m=truth.cte_m, he_rad=truth.he_rad, sha256=sha256)
+
+
+def _record(out: Path, finished: FinishedImages, row: FinishedImage) -> None:
+    before = finished.rows.get(row.index)
+    if before == row:
+        return  # its file was lost and has been made again
+    if before is not None:
+        raise _differs_error(out / image_name(row.index))
+    try:
+        finished.add(row)
+    except OSError as error:
+        raise _record_error(out, error) from error
+
+
+def _complete(
+    out: Path, request: Mapping[str, Any], scenes: list[Scenario], finished: FinishedImages
+) -> None:
+    """Write the table, and then the file that says that all is there."""
+    finished.check_in_place()
+    table = io.BytesIO()
+    rows = [_row(scene, finished.rows[index]) for index, scene in enumerate(scenes)]
+    pd.DataFrame(rows).to_parquet(table, index=False)
+    labels_sha256 = hashlib.sha256(table.getvalue()).hexdigest()
+    try:
+        _write_once(out / LABELS, table.getvalue())
+        os.sync()  # once for all images: the next file must not outlive them in a loss of power
+        facts = sealed_text({**request, 'labels_sha256': labels_sha256}, {LABELS: labels_sha256})
+        _write_once(out / FACTS, facts.encode())
+    except OSError as error:
+        raise _record_error(out, error) from error
+
+
+def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
+    return {
+        'image': image_name(image.index),
+        'cte_m': image.cte_m,
+        'heading_error_deg': math.degrees(image.he_rad),
+        'distance_m': scene.distance_m,
+        **scene.to_human(),
+        'sha256': image.sha256,
+    }
+
+
+def _write_once(path: Path, data: bytes) -> None:
+    """Put a whole file in place; one that is there already has to be the same.
+
+    Its draft always has the same name, so that one left by a kill is used up by the next try.
+    """
+    if path.exists():
+        if path.read_bytes() != data:
+            raise _differs_error(path)
+        return
+    draft = path.with_name(_draft_name(path.name))
+    draft.write_bytes(data)
+    draft.replace(path)
+
+
+def _differs_error(path: Path) -> UsageError:
+    return UsageError(
+        f'dataset: {path}: is not what these options make, and nothing is replaced; move it away '
+        'and say --resume'
+    )
+
+
+def _unwritable_error(out: Path, error: OSError) -> UsageError:
+    return UsageError(f'dataset: {out}: cannot be written ({error.strerror}); name another --out')
+
+
+def _record_error(out: Path, error: OSError) -> RecordError:
+    return RecordError(
+        f'dataset: {out}: cannot be written ({error.strerror}); mend that and say --resume'
+    )

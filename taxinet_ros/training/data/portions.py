@@ -1,0 +1,184 @@
+"""Pictures added to a training set: of a program (``crossing=2400``) or of failed runs.
+
+The paper's iterative retraining adds 20 % of one kind to a set (Appendix A): of a Scenic
+program, handwritten or learned, or counterexamples of falsification.
+
+A failed run starts somewhere, but the pictures that misled the network lie along its path.
+Training on places of the path, with the truth for a label, is counterexample-guided data
+augmentation (Dreossi et al., IJCAI 2018); since the network's own steering led there, it is
+dataset aggregation as well (Ross et al., AISTATS 2011).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.campaign.past_runs.counterexamples import FailedRuns, failed_runs, scenario_of_row
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.scenes.programs import find_program, program_digest
+from taxinet_ros.core.perception.weights import Source
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
+
+SPREAD_M = 0.5
+"""Standard deviation [m] of the places around the path, across it: neighbours a step apart look
+alike, and the next network will take another path."""
+SPREAD_RAD = math.radians(2.0)
+"""Likewise of the heading [rad]."""
+MAX_CROSS_TRACK_M = 14.0
+"""Places further off than this are left out: an aircraft on the grass teaches nothing of use."""
+MAX_HEADING_RAD = math.radians(60.0)
+_Path = tuple[Scenario, NDArray[np.float64]]
+"""The scene of a run, and along its way distance [m], cross-track [m] and heading error [rad]."""
+
+
+def counterexample_scenes(
+    folder: Path, count: int, seed: int, progress: Progress = no_progress
+) -> list[Scenario]:
+    """Scenes that start where failed runs have been, drawn evenly over runs and steps.
+
+    Args:
+        folder: of the campaign, with the runs' bags; their pictures are not needed.
+        count: scenes, of which several may lie at one step if the runs are few.
+        seed: of what is drawn.
+        progress: told as ``runs`` after every bag.
+
+    Raises:
+        UsageError: no campaign, no failed run, or none whose bag can be read.
+    """
+    paths = _paths(failed_runs(folder), progress)
+    rng = np.random.default_rng(seed)
+    return [_scene_on_path(*paths[rng.integers(len(paths))], rng) for _ in range(count)]
+
+
+def ledger_digest(folder: Path) -> str:
+    """SHA-256 of a campaign's ledger, which names its runs and what came of them.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
+    try:
+        return hashlib.sha256((folder / LEDGER_NAME).read_bytes()).hexdigest()
+    except OSError as error:
+        raise UsageError(f'{folder / LEDGER_NAME}: {error.strerror}') from error
+
+
+def _paths(failed: FailedRuns, progress: Progress) -> list[_Path]:
+    found: list[_Path] = []
+    for number, row in enumerate(failed.rows, 1):
+        try:
+            trace = read_trace(failed.folder / row.run_id)
+        except (BagError, UsageError):
+            continue  # a bag that was deleted or damaged leaves the others
+        scene, _ = scenario_of_row(row, failed.folder, failed.facts)
+        columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
+        way = columns.astype(np.float64)[_useful_places(columns)]
+        if len(way):
+            found.append((scene, way))
+        progress('runs', number, len(failed.rows))
+    if not found:
+        raise UsageError(
+            f'{failed.folder}: no bag of its {len(failed.rows)} failed runs can be read; '
+            'run the campaign again'
+        )
+    return found
+
+
+def _useful_places(columns: NDArray[np.generic]) -> NDArray[np.bool_]:
+    distance, cte, heading = columns.astype(np.float64).T
+    return (
+        (distance >= 0) & (distance <= 2600)
+        & (np.abs(cte) <= MAX_CROSS_TRACK_M) & (np.abs(heading) <= MAX_HEADING_RAD)
+    )
+
+
+def _scene_on_path(scene: Scenario, way: NDArray[np.float64], rng: np.random.Generator) -> Scenario:
+    distance, cte, heading = way[rng.integers(len(way))]
+    aside, turned = rng.normal(0, SPREAD_M), rng.normal(0, SPREAD_RAD)
+    return dataclasses.replace(
+        scene,
+        distance_m=float(distance),
+        cross_track_m=float(np.clip(cte + aside, -MAX_CROSS_TRACK_M, MAX_CROSS_TRACK_M)),
+        heading_rad=float(heading + turned),
+    )
+
+
+MAX_PICTURES = 1_000_000
+"""Pictures of one portion."""
+_PORTIONS = 3
+"""Tells the random numbers of portions from others of the same seed."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Portion:
+    """So many pictures of one origin.
+
+    Attributes:
+        kind: ``program`` for scenes of a Scenic program, ``runs`` for places on the way of a
+            campaign's failed runs.
+        name: word or path of the program, or path of the campaign's folder.
+        count: pictures to train on.
+    """
+
+    kind: Literal['program', 'runs']
+    name: str
+    count: int
+
+    def __str__(self) -> str:
+        return f'{self.name}={self.count}'
+
+    def scenes(self, count: int, seed: int, progress: Progress) -> list[Scenario]:
+        """As many scenes of this origin.
+
+        Raises:
+            UsageError: there is no such program or campaign, or it has nothing to give.
+        """
+        if self.kind == 'program':
+            return draw_scenes(self.name, seed=seed, images=count, progress=progress)
+        return counterexample_scenes(Path(self.name), count, seed, progress)
+
+    def source(self) -> Source:
+        """What a model card says of it."""
+        if self.kind == 'program':
+            return program_source(self.name)
+        folder = Path(self.name)
+        return Source(kind='runs', name=folder.resolve().name, sha256=ledger_digest(folder))
+
+
+def program_source(program: str) -> Source:
+    """What a model card says of a Scenic program, given by word or path."""
+    path = find_program(program)
+    return Source(kind='program', name=path.stem, sha256=program_digest(path))
+
+
+def parse_portion(text: str, kind: Literal['program', 'runs']) -> Portion:
+    """Read ``NAME=COUNT``.
+
+    Raises:
+        UsageError: it is not of that form, or the count is out of range.
+    """
+    option = '--add' if kind == 'program' else '--add-runs'
+    name, equals, number = text.rpartition('=')
+    if not (equals and name and number.isdecimal()):
+        what = 'PROGRAM' if kind == 'program' else 'CAMPAIGN'
+        raise UsageError(f'train: {option} {text!r}: not {what}=COUNT, such as crossing=2400')
+    if not 1 <= int(number) <= MAX_PICTURES:
+        raise UsageError(f'train: {option} {text!r}: the count is outside 1..{MAX_PICTURES}')
+    return Portion(kind=kind, name=name, count=int(number))
+
+
+def portion_seed(seed: int, number: int) -> int:
+    """Seed of a portion's scenes: the program may be the one that the set itself is drawn from."""
+    drawn = np.random.SeedSequence([seed, _PORTIONS, number]).generate_state(1, np.uint64)
+    return int(drawn[0] >> 1)

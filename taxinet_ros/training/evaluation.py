@@ -1,0 +1,177 @@
+"""How well a perception sees: in its own world, and where falsification looks for its gaps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.core.perception.perception import Perception, make_perception
+from taxinet_ros.core.perception.weights import ERROR_QUANTITIES
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.accuracy import error_statistics, half_width_95, in_card_units
+from taxinet_ros.training.data.dataset import Progress, draw_scenes, no_progress
+from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
+from taxinet_ros.training.data.photographs import photographs
+
+WHOLE = 'all'
+
+SLICES: dict[str, Callable[[Scenario], bool]] = {
+    WHOLE: lambda scene: True,
+    'like the training': lambda s: _as_trained(s),
+    'early morning': lambda s: _fine(s) and s.time_of_day_s < 8.5 * 3600,
+    'afternoon, clear': lambda s: s.clouds == 'clear' and s.time_of_day_s > 12 * 3600,
+    'broken or stratus, dry': lambda s: s.clouds in ('broken', 'stratus') and s.rain == 0,
+    'rain': lambda s: s.rain > 0,
+    'crossing': lambda s: _late_morning(s) and _at_crossing(s),
+}
+"""Parts of S_falsif that the paper's analysis tells apart, each by what belongs to it."""
+
+_Frame = tuple[NDArray[np.uint8], TrackingError]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SliceErrors:
+    """Absolute errors on one part of the images.
+
+    Attributes:
+        name: of the part.
+        images: how many belong to it.
+        without_estimate: those of them that the perception could not judge; the errors are of
+            the others.
+        errors: as in a model card, by quantity and statistic; empty where there are none.
+        half_widths: of the 95 % confidence interval of each mean, by quantity; None where one or
+            no error is too few to tell.
+    """
+
+    name: str
+    images: int
+    without_estimate: int
+    errors: dict[str, dict[str, float]]
+    half_widths: dict[str, float | None]
+
+
+def _fine(s: Scenario) -> bool:
+    return s.rain == 0 and s.clouds not in ('broken', 'stratus') and not _at_crossing(s)
+
+
+def _late_morning(s: Scenario) -> bool:
+    return 8.5 * 3600 <= s.time_of_day_s <= 12 * 3600
+
+
+def _at_crossing(s: Scenario) -> bool:
+    return 1300 < s.distance_m < 1600
+
+
+def _as_trained(s: Scenario) -> bool:
+    return _fine(s) and _late_morning(s)
+
+
+def image_perception(word_or_file: str) -> Perception:
+    """The perception of that word or file, if it looks at images at all.
+
+    Raises:
+        UsageError: it cannot be used, or needs no images.
+    """
+    perception = make_perception(word_or_file)
+    if not perception.needs_image:
+        raise UsageError(
+            f'evaluate: perception {word_or_file!r} does not look at images; name taxinet or a '
+            'file of weights'
+        )
+    return perception
+
+
+def evaluate_program(
+    perception: Perception,
+    program: str,
+    *,
+    images: int = 2000,
+    seed: int = 2,
+    workers: int = 2,
+    progress: Progress = no_progress,
+) -> list[SliceErrors]:
+    """Measure a perception at the start of a program's scenes, whole and by :data:`SLICES`.
+
+    Args:
+        perception: looks at full frames, as in a run.
+        program: word of a shipped Scenic program or path of one.
+        images: scenes to look at.
+        seed: of the scenes; another than in the training, or they were seen there.
+        workers: processes that render.
+        progress: told of the stages ``scenes`` and ``images``.
+
+    Raises:
+        UsageError: the program cannot be used.
+        InfraError: a worker process died, or the simulator failed.
+    """
+    for name, value in (('images', images), ('workers', workers)):
+        if value < 1:
+            raise UsageError(f'evaluate: {name} is {value}; it has to be at least 1')
+    scenes = draw_scenes(program, seed=seed, images=images, progress=progress)
+    taken = photographs(enumerate(scenes), _whole, varied=False, seed=seed, workers=workers)
+    with closing(taken) as frames:
+        errors = _errors(perception, frames, images, progress)
+    return by_slice(errors, scenes)
+
+
+def evaluate_folder(
+    perception: Perception, folder: Path, progress: Progress = no_progress
+) -> list[SliceErrors]:
+    """Measure a perception on a folder of labelled images, whole only.
+
+    Raises:
+        UsageError: the folder, its labels or an image cannot be used.
+    """
+    opened = open_folder(folder)
+    errors = _errors(perception, _frames(opened), len(opened), progress)
+    return [_slice(WHOLE, errors)]
+
+
+def by_slice(errors: NDArray[np.float64], scenes: Sequence[Scenario]) -> list[SliceErrors]:
+    """The errors of every part, from absolute ones (N, 2) [m], [rad]; NaN: no estimate."""
+    rows = []
+    for name, belongs in SLICES.items():
+        chosen = np.array([belongs(scene) for scene in scenes], bool)
+        rows.append(_slice(name, errors[chosen]))
+    return rows
+
+
+def _slice(name: str, errors: NDArray[np.float64]) -> SliceErrors:
+    known = errors[~np.isnan(errors).any(axis=1)]
+    columns = zip(ERROR_QUANTITIES, in_card_units(known).T, strict=True)
+    return SliceErrors(
+        name=name,
+        images=len(errors),
+        without_estimate=len(errors) - len(known),
+        errors=error_statistics(known) if len(known) else {},
+        half_widths={quantity: half_width_95(column) for quantity, column in columns},
+    )
+
+
+def _errors(
+    perception: Perception, frames: Iterable[_Frame], images: int, progress: Progress
+) -> NDArray[np.float64]:
+    errors = np.full((images, 2), math.nan)
+    for row, (image, truth) in enumerate(frames):
+        seen = perception.estimate(image, None)
+        if seen.valid:
+            errors[row] = abs(seen.cte_m - truth.cte_m), abs(seen.he_rad - truth.he_rad)
+        progress('images', row + 1, images)
+    return errors
+
+
+def _whole(index: int, image: NDArray[np.uint8], truth: TrackingError) -> _Frame:
+    return image, truth
+
+
+def _frames(folder: ImageFolder) -> Iterator[_Frame]:
+    for row, frame in enumerate(folder.frames):
+        yield folder.picture(row)[0], frame.truth

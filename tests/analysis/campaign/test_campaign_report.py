@@ -1,0 +1,291 @@
+"""The report on a campaign: its words, tables, pictures and files, for any number of runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from planted_runs import planted_runs, planted_table
+
+from taxinet_ros.analysis.campaign.cause_figures import clusters_picture
+from taxinet_ros.analysis.campaign.figures import clouds_picture, rho_picture
+from taxinet_ros.analysis.campaign.findings import analyse
+from taxinet_ros.analysis.campaign.folder import check_folder, write_analysis
+from taxinet_ros.analysis.campaign.report import campaign_report
+from taxinet_ros.analysis.causes.clusters import find_clusters, principal_axes
+from taxinet_ros.analysis.causes.predictors import grow_tree, holm, rank_features
+from taxinet_ros.analysis.report import page as report_page
+from taxinet_ros.analysis.report.pictures import DARK, LIGHT
+from taxinet_ros.analysis.runs.bins import bins, medians
+from taxinet_ros.analysis.runs.campaign import distinct_labels
+from taxinet_ros.analysis.runs.features import PAPER_FEATURES, TIME_OF_DAY
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.sealed_json import read_sealed
+
+ALIKE = {'clouds': 'clear', 'rain_percent': 0.0, 'cross_track_m': 0.0, 'distance_m': 1000.0,
+         'heading_deg': 0.0}
+
+
+def crossing(table):
+    rain = table['rain_percent'] > 0
+    return np.where(rain | table['distance_m'].between(1200, 1500), 0.95, 0.04)
+
+
+def early(table):
+    return np.where(table['time_of_day_h'] < 8, 0.9, 0.05)
+
+
+@pytest.fixture(scope='module')
+def runs(tmp_path_factory):
+    return planted_runs(planted_table(400, 1, crossing), tmp_path_factory.mktemp('runs'))
+
+
+@pytest.fixture(scope='module')
+def findings(runs, tmp_path_factory):
+    table = planted_table(400, 1, lambda t: np.full(len(t), 0.1), perception='better')
+    return analyse(runs, [planted_runs(table, tmp_path_factory.mktemp('baseline'))])
+
+
+def tables_of(report):
+    return {table.name: table for section in report.sections for table in section.tables}
+
+
+def draw_all(report, theme):
+    pictures = [picture for section in report.sections for picture in section.pictures]
+    for picture in pictures:
+        figure = Figure(figsize=picture.size_in, dpi=20, layout='constrained')
+        picture.draw(figure, theme)
+        FigureCanvasAgg(figure).draw()
+        assert figure.axes, picture.name
+        assert picture.title
+        assert picture.caption.endswith('.')
+    return [picture.name for picture in pictures]
+
+
+def test_given_a_campaign_and_a_baseline_then_the_summary_says_what_matters(findings):
+    report = campaign_report(findings)
+    failures = findings.runs.rate().failures
+    assert report.title == 'planted: 400 runs of network'
+    assert report.summary[0].startswith('400 runs of planted with network: ')
+    assert f'of the {failures} failures' in report.summary[1]
+    assert report.summary[2].startswith('1. Rain of 25 % or more: ')
+    assert 'along the runway' in report.summary[3]
+    last = report.summary[-1]
+    assert last.startswith('network fails in ')
+    assert 'better in ' in last
+    assert 'Of 400 scenes that both were run in' in last
+
+
+def test_given_the_same_scenes_then_changes_are_counted_in_pairs(findings):
+    (one,) = findings.comparisons
+    merged = findings.runs.frame.merge(one.baseline.frame, on='run_id')
+    assert one.changed is not None
+    assert one.changed.worse == int((merged['failed_x'] & ~merged['failed_y']).sum())
+    assert one.changed.better == int((~merged['failed_x'] & merged['failed_y']).sum())
+    assert one.changed.p < 0.001
+    assert one.difference.low > 0
+    assert len(one.in_causes) == len(findings.causes.found)
+
+
+def test_given_findings_then_every_table_has_its_columns_and_names_are_unique(findings):
+    report = campaign_report(findings)
+    tables = tables_of(report)
+    assert {'rates', 'rates_by_feature', 'causes', 'feature_ranking', 'counterexamples',
+            'clusters', 'principal_axes', 'tree_rules'} == set(tables)
+    for table in tables.values():
+        assert table.rows, table.name
+        assert {len(row) for row in table.rows} == {len(table.columns)}, table.name
+    names = draw_all(report, LIGHT)
+    assert len(names) == len(set(names)) == 12
+    assert len({section.name for section in report.sections}) == len(report.sections)
+    rates = tables['rates_by_feature']
+    for feature in PAPER_FEATURES:
+        assert sum(row[4] for row in rates.rows if row[0] == feature.title) == 400
+
+
+def test_given_failures_then_all_kinds_come_first_among_the_counterexamples(findings):
+    table = tables_of(campaign_report(findings))['counterexamples']
+    typical = [one.typical for one in findings.clusters.found]
+    assert [row[0] for row in table.rows][:len(typical)] == typical
+    causes = [row[9] for row in table.rows]
+    following = causes[len(typical):len(typical) + len(findings.causes.found)]
+    assert following == [cause.rank for cause in findings.causes.found]
+
+
+def test_given_bags_then_only_failures_with_one_are_to_be_looked_at(tmp_path):
+    table = planted_table(60, 1, early)
+    table['bag'] = table['run_id']
+    recorded = [run for run, outcome in zip(table['run_id'], table['outcome'], strict=True)
+                if outcome == 'FAIL'][:3]
+    for name in recorded:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f'{name}_0.mcap').write_bytes(b'')
+    findings = analyse(planted_runs(table, tmp_path))
+    assert sorted(campaign_report(findings).runs) == sorted(recorded)
+    assert all(folder == tmp_path / name for name, folder in campaign_report(findings).runs.items())
+    assert len(campaign_report(findings, viewers=2).runs) == 2
+    assert not campaign_report(findings, viewers=0).runs
+
+
+@pytest.mark.parametrize(('count', 'columns', 'said'), [
+    (3, {}, 'no failure: there are no causes to name'),
+    (12, {**ALIKE, 'weight': math.nan, 'sampler': 'bo'}, 'There is no rate from this search'),
+])
+def test_given_few_or_odd_runs_then_there_is_a_whole_report(tmp_path, count, columns, said):
+    report = campaign_report(analyse(planted_runs(
+        planted_table(count, 2, early, **columns), tmp_path)))
+    assert len(draw_all(report, DARK)) >= 9
+    json.dumps([table.rows for table in tables_of(report).values()], allow_nan=False)
+    assert said in ' '.join(report.summary)
+    assert 'no failure' in report.summary[1] or 'too few' in report.summary[1]
+
+
+def test_given_runs_of_a_sampler_then_the_summary_says_what_they_are_worth(tmp_path):
+    drawn = np.arange(30) % 3 == 0
+    runs = planted_runs(planted_table(30, 2, early, drawn=drawn, sampler='ce'), tmp_path)
+    first = campaign_report(analyse(runs)).summary[0]
+    assert 'Of the 10 runs among them that the program itself drew it is ' in first
+    assert 'chosen by the sampler ce' in first
+
+
+def test_given_an_analysis_when_written_then_files_are_there_and_its_own_are_replaced(
+    findings, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(report_page, 'write_report_page',
+                        lambda report, path, on_progress: path.write_text('page'))
+    report = campaign_report(findings)
+    rates, *_, robustness = report.sections
+    bare = dataclasses.replace(
+        report, sections=(dataclasses.replace(rates, pictures=robustness.pictures),))
+    out = tmp_path / 'out'
+    values = write_analysis(findings, bare, out)
+    assert read_sealed(out / 'analysis.json').values == values
+    assert sorted(values['files']) == sorted(path.name for path in out.iterdir())
+    assert {'rates.csv', 'rho_distribution.png', 'report.html', 'runs.csv', 'runs.parquet',
+            'analysis.json'} <= set(values['files'])
+    assert (values['schema'], values['version']) == ('taxinet-analysis', 1)
+    assert values['causes'][0]['region'] == [
+        {'feature': 'rain_percent', 'low': 25.0, 'high': None}]
+    kept = pd.read_parquet(out / 'runs.parquet')
+    assert len(kept) == 400
+    assert set(kept['cause']) >= {0, 1, 2}
+
+    (out / 'notes.txt').write_text('mine')
+    first = (out / 'rho_distribution.png').read_bytes()
+    check_folder(out)
+    write_analysis(findings, dataclasses.replace(report, sections=()), out)
+    assert not (out / 'rates.csv').exists(), 'what the new analysis lacks is gone'
+    assert (out / 'notes.txt').read_text() == 'mine'
+    write_analysis(findings, bare, out)
+    assert (out / 'rho_distribution.png').read_bytes() == first
+    assert read_sealed(out / 'analysis.json').values == values
+
+
+def test_given_a_foreign_folder_then_nothing_is_written_there(tmp_path):
+    (tmp_path / 'notes.txt').write_text('mine')
+    with pytest.raises(UsageError, match='holds other files than those of an analysis'):
+        check_folder(tmp_path)
+    (tmp_path / 'analysis.json').write_text('{"schema": "another"}')
+    with pytest.raises(UsageError, match='holds other files'):
+        check_folder(tmp_path)
+    with pytest.raises(UsageError, match='not a folder'):
+        check_folder(tmp_path / 'notes.txt')
+    check_folder(tmp_path / 'new')
+
+
+def test_given_two_kinds_of_failures_then_they_are_grouped_and_described(tmp_path):
+    def rate(table):
+        dusk = table['time_of_day_h'] > 16
+        return (dusk & (table['distance_m'] < 400)) | (
+            (table['time_of_day_h'] < 8) & (table['distance_m'] > 1600))
+
+    runs = planted_runs(planted_table(1500, 4, rate), tmp_path)
+    clusters = find_clusters(runs.frame, ['time_of_day_h', 'distance_m'])
+    assert len(clusters.found) == 2
+    assert clusters.silhouette > 0.6
+    assert sum(one.failures for one in clusters.found) == clusters.compared
+    dawn, dusk = sorted((one.words() for one in clusters.found),
+                        key=lambda words: 'first' in words)
+    assert dawn.startswith('before 07:')
+    assert 'start beyond 1,6' in dawn
+    assert '16:' in dusk
+    assert 'start on the first 3' in dusk
+    for one in clusters.found:
+        assert one.typical in one.runs
+    first = principal_axes(runs.frame)[0]
+    assert abs(first.loadings['time_of_day_h']) > 0.6
+    assert abs(first.loadings['distance_m']) > 0.6
+    assert first.loadings['time_of_day_h'] * first.loadings['distance_m'] < 0
+    shares = [axis.explained for axis in principal_axes(runs.frame)]
+    assert sum(shares) == pytest.approx(1)
+
+
+def test_given_many_groups_then_their_legend_fits_in_the_picture(findings):
+    (first, *_) = findings.clusters.found or find_clusters(findings.runs.frame).found
+    groups = tuple(dataclasses.replace(first, number=number) for number in range(1, 9))
+    clusters = dataclasses.replace(findings.clusters, found=groups)
+    picture = clusters_picture(dataclasses.replace(findings, clusters=clusters))
+    figure = Figure(figsize=picture.size_in, layout='constrained')
+    picture.draw(figure, LIGHT)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    legend, page = axes.get_legend().get_window_extent(), figure.bbox
+    assert legend.x0 >= 0
+    assert legend.x1 <= page.x1
+    assert axes.get_window_extent().width > 0.8 * page.width
+
+
+def test_given_a_simple_rule_then_the_tree_says_it(tmp_path):
+    runs = planted_runs(planted_table(800, 5, early), tmp_path)
+    tree = grow_tree(runs)
+    assert tree is not None
+    assert tree.depth == 1
+    assert tree.rules[0].region.words() == 'before 08:00'
+    assert sum(rule.rate.runs for rule in tree.rules) == 800
+    assert tree.accuracy > tree.guess + 0.05
+    assert grow_tree(planted_runs(planted_table(20, 5, early), tmp_path)) is None
+
+
+def test_given_a_feature_that_matters_then_it_ranks_first_and_others_do_not(tmp_path):
+    frame = planted_runs(planted_table(800, 6, early), tmp_path).frame
+    ranked = rank_features(frame)
+    assert ranked[0].feature.name == 'time_of_day_h'
+    assert ranked[0].p <= 0.01
+    assert [one.p > 0.05 for one in ranked[1:]] == [True] * (len(ranked) - 1)
+    assert 0 < ranked[0].explained < 1
+
+
+def test_given_p_values_then_holm_corrects_them_in_their_order():
+    assert holm([0.01, 0.04, 0.03]) == [pytest.approx(0.03), pytest.approx(0.06),
+                                        pytest.approx(0.06)]
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_given_runs_then_bins_hold_each_once(runs):
+    for feature in PAPER_FEATURES:
+        counts = np.sum([one.mask for one in bins(feature, runs.frame)], axis=0)
+        assert counts.tolist() == [1] * 400, feature.name
+    middles, values, counts = medians(np.array([0.1, 0.2, 0.7, 1.0]),
+                                      np.array([1.0, 3.0, 5.0, math.nan]), 0.5, least=1)
+    assert (middles.tolist(), values.tolist(), counts.tolist()) == (
+        [0.25, 0.75], [2.0, 5.0], [2.0, 1.0])
+
+
+def test_given_three_networks_then_all_are_in_one_picture(runs, tmp_path):
+    others = [planted_runs(planted_table(30, seed, early), tmp_path) for seed in (7, 8)]
+    campaigns = distinct_labels([runs, *others])
+    figure = Figure(figsize=(7, 3.6))
+    rho_picture(campaigns, TIME_OF_DAY, 'rho').draw(figure, LIGHT)
+    legend = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert [text.split(' (')[0] for text in legend] == [
+        one.label.split(' (')[0] for one in campaigns]
+    figure = Figure(figsize=(7, 7))
+    clouds_picture(campaigns).draw(figure, LIGHT)
+    assert [axes.get_title(loc='left') for axes in figure.axes] == [
+        one.label for one in campaigns]

@@ -1,0 +1,373 @@
+"""Causes that were planted are found with their limits; in noise none is.
+
+A cause's program draws scenes of the cause, and nothing else.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planted_runs import planted_runs, planted_table
+from scipy.stats import hypergeom
+
+from taxinet_ros.analysis.causes.causes import Cause, FoundRate, find_causes
+from taxinet_ros.analysis.causes.program import cause_program, confirmation_command, program_name
+from taxinet_ros.analysis.causes.region import (
+    Either,
+    Interval,
+    Kinds,
+    Region,
+    Slant,
+    interval_cells,
+    part_of,
+)
+from taxinet_ros.analysis.causes.scan import hoeffding_bound, likelihood_ratio, log_evidence
+from taxinet_ros.analysis.runs.campaign import runs_of
+from taxinet_ros.bench.causes import measure
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.scenes.source import sample_scenarios
+
+SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
+
+
+def causes_of(tmp_path, rate, *, runs=2000, seed=1, **columns):
+    return find_causes(planted_runs(planted_table(runs, seed, rate, **columns), tmp_path))
+
+
+def part_about(cause, feature):
+    parts = [part for part in cause.region.parts if part.feature == feature]
+    assert len(parts) == 1, cause.region.words()
+    return parts[0]
+
+
+def test_given_a_crossing_when_looked_for_then_its_limits_are_found(tmp_path):
+    found = causes_of(
+        tmp_path, lambda t: np.where(t['distance_m'].between(1200, 1450), 0.8, 0.05)).found
+    assert len(found) == 1
+    (part,) = found[0].region.parts
+    assert isinstance(part, Interval)
+    assert (part.feature, part.low, part.high) == (
+        'distance_m', pytest.approx(1200, abs=20), pytest.approx(1450, abs=20))
+    assert found[0].inside.rate == pytest.approx(0.8, abs=0.08)
+    assert found[0].inside.low < 0.8 < found[0].inside.high
+    assert found[0].outside.rate == pytest.approx(0.05, abs=0.02)
+    assert found[0].p < 0.001
+    assert 'along the runway' in found[0].sentence()
+
+
+def test_given_the_papers_shadow_when_looked_for_then_sky_and_hours_are_found_together(tmp_path):
+    def rate(table):
+        shadow = (table['clouds'] == 'clear') & table['time_of_day_h'].between(13.4, 15.5)
+        return np.where(shadow, 0.67, 0.08)
+
+    found = causes_of(tmp_path, rate, runs=4000).found
+    assert len(found) == 1
+    assert part_about(found[0], 'clouds') == Kinds(feature='clouds', kinds=('clear',))
+    hours = part_about(found[0], 'time_of_day_h')
+    assert (hours.low, hours.high) == (pytest.approx(13.4, abs=0.2), pytest.approx(15.5, abs=0.2))
+    assert found[0].inside.rate == pytest.approx(0.67, abs=0.1)
+    assert found[0].sentence().startswith('Between 13:')
+
+
+def test_given_two_numeric_conditions_when_looked_for_then_both_are_found(tmp_path):
+    def rate(table):
+        return np.where((table['distance_m'] < 500) & (table['heading_deg'] > 10), 0.7, 0.05)
+
+    found = causes_of(tmp_path, rate, runs=3000).found
+    assert found
+    distance, heading = (part_about(found[0], name) for name in ('distance_m', 'heading_deg'))
+    assert (distance.low, distance.high) == (None, pytest.approx(500, abs=30))
+    assert (heading.low, heading.high) == (pytest.approx(10, abs=2), None)
+
+
+def test_given_a_kind_of_clouds_when_looked_for_then_it_alone_is_named(tmp_path):
+    found = causes_of(
+        tmp_path, lambda t: np.where(t['clouds'].isin(['broken', 'stratus']), 0.4, 0.1)).found
+    assert [cause.region.parts for cause in found] == [
+        (Kinds(feature='clouds', kinds=('broken', 'stratus')),)]
+
+
+def test_given_an_offset_to_either_side_when_looked_for_then_no_side_is_blamed(tmp_path):
+    found = causes_of(tmp_path, lambda t: np.where(t['heading_deg'].abs() > 22, 0.6, 0.05)).found
+    assert len(found) == 1
+    (part,) = found[0].region.parts
+    assert (part.feature, part.low, part.high) == (
+        'abs_heading_deg', pytest.approx(22, abs=1.01), None)
+
+
+def test_given_a_switch_when_looked_for_then_it_is_named(tmp_path):
+    shadows = np.arange(400) % 2 == 0
+    found = causes_of(
+        tmp_path, lambda t: np.where(t['shadows'], 0.5, 0.05), runs=400, shadows=shadows).found
+    assert [cause.region.words() for cause in found] == ['with the shadow of the aircraft']
+
+
+def test_given_several_causes_when_looked_for_then_the_greatest_comes_first(tmp_path):
+    def rate(table):
+        rain = table['rain_percent'] > 0
+        crossing = table['distance_m'].between(1200, 1450)
+        early = table['time_of_day_h'] < 7.5
+        return np.where(rain, 0.95, np.where(crossing, 0.9, np.where(early, 0.5, 0.03)))
+
+    causes = causes_of(tmp_path, rate, runs=4000)
+    assert [cause.region.features[0].name for cause in causes.found] == [
+        'rain_percent', 'distance_m', 'time_of_day_h']
+    assert causes.found[0].region.words() == 'rain of 25 % or more'
+    assert part_about(causes.found[2], 'time_of_day_h').high == pytest.approx(7.5, abs=0.2)
+    added = [cause.added for cause in causes.found]
+    assert added == sorted(added, reverse=True)
+    assert causes.explained == pytest.approx(sum(added))
+    assert causes.rest.rate == pytest.approx(0.03, abs=0.01)
+
+
+def test_given_noise_when_looked_for_then_hardly_ever_a_cause_is_named(tmp_path):
+    named = [
+        seed for seed in range(12)
+        if causes_of(
+            tmp_path, lambda t: np.full(len(t), 0.2), runs=200, seed=seed, cross_track_m=0.0,
+        ).found
+    ]
+    assert len(named) <= 1, f'named causes of nothing with seeds {named}'
+
+
+@pytest.mark.parametrize(('runs', 'failing', 'words'), [
+    (12, 2, '12 runs, 2 failures: too few to name causes'),
+    (300, 300, '300 runs, 300 failures: where all runs fail, nothing tells causes apart'),
+    (300, 0, '300 runs, no failure: there are no causes to name'),
+    (100, 98, '100 runs, 98 failures: too few others to tell causes apart'),
+    (1, 1, '1 run, 1 failure: where all runs fail, nothing tells causes apart'),
+])
+def test_given_too_little_to_go_by_then_it_says_so(tmp_path, runs, failing, words):
+    causes = causes_of(tmp_path, lambda t: t['index'] < failing, runs=runs)
+    assert (causes.found, causes.why_not) == ((), words)
+
+
+def test_given_features_that_do_not_vary_then_the_others_are_still_looked_at(tmp_path):
+    found = causes_of(
+        tmp_path, lambda t: np.where(t['time_of_day_h'] > 16, 0.8, 0.05), runs=300,
+        clouds='clear', rain_percent=0.0, cross_track_m=0.0, distance_m=400.0, heading_deg=0.0,
+    ).found
+    assert [cause.region.features[0].name for cause in found] == ['time_of_day_h']
+    nothing = causes_of(
+        tmp_path, lambda t: np.full(len(t), 0.5), runs=100, clouds='clear', rain_percent=0.0,
+        cross_track_m=0.0, distance_m=400.0, heading_deg=0.0, time_of_day_h=9.0,
+    )
+    assert nothing.found == ()
+
+
+def test_given_the_same_runs_twice_then_the_same_is_found(tmp_path):
+    def rate(table):
+        return np.where(table['distance_m'] > 1700, 0.5, 0.1)
+
+    first, second = (causes_of(tmp_path, rate, runs=500) for _ in range(2))
+    assert first.found
+    assert first == second
+
+
+def test_t9_given_any_part_of_a_real_table_when_looked_for_then_the_search_ends():
+    table = read_table(SHIPPED)
+    # With the numbers 2, 9, 10, 13 and 19 a condition was added and sharpened away for ever.
+    for seed in (2, 9, 13):
+        causes = find_causes(runs_of(table.sample(400, random_state=seed), SHIPPED))
+        assert causes.found
+        assert all(1 <= len(cause.region.parts) <= 2 for cause in causes.found)
+
+
+def test_t16_given_runs_of_a_search_when_looked_for_then_figures_are_of_what_was_scanned(tmp_path):
+    """Weights that would turn the rates round: none of the figures of a cause may use them."""
+    table = planted_table(1000, 3, lambda t: np.where(t['distance_m'] < 500, 0.6, 0.05))
+    failed = table['outcome'] == 'FAIL'
+    near = table['distance_m'] < 500
+    weight = np.where(near & failed, 0.001, 1.0)
+    causes = find_causes(planted_runs(table.assign(weight=weight, sampler='ce'), tmp_path))
+    (cause,) = causes.found
+    assert causes.searched
+    assert cause.inside.rate == pytest.approx(0.6, abs=0.08)
+    assert cause.outside.rate == pytest.approx(0.05, abs=0.03)
+    assert cause.inside.failures / failed.sum() == cause.share
+    assert np.isnan(cause.inside.low), 'a sampler that learns leaves no interval'
+    assert 'of the runs made' in cause.sentence()
+
+
+def test_t16_given_two_causes_when_looked_for_then_what_goes_with_each_is_free_of_order(tmp_path):
+    def rate(table):
+        wet, crossing = table['rain_percent'] > 0, table['distance_m'].between(1200, 1450)
+        return np.where(wet, 0.95, np.where(crossing, 0.9, 0.2))
+
+    table = planted_table(3000, 4, rate)
+    failed = (table['outcome'] == 'FAIL').to_numpy()
+    found = find_causes(planted_runs(table, tmp_path)).found
+    assert len(found) == 2
+    frame = planted_runs(table, tmp_path).frame
+    for cause in found:
+        inside = cause.region.mask(frame)
+        assert cause.share == failed[inside].sum() / failed.sum()
+        alone = 1 - failed[~inside].mean() / failed.mean()
+        value, low, high = cause.attributable
+        assert value == pytest.approx(alone)
+        assert low < value < high
+    # In the order of finding the second adds less than it holds.
+    assert found[1].added < found[1].share - 0.03
+    assert sum(cause.added for cause in found) <= 1
+
+
+def test_t16_given_a_scene_that_was_run_again_and_again_then_it_counts_once(tmp_path):
+    table = planted_table(60, 2, lambda t: np.full(len(t), 0.3))
+    again = pd.concat([table] * 8, ignore_index=True).assign(
+        index=range(480), run_id=[f'r{number}' for number in range(480)], sampler='grid')
+    causes = find_causes(planted_runs(again, tmp_path))
+    assert (causes.found, causes.again) == ((), 420)
+
+
+def test_t6_given_slanted_crossed_and_round_causes_when_looked_for_then_they_are_named(tmp_path):
+    def diagonal(table):
+        apart = table['cross_track_m'] / 16 - table['heading_deg'] / 60
+        return np.where(apart.abs() < 0.1, 0.9, 0.05)
+
+    def crossed(table):
+        return np.where((table['distance_m'] > 1000) ^ (table['heading_deg'] > 0), 0.7, 0.05)
+
+    def night(table):
+        return np.where(
+            (table['time_of_day_h'] > 21.5) | (table['time_of_day_h'] < 3), 0.7, 0.05)
+
+    (one,) = causes_of(tmp_path, diagonal, runs=600).found
+    (slant,) = one.region.parts
+    assert isinstance(slant, Slant)
+    assert {slant.feature, slant.other} == {'cross_track_m', 'heading_deg'}
+    assert slant.factor == pytest.approx(-16 / 60, rel=0.1)
+    one, *_ = causes_of(tmp_path, crossed, runs=600).found
+    (either,) = one.region.parts
+    assert isinstance(either, Either)
+    assert 'not both' in one.region.words()
+    hours = np.random.default_rng(1).uniform(0, 24, 600)
+    (one,) = causes_of(tmp_path, night, runs=600, time_of_day_h=hours).found
+    (part,) = one.region.parts
+    assert (part.low, part.high) == (pytest.approx(21.5, abs=0.6), pytest.approx(3, abs=0.6))
+    assert one.region.words().startswith('after 21:')
+
+
+@pytest.mark.parametrize(('landscape', 'least'), [
+    ('either, not both', 0.25), ('night over midnight', 0.25),
+])
+def test_t6_given_a_hundred_runs_then_causes_of_two_features_are_found_often(landscape, least):
+    score = measure(landscape, 'random', 100, 8)
+    assert score.named >= least * score.tables
+
+
+@pytest.mark.parametrize('landscape', ['interaction, numbers'])
+def test_t5_given_a_cause_that_was_picked_then_its_intervals_hold_the_truth(landscape):
+    score = measure(landscape, 'random', 150, 6)
+    assert np.mean(score.holds, axis=0).min() >= 0.85, score.holds
+    assert np.mean(score.excess) > 0, 'picked for its rate, which is why the interval has to be'
+
+
+@pytest.mark.parametrize('sampler', ['mab', 'ce', 'cmaes'])
+def test_t4_given_a_search_of_nothing_when_looked_for_then_hardly_ever_a_cause_is_named(sampler):
+    """A shuffling names one in 8 to 9 of 100 such tables, for the search went where it failed."""
+    assert measure('no cause, 20 %', sampler, 60, 10).named <= 1
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=25, deadline=None)
+def test_t4_given_one_rate_then_the_mean_of_the_evidence_is_at_most_one(seed):
+    """Exact, over all outcomes of a sampler that follows failures for as long as it can."""
+    rng = np.random.default_rng(seed)
+    rate, runs = rng.uniform(0.05, 0.95), 8
+    left = rng.random() < 0.5
+    mean = 0.0
+    for outcomes in itertools.product((0, 1), repeat=runs):
+        inside = failures = 0
+        there = left
+        for failed in outcomes:
+            inside, failures = inside + there, failures + (there and failed)
+            there = there if failed else not there
+        count = sum(outcomes)
+        chance = rate**count * (1 - rate) ** (runs - count)
+        evidence = log_evidence(np.array([failures]), np.array([inside]), count, runs)[0]
+        mean += chance * np.exp(evidence)
+    assert mean <= 1 + 1e-9
+
+
+@given(
+    st.integers(5, 60), st.integers(0, 60), st.integers(1, 59), st.integers(0, 60),
+)
+def test_given_any_split_then_the_bound_is_not_below_the_true_probability(
+    runs, failures, inside, within
+):
+    failures, inside = min(failures, runs), min(inside, runs - 1)
+    within = min(within, failures, inside)
+    beyond = failures - within
+    if beyond > runs - inside:
+        within, beyond = failures - (runs - inside), runs - inside
+    failed = np.arange(inside) < within
+    failed = np.concatenate([failed, np.arange(runs - inside) < beyond])
+    exact = hypergeom.sf(within - 1, runs, failures, inside)
+    bound = hoeffding_bound(failed, np.arange(runs) < inside)
+    assert bound >= exact * (1 - 1e-9)
+
+
+@given(st.integers(1, 50), st.integers(1, 50), st.data())
+def test_given_counts_then_the_ratio_is_that_of_two_binomials(inside, outside, data):
+    within, beyond = data.draw(st.integers(0, inside)), data.draw(st.integers(0, outside))
+
+    def log_likelihood(k, n):
+        return sum(count * np.log(count / n) for count in (k, n - k) if count)
+
+    ratio = likelihood_ratio(
+        np.array([within]), np.array([inside]), within + beyond, inside + outside)[0]
+    denser = within * outside > beyond * inside
+    expected = (
+        log_likelihood(within, inside) + log_likelihood(beyond, outside)
+        - log_likelihood(within + beyond, inside + outside)
+    )
+    assert ratio == pytest.approx(expected if denser else 0.0, abs=1e-9)
+
+
+@given(st.lists(st.sampled_from([0.0, 0.0, 0.0, 1.0, 2.5, 7.0, 8.0, 30.0]), min_size=1,
+                max_size=60), st.integers(1, 12))
+def test_given_values_then_each_lies_in_its_own_cell(values, most):
+    firsts, lasts, places = interval_cells(np.array(values), most)
+    assert len(places) == len(values)
+    assert all(firsts[place] <= value <= lasts[place]
+               for place, value in zip(places, values, strict=True))
+    ends = [end for cell in zip(firsts, lasts, strict=True) for end in cell]
+    assert ends == sorted(ends), 'cells do not overlap'
+
+
+PARTS = (
+    Slant(feature='cross_track_m', other='heading_deg', factor=-0.27, low=1.0, high=None),
+    Kinds(feature='clouds', kinds=('overcast', 'stratus')),
+    Either(first=Interval(feature='time_of_day_h', low=None, high=9.0),
+           second=Interval(feature='distance_m', low=1000.0, high=None)),
+)
+
+
+def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path):
+    table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
+    runs = planted_runs(table, tmp_path)
+    rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
+    cause = Cause(region=Region(parts=PARTS), rank=1, inside=rate, outside=rate, whole=rate,
+                  share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)
+    program = tmp_path / program_name(cause)
+    program.write_text(cause_program(runs, cause))
+    for scene in sample_scenarios(program, 5, 6):
+        values = scene.to_human()
+        assert values['cross_track'] - 0.27 * values['heading'] >= 1 - 1e-6
+        assert values['clouds'] in ('overcast', 'stratus')
+        assert (values['time_of_day'] <= 9) != (values['distance'] >= 1000)
+    command = confirmation_command(runs, cause, tmp_path)
+    assert command.startswith(f'taxinet run {program} --runs 100 --seed 1000003 --perception')
+    assert '--controller' not in command
+    runs.facts['controller'] = 'mine.py:steer'
+    assert '--controller mine.py:steer' in confirmation_command(runs, cause, tmp_path)
+
+
+def test_given_parts_when_written_as_json_then_they_are_read_back():
+    assert tuple(part_of(part.to_json()) for part in PARTS) == PARTS

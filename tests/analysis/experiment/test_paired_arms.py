@@ -1,0 +1,210 @@
+"""Pairs of runs with their statistics, and the arms of an experiment: figures, words, pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxinet_ros.analysis.experiment.arms import PairedArms, paired_arms, pairs_frame
+from taxinet_ros.analysis.experiment.pairs import PairedRates, paired_rates, paired_shift
+from taxinet_ros.analysis.experiment.report import (
+    experiment_json,
+    experiment_report,
+    experiment_sentences,
+)
+from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
+from taxinet_ros.campaign.experiment import Arm, Experiment
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.scenario import Scenario
+
+COUNTS = st.integers(0, 40)
+RATES = st.builds(PairedRates, both=COUNTS, only_first=COUNTS, only_second=COUNTS, neither=COUNTS)
+
+
+def test_given_newcombes_example_then_the_interval_is_his():
+    # Newcombe 1998 (paired), table II: a = 36, b = 12, c = 2, d = 0; method 10.
+    found = PairedRates(both=36, only_first=2, only_second=12, neither=0).difference
+    assert found.value == pytest.approx(0.2)
+    assert (found.low, found.high) == (pytest.approx(0.0569, abs=5e-5),
+                                       pytest.approx(0.3404, abs=5e-5))
+
+
+@given(RATES)
+def test_given_two_arms_when_exchanged_then_everything_is_mirrored(rates):
+    other = PairedRates(both=rates.both, only_first=rates.only_second,
+                        only_second=rates.only_first, neither=rates.neither)
+    assert other.p_value == pytest.approx(rates.p_value)
+    if rates.pairs:
+        one, two = rates.difference, other.difference
+        assert (two.value, two.low, two.high) == pytest.approx((-one.value, -one.high, -one.low))
+        assert -1 - 1e-9 <= one.low <= one.value + 1e-9
+        assert one.value <= one.high + 1e-9 <= 1 + 2e-9
+
+
+@given(st.integers(0, 12), st.integers(0, 12), COUNTS)
+def test_given_pairs_that_differ_then_the_test_counts_all_ways_that_are_as_uneven(one, other, same):
+    total = one + other
+    uneven = abs(one - other)
+    ways = sum(math.comb(total, k) for k in range(total + 1) if abs(2 * k - total) >= uneven)
+    rates = PairedRates(both=same, only_first=one, only_second=other, neither=same)
+    assert rates.p_value == pytest.approx(ways / 2**total)
+
+
+def test_given_pairs_that_are_all_equal_then_zero_is_within_and_nothing_is_proven():
+    rates = PairedRates(both=20, only_first=0, only_second=0, neither=20)
+    assert (rates.difference.value, rates.p_value) == (0.0, 1.0)
+    assert rates.difference.low < 0 < rates.difference.high
+    assert math.isnan(PairedRates(both=0, only_first=0, only_second=0, neither=0).difference.low)
+
+
+def test_given_yes_and_no_then_the_four_kinds_are_counted():
+    first, second = zip(*product((True, False), repeat=2), strict=True)
+    assert paired_rates(first, second) == PairedRates(
+        both=1, only_first=1, only_second=1, neither=1)
+    with pytest.raises(ValueError, match='shorter'):
+        paired_rates([True], [])
+
+
+def by_signs(differences: list[float]) -> float:
+    """Wilcoxon's p value by trying all signs."""
+    size = np.abs(differences)
+    ranks = size.argsort().argsort() + 1
+    found = ranks[np.array(differences) > 0].sum()
+    sums = [sum(rank for rank, up in zip(ranks, signs, strict=True) if up)
+            for signs in product((0, 1), repeat=len(size))]
+    least = min(sum(one <= found for one in sums), sum(one >= found for one in sums))
+    return min(2 * least / len(sums), 1.0)
+
+
+@given(st.lists(st.integers(1, 10**6), min_size=3, max_size=9, unique=True), st.data())
+def test_given_few_pairs_then_the_test_is_that_of_all_signs(sizes, data):
+    signs = data.draw(st.lists(st.sampled_from((-1, 1)), min_size=9, max_size=9))
+    differences = [float(s * size) for s, size in zip(signs, sizes, strict=False)]
+    shift = paired_shift([0.0] * len(differences), differences)
+    assert shift.p_value == pytest.approx(by_signs(differences))
+    # The interval holds 0 if the test at 5 % does not speak against it.
+    if not math.isnan(shift.change.low):
+        assert (shift.change.low <= 0 <= shift.change.high) is (shift.p_value > 0.05)
+
+
+def test_given_many_small_and_few_great_changes_then_the_great_ones_count():
+    # As with shadows: in the morning next to nothing, in the afternoon a lot.
+    morning, afternoon = [-0.004 - 1e-5 * k for k in range(21)], [0.1 + 0.02 * k for k in range(19)]
+    shift = paired_shift([1.0] * 40, [1.0 + change for change in (*morning, *afternoon)])
+    assert (shift.more, shift.less) == (19, 21)
+    assert shift.p_value < 0.05
+    assert shift.change.low > 0
+
+
+@pytest.mark.parametrize('count', [25, 90])
+def test_given_samples_of_a_known_middle_then_95_of_100_intervals_hold_it(count):
+    generator = np.random.default_rng(3)
+    shifts = [paired_shift(np.zeros(count), generator.normal(1.0, 2.0, count)) for _ in range(400)]
+    held = sum(shift.change.low <= 1.0 <= shift.change.high for shift in shifts)
+    assert 0.925 < held / 400 < 0.98
+
+
+def test_given_more_pairs_than_can_be_ranked_then_a_fair_share_of_them_is():
+    shift = paired_shift(np.zeros(9000), np.random.default_rng(1).normal(0.5, 1.0, 9000))
+    assert shift.pairs == 9000
+    assert shift.change.low < 0.5 < shift.change.high < shift.change.low + 0.2
+
+
+def test_given_figures_that_an_arm_does_not_have_then_the_pair_is_left_out():
+    shift = paired_shift([1.0, math.nan, 2.0, 3.0], [2.0, 1.0, math.nan, 3.0])
+    assert (shift.pairs, shift.more, shift.less) == (2, 1, 0)
+    assert (shift.change.value, shift.p_value) == (0.5, 1.0)
+    assert math.isnan(shift.change.low)
+    assert math.isnan(paired_shift([], []).change.value)
+
+
+ASKED = Experiment(
+    name='shadows', program='p', runs=12, seed=0, sampler='halton', sampler_options={},
+    specs=('phi_eventually',), overrides={}, over='', compare_to='on',
+    arms=(Arm(name='on', perception='original'),
+          Arm(name='off', perception='original', laid_over={'shadows': 'off'})),
+)
+
+
+def row(index: int, rho: float | None, *, shadows: bool, settled: bool = True) -> RunRow:
+    scene = Scenario(time_of_day_s=(6 + index) * 3600.0, shadows=shadows)
+    if rho is None:
+        return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
+                      outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_human())
+    return RunRow(
+        run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
+        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={'phi_eventually': rho},
+        left_runway=rho < -10, max_cross_track_m=2.0 - rho,
+        settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_human(),
+    )
+
+
+def found(on: list[float | None], off: list[float | None]) -> PairedArms:
+    return paired_arms(ASKED, {
+        'on': tuple(row(index, rho, shadows=True) for index, rho in enumerate(on)),
+        'off': tuple(row(index, rho, shadows=False) for index, rho in enumerate(off)),
+    })
+
+WORSE = found([-1.0] * 7 + [-20.0] + [1.0] * 4, [0.5] * 8 + [1.0] * 4)
+
+
+def test_given_two_arms_then_pairs_are_counted_by_scene():
+    (one,) = WORSE.comparisons
+    rates = one.satisfied
+    assert (rates.both, rates.only_first, rates.only_second, rates.neither) == (4, 0, 8, 0)
+    assert rates.p_value == pytest.approx(2 / 2**8)
+    # The middle of 78 means: of 4 zeros, seven times 1.5 and once 20.5.
+    assert one.rho.change.value == pytest.approx(1.5)
+    assert (one.rho.more, one.rho.less) == (8, 0)
+    assert (one.off_runway.first, one.off_runway.second) == (1, 0)
+    assert (one.settled.first, one.settled.second, one.settle_time_s.pairs) == (4, 12, 4)
+    assert (WORSE.over, WORSE.alone) == ('time_of_day', True)
+
+
+def test_given_a_clear_difference_then_it_is_said_and_otherwise_not():
+    words = ' '.join(experiment_sentences(WORSE))
+    assert words.startswith('Clearly more runs are satisfied in off than in on.')
+    assert 'Of 12 scenes 4 satisfy phi_eventually in on (33 %) and 12 in off (100 %)' in words
+    assert '+66.7 points (95 % interval' in words
+    assert '8 are satisfied in off only, 0 in on only' in words
+    equal = ' '.join(experiment_sentences(found([1.0, -1.0], [1.0, -1.0])))
+    assert equal.startswith('No difference between on and off is proven.')
+    shifted = ' '.join(experiment_sentences(found([0.5] * 9, [1.0] * 9)))
+    assert shifted.startswith('Rho is greater in off than in on, but how many')
+
+
+def test_given_runs_that_were_not_judged_then_their_scenes_are_in_no_pair():
+    some = found([1.0, None, 1.0], [1.0, 1.0])
+    (one,) = some.comparisons
+    assert (len(one.pairs), one.unpaired) == (1, 2)
+    assert 'Runs of on without verdict, whose scenes are in no pair: 1 INFRA_ERROR (1 died).' in [
+        *experiment_sentences(some)]
+    nothing = found([None], [None])
+    assert 'nothing can be said' in ' '.join(experiment_sentences(nothing))
+
+
+def test_given_an_experiment_then_report_json_and_table_hold_it():
+    report = experiment_report(WORSE)
+    arms, pairs = report.sections
+    assert arms.tables[0].rows[0] == ('on', 12, 4, pytest.approx(100 / 3), 1, -1.0, 0)
+    assert pairs.tables[0].rows[0][0] == 7
+    assert len(pairs.tables[0].rows) == 8
+    values = json.loads(json.dumps(experiment_json(WORSE), allow_nan=False))
+    assert values['comparisons'][0]['satisfied']['arm_only'] == 8
+    assert values['arms']['off']['PASS'] == 12
+    json.dumps(experiment_json(found([None], [None])), allow_nan=False)
+    frame = pairs_frame(WORSE)
+    assert len(frame) == 12
+    assert list(frame['outcome_on']) == ['FAIL'] * 8 + ['PASS'] * 4
+    assert frame['rho_off'].min() == 0.5
+    image = png_bytes(arms.pictures[0], LIGHT)
+    assert image == png_bytes(arms.pictures[0], LIGHT)
+    assert len(png_bytes(experiment_report(found([None], [None])).sections[0].pictures[0],
+                         LIGHT)) > 3000

@@ -1,0 +1,132 @@
+"""A recorded run as the page's viewer shows it."""
+
+import io
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from report_examples import GOLDEN, NEEDS_OUR_STACK
+
+from taxinet_ros.analysis.report import viewer as run_view_frames
+from taxinet_ros.analysis.report.values import data_block
+from taxinet_ros.analysis.report.viewer import (
+    MOST_FRAMES,
+    STEPS_APART,
+    RunView,
+    ground_shapes,
+    read_frames,
+    read_run_view,
+)
+from taxinet_ros.bag.errors import BagForeign
+from taxinet_ros.bag.rewrite.frames import restore_frames
+from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.errors import UsageError
+
+BAG = GOLDEN / 'truth-nominal'
+
+
+@pytest.fixture(scope='module')
+def view() -> RunView:
+    return read_run_view('a run', BAG)
+
+
+def test_given_a_bag_when_viewed_then_every_curve_has_a_value_for_each_step(view: RunView) -> None:
+    data = json.loads(data_block(view.data()))
+    trace = read_trace(BAG)
+    steps = len(trace['seq'])
+    curves = ('t', 'x', 'y', 'speed', 'cte', 'cteEstimate', 'he', 'heEstimate', 'steering')
+    assert steps > 100
+    assert [len(data[name]) for name in curves] == [steps] * len(curves)
+    assert data['t'][10] == 1
+    assert data['he'][10] == pytest.approx(math.degrees(trace['he_rad'][10]), abs=6e-4)
+    assert data['cte'][10] == pytest.approx(trace['cte_m'][10], abs=6e-4)
+    assert data['id'] == 'a run'
+
+
+def test_given_a_judged_run_when_viewed_then_it_has_the_interval_of_each_formula(
+    view: RunView,
+) -> None:
+    formulas = {one['name']: one for one in view.data()['formulas']}
+    assert 'phi_eventually' in formulas
+    assert formulas['phi_eventually']['lower'][0] == '-∞'
+    assert formulas['phi_eventually']['lower'][-1] == formulas['phi_eventually']['upper'][-1]
+
+
+def test_given_a_bag_when_viewed_then_its_facts_are_in_words(view: RunView) -> None:
+    assert view.outcome == 'PASS'
+    assert view.facts['perception'] == 'truth'
+    assert view.facts['cross track'].endswith(' m')
+    assert view.facts['heading'].endswith('°')
+    assert view.summary.startswith('cross track ')
+
+
+@NEEDS_OUR_STACK
+def test_given_a_bag_without_frames_when_viewed_then_every_fifth_is_rendered(view: RunView) -> None:
+    frames = view.frames
+    assert frames.missing == ''
+    assert frames.steps == tuple(range(0, len(view.t_s), STEPS_APART))
+    wanted = next(o.image for o in observations(BAG, lambda seq: seq == 10) if o.image is not None)
+    with Image.open(io.BytesIO(frames.files[2])) as image:
+        shown = np.asarray(image.convert('RGB')).astype(float)
+    assert shown.shape == wanted.shape
+    assert np.abs(shown - wanted).mean() < 4
+
+
+@NEEDS_OUR_STACK
+def test_given_a_bag_with_frames_when_viewed_then_those_are_taken(
+    tmp_path: Path, view: RunView, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = tmp_path / 'run'
+    assert sum(1 for _ in restore_frames(BAG, folder)) == len(view.t_s)
+    monkeypatch.setattr(run_view_frames, 'observations', None)
+    stamps = [int(stamp) for stamp in read_trace(folder)['t_ns']]
+    assert read_frames(folder, stamps) == view.frames
+
+
+def test_given_a_world_that_differs_when_viewed_then_the_rest_is_there_and_it_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def differing(*_: object) -> object:
+        raise WorldDiffers('recorded by another version')
+
+    monkeypatch.setattr(run_view_frames, 'observations', differing)
+    view = read_run_view('a run', BAG)
+    assert view.frames.steps == ()
+    assert view.frames.missing == 'recorded by another version'
+    assert len(view.t_s) > 100
+
+
+def test_given_a_long_run_when_thinned_then_the_number_of_frames_is_bounded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[bool] = []
+
+    def watched(_: object, wanted: object) -> list[object]:
+        # The stand-in takes anything; here it is the predicate on steps.
+        asked.extend(wanted(seq) for seq in range(2000))  # type: ignore[operator]
+        return []
+
+    monkeypatch.setattr(run_view_frames, 'observations', watched)
+    read_frames(BAG, [seq * 100_000_000 for seq in range(2000)])
+    assert MOST_FRAMES / 2 < sum(asked) <= MOST_FRAMES
+
+
+def test_given_no_bag_or_a_foreign_one_when_viewed_then_it_says_so(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match='no such bag'):
+        read_run_view('gone', tmp_path / 'gone')
+    (tmp_path / 'run').mkdir()
+    (tmp_path / 'run' / 'run_0.mcap').write_bytes(b'no bag at all, and long enough to be looked at')
+    with pytest.raises(BagForeign):
+        read_run_view('run', tmp_path / 'run')
+
+
+def test_given_ground_without_a_crossing_when_drawn_then_the_paint_is_not_interrupted() -> None:
+    crossed, plain = (ground_shapes(crossing=crossing) for crossing in (True, False))
+    assert (len(crossed['pavement']), len(plain['pavement'])) == (2, 1)
+    longest = [max(max(x for x, _ in p) - min(x for x, _ in p) for p in ground['paint'])
+               for ground in (crossed, plain)]
+    assert longest[0] < longest[1] == pytest.approx(plain['length'])

@@ -1,0 +1,28 @@
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxinet_ros.analysis.runs.settled import settled_cross_track_m
+from taxinet_ros.bag import read_trace_table
+
+GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden'
+
+
+def test_given_bags_then_the_first_ten_seconds_do_not_count(tmp_path):
+    names = ['truth-nominal', 'taxinet-midday']
+    expected = []
+    for name in names:
+        table = read_trace_table(GOLDEN / name)
+        expected.append(table['cte_m'][table['t_s'] >= 10].abs().median())
+    assert settled_cross_track_m(GOLDEN, names) == pytest.approx(expected)
+    # It differs from that of the whole run, which starts metres aside.
+    assert read_trace_table(GOLDEN / names[1])['cte_m'].abs().median() != pytest.approx(expected[1])
+
+
+def test_given_a_bag_that_is_gone_or_damaged_then_its_value_is_not_known(tmp_path):
+    shutil.copytree(GOLDEN / 'truth-nominal', tmp_path / 'cut')
+    (bag,) = (tmp_path / 'cut').glob('*.mcap')
+    bag.write_bytes(bag.read_bytes()[:5000])
+    assert np.isnan(settled_cross_track_m(tmp_path, ['cut', 'gone'])).all()

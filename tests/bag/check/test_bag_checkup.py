@@ -1,0 +1,224 @@
+"""The doctor: a whole run passes every check, and each thing that can be wrong is found."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bag_faults import chunks_of
+from bag_samples import Sample
+from mcap.opcode import Opcode
+from mcap.records import Footer, Statistics
+from whole_runs import PER_STEP, STEPS, run_messages, run_topics, write_run
+
+from taxinet_ros.bag.check.doctor import Checkup, check_bag
+from taxinet_ros.bag.check.findings import ranges
+from taxinet_ros.bag.errors import BagEmpty
+from taxinet_ros.bag.storage.records import MAGIC, encode, parse_record, split_records
+from taxinet_ros.bag.writer import BagWriter
+
+CHECKS = ('bytes', 'index', 'description', 'types', 'stamps', 'steps', 'verdict')
+STEP_NS = 100_000_000
+
+
+@pytest.fixture(scope='module')
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(tmp_path_factory.mktemp('run') / 'run')
+
+
+def wrong(checkup: Checkup) -> dict[str, list[str]]:
+    """Findings by check, as text."""
+    return {
+        check.name: [f'{found.where}: {found.what}' for found in check.findings]
+        for check in checkup.checks if check.findings
+    }
+
+
+def rewritten(tmp_path: Path, change: Callable[[list[Sample]], list[Sample]]) -> Checkup:
+    """The checkup of a run with other messages."""
+    return check_bag(write_run(tmp_path / 'run', change(list(run_messages()))).parent)
+
+
+def test_given_a_whole_run_when_checked_then_nothing_is_wrong(run: Path) -> None:
+    checkup = check_bag(run.parent)
+    assert tuple(check.name for check in checkup.checks) == CHECKS
+    assert wrong(checkup) == {}
+    assert not any(check.skipped for check in checkup.checks)
+    assert len(run_messages()) == 1 + 4 + PER_STEP * STEPS - STEPS + 2
+
+
+def test_given_one_file_of_a_run_when_checked_then_only_the_description_is_skipped(
+    run: Path,
+) -> None:
+    checkup = check_bag(run)
+    assert wrong(checkup) == {}
+    assert [check.name for check in checkup.checks if check.skipped] == ['description']
+
+
+def test_given_a_flipped_byte_when_checked_then_its_place_and_what_mends_it_are_told(
+    run: Path, tmp_path: Path
+) -> None:
+    data = bytearray(run.read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / 'x.mcap').write_bytes(data)
+    checkup = check_bag(tmp_path / 'x.mcap')
+    found = checkup.checks[0].findings
+    assert len(found) == 1
+    assert found[0].where.startswith('x.mcap, byte ')
+    assert found[0].mend == 'taxinet bag recover {bag} --out NEW'
+    assert {check.name for check in checkup.checks if check.skipped} == {'index', 'description'}
+
+
+@pytest.mark.parametrize(('name', 'steps', 'expected'), [
+    ('/taxi_command', {4}, 'step 4: without /taxi_command'),
+    ('/camera/image_raw', {3, 5, 6}, 'step 3, 5-6: without /camera/image_raw'),
+])
+def test_given_missing_messages_when_checked_then_their_steps_are_named(
+    tmp_path: Path, name: str, steps: set[int], expected: str
+) -> None:
+    gone = {(name, step * STEP_NS) for step in steps}
+    found = wrong(rewritten(tmp_path, lambda all_: [m for m in all_ if m[:2] not in gone]))
+    assert found['steps'] == [expected]
+    assert ('verdict' in found) == (name == '/taxi_command')
+
+
+def test_given_a_message_twice_when_checked_then_it_is_named(tmp_path: Path) -> None:
+    def twice(messages: list[Sample]) -> list[Sample]:
+        place = next(k for k, m in enumerate(messages) if m[:2] == ('/clock', 2 * STEP_NS))
+        return [*messages[:place], messages[place], *messages[place:]]
+
+    assert wrong(rewritten(tmp_path, twice)) == {'steps': ['step 2: /clock more than 1 x']}
+
+
+def test_given_another_truth_when_checked_then_the_verdict_does_not_follow(tmp_path: Path) -> None:
+    def shifted(messages: list[Sample]) -> list[Sample]:
+        place = next(
+            k for k, m in enumerate(messages)
+            if m[:2] == ('/ground_truth/tracking_error', (STEPS - 1) * STEP_NS)
+        )
+        name, stamp, cdr = messages[place]
+        truth = next(m for m in messages if m[0] == '/ground_truth/tracking_error')[2]
+        number = struct.pack('<d', 9.5)
+        other = cdr[:-24] + number + cdr[-16:]
+        assert len(other) == len(cdr) == len(truth)
+        return [*messages[:place], (name, stamp, other), *messages[place + 1:]]
+
+    found = wrong(rewritten(tmp_path, shifted))
+    assert set(found) == {'verdict'}
+    assert any(text.startswith(f'step {STEPS - 1}: phi_eventually') for text in found['verdict'])
+    assert any('monitor/verdict' in text for text in found['verdict'])
+
+
+def test_given_time_that_goes_back_when_checked_then_it_is_told(tmp_path: Path) -> None:
+    def late(messages: list[Sample]) -> list[Sample]:
+        first = next(m for m in messages if m[0] == '/clock')
+        return [*messages, first]
+
+    found = wrong(rewritten(tmp_path, late))
+    assert found['stamps'] == ['/clock at 0.000 s: stamp goes back from 1500000000 ns']
+
+
+def test_given_a_message_that_cannot_be_decoded_when_checked_then_it_is_told(
+    tmp_path: Path,
+) -> None:
+    def broken(messages: list[Sample]) -> list[Sample]:
+        return [(n, t, b'\0\1\0\0' if (n, t) == ('/clock', STEP_NS) else c) for n, t, c in messages]
+
+    found = wrong(rewritten(tmp_path, broken))
+    assert set(found) == {'stamps', 'steps'}
+    assert found['stamps'][0].startswith('/clock at 0.100 s: topic /clock: not a rosgraph_msgs')
+
+
+def test_given_a_run_cut_off_when_checked_then_the_end_is_missed(run: Path, tmp_path: Path) -> None:
+    data = run.read_bytes()
+    (tmp_path / 'r').mkdir()
+    (tmp_path / 'r' / 'r_0.mcap').write_bytes(data[:chunks_of(data)[9][1] + 20])
+    found = wrong(check_bag(tmp_path / 'r'))
+    assert set(found) == {'bytes', 'description', 'steps'}
+    assert found['description'] == ['metadata.yaml: missing, so the recording was not finished']
+    assert found['steps'] == [
+        'run_status: 0 messages, not 1; the bag ends before the run does'
+    ]
+
+
+@pytest.mark.parametrize(('old', 'new', 'reason'), [
+    ('message_count: 135', 'message_count: 134', 'message_count is 134, in the bag 135'),
+    ('message_count: 16', 'message_count: 15', 'message_count not as in the bag'),
+    ('depth: 16', 'depth: 10', 'offered_qos_profiles not as in the bag'),
+    ('- run_0.mcap', '- ../../etc/passwd', 'relative_file_paths is'),
+    ('name: /clock', 'name: /clocks', 'does not know topic /clock'),
+    ('version: 9', 'version: 10', 'version is 10; known up to 9'),
+    ('nanoseconds: 1500000000', 'nanoseconds: 15', 'duration is'),
+])
+def test_given_a_description_that_lies_when_checked_then_it_is_told(
+    tmp_path: Path, old: str, new: str, reason: str
+) -> None:
+    folder = write_run(tmp_path / 'run').parent
+    text = (folder / 'metadata.yaml').read_text()
+    assert old in text
+    (folder / 'metadata.yaml').write_text(text.replace(old, new, 1))
+    found = wrong(check_bag(folder))
+    assert set(found) == {'description'}
+    assert any(reason in what for what in found['description'])
+
+
+def test_given_a_wrong_type_hash_when_checked_then_its_topic_is_named(tmp_path: Path) -> None:
+    topics = [
+        replace(topic, type_hash=f'RIHS01_{"0" * 64}') if topic.name == '/clock' else topic
+        for topic in run_topics()
+    ]
+    with BagWriter(
+        tmp_path / 'run', topics, metadata={}, attachments={}, min_free_bytes=0
+    ) as bag:
+        for topic, stamp_ns, cdr in run_messages():
+            bag.write(topic, cdr, stamp_ns)
+    found = wrong(check_bag(tmp_path / 'run'))
+    assert set(found) == {'types'}
+    assert found['types'][0].startswith('/clock: type hash RIHS01_000')
+
+
+def test_given_an_index_that_lies_when_checked_then_it_is_told(run: Path, tmp_path: Path) -> None:
+    data = run.read_bytes()
+    footer = parse_record(Opcode.FOOTER, data[-28:-8])
+    assert isinstance(footer, Footer)
+    summary = data[footer.summary_start:-len(MAGIC) - 29]
+    parts = []
+    for opcode, body in split_records(summary):
+        record = parse_record(opcode, body)
+        if isinstance(record, Statistics):
+            record.attachment_count += 1
+            body = encode(record)[9:]
+        if opcode == Opcode.CHUNK_INDEX and not any(p[0] == opcode for p in parts):
+            body = struct.pack('<Q', 77) + body[8:]
+        parts.append(struct.pack('<BQ', opcode, len(body)) + body)
+    other = b''.join(parts)
+    assert len(other) == len(summary)
+    footer.summary_crc = zlib.crc32(other + encode(footer)[:-4])
+    (tmp_path / 'x.mcap').write_bytes(
+        data[:footer.summary_start] + other + encode(footer) + MAGIC
+    )
+    found = wrong(check_bag(tmp_path / 'x.mcap'))
+    assert set(found) == {'index'}
+    told = ' '.join(found['index'])
+    assert 'statistics: attachment_count is 3, in the data 2' in told
+    assert 'ChunkIndex points at something else' in told
+
+
+def test_given_nothing_readable_when_checked_then_empty(tmp_path: Path) -> None:
+    (tmp_path / 'x.mcap').write_bytes(MAGIC + b'\1' * 30)
+    with pytest.raises(BagEmpty, match='at byte'):
+        check_bag(tmp_path / 'x.mcap')
+
+
+@pytest.mark.parametrize(('numbers', 'words'), [
+    ([], ''), ([3], '3'), ([9, 7, 8, 3], '3, 7-9'),
+    (range(0, 40, 2), '0, 2, 4, 6, 8, 10 and 14 more'),
+])
+def test_given_numbers_when_put_into_words_then_neighbours_go_together(
+    numbers: list[int], words: str
+) -> None:
+    assert ranges(numbers) == words

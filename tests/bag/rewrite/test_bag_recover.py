@@ -1,0 +1,120 @@
+"""Recovery: all that is sound, and nothing else, in a new whole bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bag_samples
+import pytest
+from bag_faults import (
+    PER_STEP,
+    STEPS,
+    chunk,
+    chunks_of,
+    declarations,
+    file_with,
+    read_all,
+)
+from bag_samples import samples
+from mcap.records import Channel, Message
+from whole_runs import run_messages, write_run
+
+from taxinet_ros.bag.cdr.decode import definition_hash
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty
+from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
+from taxinet_ros.bag.rewrite.recovery import recover
+from taxinet_ros.bag.storage.records import encode
+
+
+def test_given_each_chunk_damaged_when_recovered_then_only_its_messages_are_lost(
+    whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    expected = samples(STEPS)
+    chunks = chunks_of(whole)
+    assert len(chunks) == STEPS
+    for number, (_, end) in enumerate(chunks):
+        data = bytearray(whole)
+        data[end - 6] ^= 0x10
+        outcome = recover(damaged(bytes(data)), tmp_path / f'saved{number}')
+        saved, error = read_all(tmp_path / f'saved{number}')
+        assert error is None
+        lost = [m for m in expected if m not in saved]
+        assert saved == [m for m in expected if m not in lost]
+        assert PER_STEP <= len(lost) <= PER_STEP + 1
+        assert len(outcome.damage) == 1
+        assert read_info(outcome.bag.folder).complete
+        assert read_attachment(outcome.bag.folder, 'scenario.scenic')
+        assert read_info(outcome.bag.folder).metadata['taxinet'] == bag_samples.METADATA
+
+
+def test_given_an_unfinished_bag_when_recovered_then_it_is_whole(
+    whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    (_, end) = chunks_of(whole)[-1]
+    outcome = recover(damaged(whole[:end]), tmp_path / 'saved' / 'run')
+    assert read_all(tmp_path / 'saved' / 'run') == (samples(STEPS), None)
+    assert outcome.bag.message_counts == read_info(damaged(whole)).counts
+    assert 'the end of the file is missing' in outcome.damage[0]
+
+
+def test_given_a_damaged_topic_at_the_top_when_recovered_then_the_copy_in_the_chunk_counts(
+    whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    data = bytearray(whole)
+    data[data.index(b'/taxi_command') + 1] = ord('x')
+    with pytest.raises(BagCorrupt, match='told in two ways; 0 sound messages'):
+        list(read_messages(damaged(bytes(data))))
+    recover(damaged(bytes(data)), tmp_path / 'saved')
+    assert read_all(tmp_path / 'saved') == (samples(STEPS), None)
+
+
+def test_given_nothing_sound_when_recovered_then_refused_and_no_folder_made(
+    whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    with pytest.raises(BagEmpty, match='nothing can be saved'):
+        recover(damaged(whole[:20]), tmp_path / 'saved')
+    assert not (tmp_path / 'saved').exists()
+
+
+def test_given_only_the_description_lost_when_recovered_then_bytes_are_the_recorders(
+    tmp_path: Path,
+) -> None:
+    file = write_run(tmp_path / 'run')
+    text = (file.parent / 'metadata.yaml').read_bytes()
+    (file.parent / 'metadata.yaml').unlink()
+    before = file.read_bytes()
+    outcome = recover(file.parent, tmp_path / 'new' / 'run')
+    assert outcome.damage == ()
+    assert outcome.declared == outcome.saved == len(run_messages())
+    assert outcome.bag.mcap.read_bytes() == before == file.read_bytes()
+    assert (tmp_path / 'new' / 'run' / 'metadata.yaml').read_bytes() == text
+    assert [path.name for path in file.parent.iterdir()] == [file.name]
+
+
+def test_given_a_lost_chunk_when_recovered_then_the_loss_is_counted(
+    whole: bytes, damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    (_, end) = chunks_of(whole)[1]
+    data = bytearray(whole)
+    data[end - 6] ^= 0x10
+    outcome = recover(damaged(bytes(data)), tmp_path / 'saved')
+    assert outcome.declared == len(samples(STEPS))
+    assert outcome.declared - outcome.saved == PER_STEP
+
+
+def test_given_an_older_recorders_bag_when_recovered_then_what_it_did_not_note_is_added(
+    damaged: Callable[[bytes], Path], tmp_path: Path
+) -> None:
+    odd = Channel(id=2, topic='not a name', message_encoding='cdr', metadata={}, schema_id=1)
+    raw = declarations() + encode(odd) + encode(Message(1, 5, b'\0\1\0\0\7', 5, 0))
+    outcome = recover(
+        damaged(file_with(chunk(raw, len(raw), '', crc=0))), tmp_path / 'saved'
+    )
+    assert outcome.saved == 1
+    assert any('left out' in line and 'not a name' in line for line in outcome.damage)
+    info = read_info(tmp_path / 'saved')
+    assert info.complete
+    (topic,) = info.topics
+    assert topic.type_hash == definition_hash(topic)
+    assert topic.qos == '[]\n'

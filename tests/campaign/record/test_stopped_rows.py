@@ -1,0 +1,150 @@
+"""Runs that were stopped early, in rows, tables, the ledger, and in what a sampler is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import falsify_samples
+import pytest
+
+from taxinet_ros.campaign.rates import failure_rate, off_runway_rate
+from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.resumption import read_earlier_runs
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import read_table, table, write_tables
+from taxinet_ros.campaign.summary import campaign_summary, row_line, stopped_words
+from taxinet_ros.campaign.worker_pool import (
+    request_from_json,
+    request_to_json,
+    result_from_json,
+    result_to_json,
+)
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.run_statistics import RunStatistics
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+
+SPECS = ('phi_eventually', 'near')
+
+
+def result(index: int, *, stopped: bool, furthest: float = 4.0) -> RunResult:
+    given = {
+        'rho': {'near': -0.5}, 'rho_lower': {'phi_eventually': -math.inf, 'near': -0.5},
+        'rho_upper': {'phi_eventually': -0.25, 'near': -0.5},
+    } if stopped else {'rho': {'phi_eventually': -3.0, 'near': -3.5}}
+    return RunResult(
+        outcome=Outcome.FAIL, last_seq=101 if stopped else 300, wall_s=1.0, stopped_early=stopped,
+        statistics=RunStatistics(max_cross_track_m=furthest, settle_time_s=1.0), **given,
+    )
+
+
+def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
+    asked = RunRequest(
+        run_id=f'run-{index}', index=index, program='s_falsif', seed=5, scenario=Scenario(),
+        specs=SPECS, participants=(), stop_on=StopOn.VIOLATED,
+    )
+    answer = result(index, stopped=stopped, furthest=furthest)
+    sim_s = answer.last_seq / 10
+    made = RunRow.of_run(asked, answer, perception='truth', sim_s=sim_s, bag=asked.run_id)
+    return made.chosen(sampler='random', point={}, weight=1.0, retries=0)
+
+
+def test_given_a_stopped_run_when_tabulated_then_it_has_an_interval_and_says_when(tmp_path: Path):
+    write_tables([row(0, stopped=True), row(1, stopped=False)], tmp_path, SPECS)
+    frame = read_table(tmp_path)
+    assert list(frame['stopped_early']) == [True, False]
+    assert frame['stopped_s'][0] == 10.1
+    assert math.isnan(frame['stopped_s'][1])
+    assert math.isnan(frame['rho'][0])
+    assert frame['rho'][1] == frame['rho_phi_eventually'][1] == -3.0
+    assert list(frame['rho_near']) == [-0.5, -3.5]
+    assert list(frame['rho_lower.phi_eventually']) == [-math.inf, -3.0]
+    assert list(frame['rho_upper.phi_eventually']) == [-0.25, -3.0]
+    assert list(frame['outcome']) == ['FAIL', 'FAIL']
+    names = [name for name in frame.columns if name.startswith('rho')]
+    assert names == ['rho', *(f'{start}{name}' for start in ('rho_', 'rho_lower.', 'rho_upper.')
+                              for name in SPECS)]
+
+
+def test_given_a_stopped_run_then_nobody_claims_to_know_what_came_after():
+    inside, outside = row(0, stopped=True), row(1, stopped=True, furthest=30.0)
+    assert (inside.left_runway, inside.settle_time_s) == (None, None)
+    assert outside.left_runway is True
+    assert inside.max_cross_track_m == 4.0
+    rows = [inside, outside, row(2, stopped=False)]
+    assert off_runway_rate(rows) is None
+    assert off_runway_rate(rows[1:]) is not None
+    found = failure_rate(rows)
+    assert (found.hits, found.runs, found.drawn_hits) == (3, 3, 3)
+
+
+def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_zero():
+    stopped = row(0, stopped=True)
+    assert stopped.told('phi_eventually') == -0.25
+    assert stopped.headline == (-math.inf, -0.25)
+    assert row(1, stopped=False).told('phi_eventually') == -3.0
+    assert stopped.told('unknown') is None
+    open_ended = RunRow.from_json({**stopped.to_json(), 'rho_lower': {'a': 0.5, 'b': -1.0},
+                                   'rho_upper': {'a': math.inf, 'b': 1.0}})
+    assert open_ended.told('a') == 0.5
+    assert open_ended.told('b') is None
+
+
+def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told(tmp_path: Path):
+    rows = [row(0, stopped=True), row(1, stopped=False)]
+    text = row_line(rows[0]).plain
+    assert 'rho <=-0.25 ' in text
+    assert 'stopped at 10.1 s' in text
+    assert stopped_words(rows) == [
+        '1 stopped early, which saved 20 of 60 s of simulated time (33%)'
+    ]
+    assert stopped_words(rows[1:]) == []
+    words = campaign_summary(rows, falsify_samples.options(tmp_path).campaign)
+    assert '0 off the runway before they were stopped' in words
+
+
+def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_interval_do_too():
+    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(), specs=SPECS,
+                       participants=('a',), stop_on=StopOn.DECIDED)
+    assert request_from_json(request_to_json(asked)) == asked
+    answer = result(0, stopped=True)
+    assert result_from_json(result_to_json(answer)) == answer
+
+
+def test_given_a_row_with_an_interval_when_it_was_not_stopped_then_it_is_refused():
+    with pytest.raises(UsageError, match='has intervals'):
+        RunRow.from_json({**row(0, stopped=True).to_json(), 'stopped_early': False})
+
+
+def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_it(tmp_path: Path):
+    path = tmp_path / 'ledger.jsonl'
+    with Ledger(path) as ledger:
+        for index, stopped in enumerate((True, False)):
+            ledger.result(row(index, stopped=stopped))
+        ledger.requirement('late', 'always(cte < 1)', {0: (-1.0, 2.0), 1: (0.5, 0.5)})
+        ledger.result(row(2, stopped=False))
+    content = read_ledger(path)
+    assert content.added == {'late': 'always(cte < 1)'}
+    first, second, third = content.rows
+    assert first.interval('late') == (-1.0, 2.0)
+    assert first.headline == (-math.inf, -0.25), 'the headline stays the first'
+    assert second.rho['late'] == 0.5
+    assert second.headline == (-3.0, -3.0)
+    assert third.interval('late') is None, 'it was run afterwards'
+    frame = table(content.rows, SPECS)
+    assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9]
+    assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9]
+    with Ledger(path) as ledger:
+        ledger.requirement('bad', 'always(cte < 1)', {1: (-1.0, 2.0)})
+    with pytest.raises(UsageError, match=r'jsonl:5: damaged line \(run run-1: FAIL with bad'):
+        read_ledger(path)
+
+
+def test_given_a_campaign_from_before_the_rule_when_resumed_then_it_was_never(tmp_path: Path):
+    facts = {'sampler': 'ce', 'runs': 3, 'perception': 'truth'}
+    with Ledger(tmp_path / 'ledger.jsonl') as ledger:
+        ledger.campaign(facts)
+    assert read_earlier_runs(tmp_path, {**facts, 'stop_on': StopOn.NEVER}).begun == 0
+    with pytest.raises(UsageError, match='begun with stop_on "never", not "violated"'):
+        read_earlier_runs(tmp_path, {**facts, 'stop_on': StopOn.VIOLATED})

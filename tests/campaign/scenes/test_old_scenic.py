@@ -1,0 +1,223 @@
+"""Programs in Scenic 1 or 2, the paper's among them, are answered with the line of Scenic 3."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
+from taxinet_ros.campaign.scenes.scenic_child import scenic3_hint, scenic3_lines
+from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.errors import UsageError
+
+MODEL = 'model runway_world\n'
+
+# S_falsif and the position distribution for retraining as the paper (figures 3 and 8) prints them.
+FIGURE_3 = """# Time: from 6am to 6pm (+8 to get GMT, as used by X-Plane)
+param zulu_time = (6, 18) * 60 * 60 + 8 * 60 * 60
+
+# Rain: 1/3 of the time
+# Clouds: types 3-5 are compatible with rain
+clouds_and_rain = Options({
+    (Uniform(0, 1, 2, 3, 4, 5), 0): 2,   # no rain
+    (Uniform(3, 4, 5), (0.25, 1)): 1     # 25%-100% rain
+})
+param cloud_type = clouds_and_rain[0]
+param rain_percent = clouds_and_rain[1]
+
+# Plane: up to 8 m to left/right, up to 2000 m down the runway, up to 30 deg to left/right
+ego = Plane at (-8, 8) @ (0, 2000),
+    facing (-30, 30) deg
+"""
+FIGURE_8 = """rd = Options({
+  (0, 400): 0.35,     # 0.2
+  (400, 1200): 0.1,   # 0.4
+  (1200, 1600): 0.5,  # 0.2
+  (1600, 2000): 0.05  # 0.2
+})
+ego = Plane at (-8, 8) @ rd
+"""
+
+
+@pytest.fixture(scope='module')
+def client(scenic_child: Any) -> Iterator[Any]:
+    with scenic_child() as started:
+        yield started
+
+
+def said(client: Any, folder: Path, text: str) -> tuple[int, str]:
+    """Line and message of what is wrong with a program."""
+    path = folder / 'mine.scenic'
+    path.write_text(text)
+    answer = client.ask(op='compile', program=str(path))
+    if answer == {}:
+        answer = client.ask(op='scene', index=0)
+    error = answer['error']
+    assert error['file'] == str(path)
+    assert '\n' not in error['message']
+    return error['line'], error['message']
+
+
+def mended(text: str) -> str:
+    """A program with the lines of Scenic 3 in place, and with the world model."""
+    lines = text.splitlines()
+    for number, line in scenic3_lines(text).items():
+        lines[number - 1] = line
+    return MODEL + '\n'.join(lines) + '\n'
+
+
+def test_s10_figure_8_is_answered_with_its_lines_in_scenic_3(client: Any, tmp_path: Path) -> None:
+    assert said(client, tmp_path, FIGURE_8) == (
+        7, "NameError: name 'Plane' is not defined; is this Scenic 1 or 2? Scenic 3 has "
+        '"model runway_world" as first line, line 2 "Range(0, 400): 0.35,", '
+        'line 3 "Range(400, 1200): 0.1,", line 4 "Range(1200, 1600): 0.5,", '
+        'line 5 "Range(1600, 2000): 0.05", line 7 "ego = new Plane at Range(-8, 8) @ rd"',
+    )
+
+
+def test_s10_figure_8_runs_with_these_lines(client: Any, tmp_path: Path) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(mended(FIGURE_8))
+    assert client.ask(op='compile', program=str(path)) == {}
+    scenes = [client.ask(op='scene', index=index)['values'] for index in range(300)]
+    inside = sum(1200 <= scene['distance'] < 1600 for scene in scenes)
+    assert inside / 300 == pytest.approx(0.5, abs=5 * 0.5 / 300**0.5)
+    assert max(abs(scene['cross_track']) for scene in scenes) <= 8
+
+
+def test_s10_figure_3_is_answered_until_it_runs(client: Any, tmp_path: Path) -> None:
+    line, message = said(client, tmp_path, FIGURE_3)
+    assert line == 15
+    assert message.startswith('invalid syntax; is this Scenic 1 or 2? Scenic 3 has "model')
+    assert 'line 2 "param zulu_time = Range(6, 18) * 60 * 60 + 8 * 60 * 60"' in message
+    assert 'line 8 "(Uniform(3, 4, 5), Range(0.25, 1)): 1"' in message
+    assert 'line 14 "ego = new Plane at Range(-8, 8) @ Range(0, 2000),"' in message
+    assert message.endswith('line 15 "facing Range(-30, 30) deg"')
+    text = mended(FIGURE_3)
+    for before, after, name in (
+        (r'zulu_time = (.*)', r'time_of_day = (\1) / 3600 - 8', 'zulu_time'),
+        ('cloud_type', 'clouds', 'cloud_type'),
+        ('rain_percent = (.*)', r'rain = 100 * \1', 'rain_percent'),
+    ):
+        line, message = said(client, tmp_path, text)
+        assert message.startswith(f'param {name}: here it is ')
+        assert text.splitlines()[line - 1].startswith(f'param {name}')
+        text = re.sub(before, after, text)
+    line, message = said(client, tmp_path, text)
+    assert line == 11
+    assert message.endswith('not one of clear, cirrus, scattered, broken, overcast, stratus')
+    text = text.replace('Uniform(0, 1, 2, 3, 4, 5)', 'Uniform(*CLOUDS)')
+    text = text.replace('Uniform(3, 4, 5)', 'Uniform(*RAIN_CLOUDS)')
+    path = tmp_path / 'mine.scenic'
+    path.write_text(text)
+    assert client.ask(op='compile', program=str(path)) == {}
+    scenes = [client.ask(op='scene', index=index)['values'] for index in range(200)]
+    wet = [scene['rain'] for scene in scenes if scene['rain'] > 0]
+    assert len(wet) / 200 == pytest.approx(1 / 3, abs=5 * (2 / 9 / 200) ** 0.5)
+    assert min(wet) >= 25
+    hours = [scene['time_of_day'] for scene in scenes]
+    assert 6 <= min(hours) < 7
+    assert 17 < max(hours) <= 18
+
+
+@pytest.mark.parametrize(('text', 'line', 'end'), [
+    ('ego = new Plane at (0, 400)\n', 1, 'not defined; write "model runway_world" as first line'),
+    ('param clouds = Uniform(*CLOUDS)\n', 1, 'write "model runway_world" as first line'),
+    (MODEL + 'ego = Plane at (0, 4)\n', 2, 'line 2 "ego = new Plane at (0, 4)"'),
+    (MODEL + 'ego = Plane at 0 @ 4, facing 3 deg\n', 2,
+     'line 2 "ego = new Plane at 0 @ 4, facing 3 deg"'),
+    (MODEL + 'ego = Plane\n', 2, 'line 2 "ego = new Plane"'),
+    (MODEL + 'spot = OrientedPoint at 3 @ 4\n', 2, 'line 2 "spot = new OrientedPoint at 3 @ 4"'),
+    (MODEL + 'ego = new Plane at (-8, 8) @ (0, 2000)\n', 2,
+     'line 2 "ego = new Plane at Range(-8, 8) @ Range(0, 2000)"'),
+    (MODEL + 'ego = new Plane at (0, 4), facing (-30, 30) deg\n', 2,
+     'line 2 "ego = new Plane at (0, 4), facing Range(-30, 30) deg"'),
+    (MODEL + 'ego = new Plane at (0, 4), facing (-30, 30)\n', 2,
+     'line 2 "ego = new Plane at (0, 4), facing Range(-30, 30)"'),
+    (MODEL + 'param time_of_day = (6, 18)\nego = new Plane at (0, 4)\n', 2,
+     'line 2 "param time_of_day = Range(6, 18)"'),
+    (MODEL + 'rd = Options({(0, 4): 1, (4, 8): 2})\nego = new Plane at (0, rd)\n', 3,
+     'line 2 "rd = Options({Range(0, 4): 1, Range(4, 8): 2})"'),
+    (MODEL + 'rd = (0, 400)\nego = new Plane at (0, rd)\n', 0, 'line 2 "rd = Range(0, 400)"'),
+    (MODEL + 'sky = Options({("clear", 0): 1, ("stratus", (25, 100)): 1})\nparam clouds = sky[0]\n'
+     'param rain = sky[1]\nego = new Plane at (0, 4)\n', 4,
+     'line 2 "sky = Options({("clear", 0): 1, ("stratus", Range(25, 100)): 1})"'),
+    ('from scenic.simulators.xplane.model import *\nego = Plane at 3 @ 4\n', 2,
+     'line 1 "model runway_world", line 2 "ego = new Plane at 3 @ 4"'),
+])
+def test_s10_a_line_of_scenic_1_or_2_is_shown_in_scenic_3(
+    client: Any, tmp_path: Path, text: str, line: int, end: str
+) -> None:
+    place, message = said(client, tmp_path, text)
+    assert message.endswith(end)
+    assert place == line
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    (MODEL + 'x = 3 +\nego = new Plane at (0, 4)\n', 'invalid syntax'),
+    (MODEL + 'pair = (3, 4)\nego = new Plane at (0, nope)\n',
+     "NameError: name 'nope' is not defined"),
+    (MODEL + 'WORDS = ("a", "b")\nego = new Plane at (1 / 0, 4)\n',
+     'ZeroDivisionError: division by zero'),
+    (MODEL + 'area = PolygonalRegion([(0, 0), (3, 0), (3, 3)])\nego = new Plane in aera\n',
+     "NameError: name 'aera' is not defined"),
+])
+def test_s10_a_mistake_in_scenic_3_gets_no_hint(
+    client: Any, tmp_path: Path, text: str, message: str
+) -> None:
+    assert said(client, tmp_path, text)[1] == message
+
+
+@pytest.mark.parametrize('program', known_programs())
+def test_s10_the_shipped_programs_are_scenic_3(program: str) -> None:
+    text = (shipped_folder() / f'{program}.scenic').read_text()
+    assert scenic3_lines(text) == {}
+    assert scenic3_hint(text, 'invalid syntax') == ''
+
+
+@pytest.mark.parametrize(('name', 'mend'), [
+    ('zulu_time', 'time_of_day, in hours of local time: (seconds of GMT) / 3600 - 8'),
+    ('"sim/time/zulu_time_sec"', 'time_of_day, in hours'),
+    ('"sim/weather/cloud_type[0]"', 'clouds, a word for each type 0-5: clear, cirrus, scattered'),
+    ('rain_percent', 'rain, in percent: 100 * (fraction)'),
+])
+def test_s10_a_parameter_of_the_paper_is_answered_with_ours(
+    client: Any, tmp_path: Path, name: str, mend: str
+) -> None:
+    text = MODEL + f'ego = new Plane at (0, 4)\nparam {name} = 3\n'
+    line, message = said(client, tmp_path, text)
+    assert line == 3
+    assert f'here it is {mend}' in message
+
+
+@pytest.mark.parametrize(('rain', 'shown'), [
+    ('Range(0.25, 1)', True), ('Options({0: 2, Range(0.2, 1): 1})', True), ('0.5', True),
+    ('1', True),
+    ('"50"', False), ('0', False), ('Range(0, 100)', False),
+    ('Options({0: 2, Range(25, 100): 1})', False),
+])
+def test_s10_rain_that_looks_like_a_fraction_is_noted(
+    client: Any, tmp_path: Path, rain: str, shown: bool
+) -> None:
+    path = tmp_path / 'mine.scenic'
+    path.write_text(MODEL + f'param clouds = "stratus"\nparam rain = {rain}\n'
+                            'ego = new Plane at (0, 4)\n')
+    assert client.ask(op='compile', program=str(path)) == {}
+    notes = client.ask(op='asked')['notes']
+    assert len(notes) == shown
+    for file, line, text in notes:
+        assert (file, line) == (str(path), 3)
+        assert 'rain is in percent' in text
+
+
+def test_s10_a_hint_comes_with_file_and_line(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'old.scenic').write_text(FIGURE_8)
+    with pytest.raises(UsageError) as caught, SceneSource('old.scenic', seed=0):
+        pass
+    assert str(caught.value).startswith('old.scenic:7: NameError: ')
+    assert str(caught.value).endswith('line 7 "ego = new Plane at Range(-8, 8) @ rd"')

@@ -1,0 +1,318 @@
+"""The Scenic child: scenes that depend on nothing else, and every way a program can be wrong."""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.record.book import rejected_row
+from taxinet_ros.campaign.scenes import source as scene_source
+from taxinet_ros.campaign.scenes.overrides import apply_overrides, check_overrides
+from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, sample_scenarios
+from taxinet_ros.errors import InfraError, UsageError
+
+PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / 'mine.scenic'
+    path.write_text(text)
+    return path
+
+
+def test_given_scenes_when_drawn_in_another_order_and_process_then_they_are_the_same() -> None:
+    with SceneSource('s_falsif', seed=7) as source:
+        forward = [source.scene(index) for index in range(12)]
+        again = [source.scene(index) for index in (11, 0, 5)]
+    assert again == [forward[11], forward[0], forward[5]]
+    assert len(set(forward)) == 12
+    random.seed(1)
+    assert sample_scenarios('s_falsif', 7, 12) == forward
+    assert not set(sample_scenarios('s_falsif', 8, 12)) & set(forward)
+
+
+@pytest.mark.parametrize('cause', [
+    # (program, what is said of it after its name)
+    ('model runway_world\nego = new Plane at (0,\nparam x = 1\n', ':3: invalid syntax'),
+    ('import os\nmodel runway_world\nprint("{}")\nos._exit(3)\n',
+     ': the Scenic process ended with status 3'),
+    (PLANE + 'param wind = 3\n', ':3: param wind: unknown, so it has no effect; known: clouds'),
+    (PLANE + 'param rain = 30\n', ': scene 0: rain needs clouds'),
+], ids=lambda cause: cause[1][:30])
+def test_given_a_bad_program_when_used_then_one_line_says_what_and_where(
+    cause: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path, cause[0])
+    with pytest.raises(UsageError) as caught, SceneSource(path, seed=1) as source:
+        source.scene(0)
+    assert str(caught.value).startswith(f'mine.scenic{cause[1]}')
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_loop_that_swallows_everything_when_compiled_then_it_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scene_source, 'GRACE_S', 0.5)
+    stubborn = 'while True:\n    try:\n        while True:\n            pass\n' \
+               '    except BaseException:\n        pass\n'
+    path = write(tmp_path, PLANE + stubborn)
+    with pytest.raises(UsageError, match=r'hung for|ended by SIGXCPU'), \
+            SceneSource(path, seed=1, timeout_s=0.5):
+        pass
+
+
+@pytest.mark.parametrize(('when', 'line'), [
+    ('compiled', '{}'), ('compiled', '{"error": {"file": "x", "line": 1, "message": "y"}}'),
+    ('drawn', '{"rejected": 1, "ticket": ""}'), ('drawn', '{"values": '),
+])
+def test_f7_given_a_program_that_writes_answers_itself_then_one_line_says_so(
+    when: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    forge = (
+        'import os\nfrom scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef forge(x):\n'
+        '    for fd in range(3, 32):\n        try:\n'
+        f'            os.write(fd, {(line + chr(10)).encode()!r})\n'
+        '        except OSError:\n            pass\n    return x\n'
+    )
+    value = 'forge(Range(0, 1))' if when == 'drawn' else 'forge(0.5)'
+    path = write(tmp_path, f'{forge}{PLANE}param rain = {value}\nparam clouds = "broken"\n')
+    with pytest.raises(UsageError) as caught, SceneSource(path, seed=1) as source:
+        source.scene(0)
+    assert str(caught.value) == 'mine.scenic: the program has meddled with the Scenic process'
+
+
+def test_f10_given_a_child_that_somebody_kills_then_the_bench_is_broken_and_not_the_program() -> (
+    None
+):
+    with SceneSource('nominal', seed=1) as source:
+        source.scene(0)
+        assert source._child is not None
+        source._child.kill()
+        source._child.wait()
+        with pytest.raises(InfraError, match='killed by SIGKILL'):
+            source.scene(1)
+
+
+def test_f10_given_a_program_that_takes_its_process_down_then_it_is_the_programs_fault(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, 'import os\nos.abort()\n')
+    with pytest.raises(UsageError, match='was ended by SIGABRT'), SceneSource(path, seed=1):
+        pass
+
+
+def test_f6_given_closed_standard_streams_then_scenes_are_drawn_all_the_same(
+    tmp_path: Path,
+) -> None:
+    script = (
+        'import os\nos.closerange(0, 3)\n'
+        'from taxinet_ros.campaign.scenes.source import sample_scenarios\n'
+        f'open({str(tmp_path / "drawn")!r}, "w").write(str(sample_scenarios("nominal", 3, 2)))\n'
+    )
+    done = subprocess.run([sys.executable, '-c', script])
+    assert done.returncode == 0
+    assert (tmp_path / 'drawn').read_text() == str(sample_scenarios('nominal', 3, 2))
+
+
+def test_given_a_requirement_that_cannot_hold_when_drawn_then_it_is_rejected_not_an_error(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, PLANE + 'require ego.position.x > 2\n')
+    with SceneSource(path, seed=1) as source:
+        for index in (0, 1):  # the source stays usable
+            with pytest.raises(Rejected) as caught:
+                source.scene(index)
+            assert caught.value.refused == 2000
+            assert str(caught.value) == (
+                f'mine.scenic: scene {index}: no draw met the requirements in 2000 tries'
+            )
+
+
+def test_given_a_requirement_that_may_hold_when_drawn_then_it_holds(tmp_path: Path) -> None:
+    path = write(tmp_path, PLANE + 'require ego.position.x > 0.5\n')
+    scenes = sample_scenarios(path, 1, 20)
+    assert len(scenes) == 20
+    assert all(-1 <= scene.cross_track_m < -0.5 for scene in scenes)
+
+
+def test_given_a_parent_that_is_killed_when_its_child_is_in_a_loop_then_the_child_ends_too(
+    tmp_path: Path,
+) -> None:
+    text = 'import os, sys\nprint(os.getpid(), flush=True)\nwhile True:\n    pass\n'
+    script = 'import sys\nfrom taxinet_ros.campaign.scenes.source import SceneSource\n' \
+             'SceneSource(sys.argv[1], seed=1).__enter__()\n'
+    parent = subprocess.Popen(
+        [sys.executable, '-c', script, str(write(tmp_path, text))], stderr=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': str(Path(__file__).parents[3])},
+    )
+    with parent:
+        assert parent.stderr is not None
+        child = os.pidfd_open(int(parent.stderr.readline()))
+        assert not select.select([child], [], [], 0)[0], 'the child has to be alive first'
+        parent.kill()
+        ended = select.select([child], [], [])[0]
+    os.close(child)
+    assert ended
+
+
+def test_given_overrides_when_drawn_then_only_they_differ() -> None:
+    overrides = {'heading': '12.5', 'shadows': 'off', 'clouds': 'stratus', 'duration': '5'}
+    plain = sample_scenarios('s_falsif', 3, 6)
+    changed = sample_scenarios('s_falsif', 3, 6, overrides)
+    assert [scene.cross_track_m for scene in changed] == [scene.cross_track_m for scene in plain]
+    assert [scene.rain for scene in changed] == [scene.rain for scene in plain]
+    assert {scene.heading_rad for scene in changed} == {np.radians(12.5)}
+    assert {(s.shadows, s.clouds, s.duration_s) for s in changed} == {(False, 'stratus', 5.0)}
+
+
+@pytest.mark.parametrize(('overrides', 'remedy'), [
+    ({'clouds': 'clear'}, 'set rain=0 as well'),
+    ({'rain': '50'}, 'set clouds=broken (or overcast/stratus) as well'),
+])
+def test_given_half_of_the_weather_when_overridden_then_both_keys_are_named_at_the_start(
+    overrides: dict[str, str], remedy: str,
+) -> None:
+    with pytest.raises(UsageError) as caught, \
+            SceneSource('s_falsif', seed=1, overrides=overrides):
+        pytest.fail('the contradiction has to show before the first run')
+    key, value = next(iter(overrides.items()))
+    assert str(caught.value).startswith(f'override {key}={value}: s_falsif.scenic: scene ')
+    assert str(caught.value).endswith(remedy)
+
+
+def test_given_both_halves_of_the_weather_when_overridden_then_all_scenes_have_them() -> None:
+    scenes = sample_scenarios('s_falsif', 1, 30, {'clouds': 'clear', 'rain': '0'})
+    assert {(scene.clouds, scene.rain) for scene in scenes} == {('clear', 0.0)}
+
+
+@pytest.mark.parametrize(('overrides', 'message'), [
+    ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track"),
+    ({'heading': 'left'}, "override heading=left: heading needs a number, got 'left'"),
+    ({'cross_track': '99'}, 'override cross_track=99: cross_track_m is 99, outside -15..15'),
+    ({'rain': '120'}, 'override rain=120: rain is 1.2, outside 0..1'),
+    ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain=50: rain needs clouds'),
+    ({'distance': 'nan'}, 'override distance=nan: distance_m is nan'),
+])
+def test_given_a_bad_override_when_checked_then_one_line_names_it(
+    overrides: dict[str, str], message: str,
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        check_overrides(overrides)
+    assert str(caught.value).startswith(message)
+
+
+def test_given_rain_words_when_overridden_over_dry_draw_then_the_sum_is_checked() -> None:
+    scene = apply_overrides({'clouds': 'overcast'}, {'rain': '40'}, 'x')
+    assert (scene.clouds, scene.rain) == ('overcast', pytest.approx(0.4))
+
+
+@pytest.mark.parametrize('seed', [-1, 1 << 63])
+def test_given_an_impossible_seed_when_made_then_it_is_refused(seed: int) -> None:
+    with pytest.raises(UsageError, match='seed is'):
+        SceneSource('s_falsif', seed=seed)
+
+
+def test_given_no_with_statement_when_asked_then_it_says_so() -> None:
+    with pytest.raises(RuntimeError, match='with statement'):
+        SceneSource('s_falsif', seed=1).scene(0)
+
+
+WORLD = 'model runway_world\n'
+OFF_CENTRE = WORLD + 'ego = new Plane at (Normal(0, 8), 400)\n'
+INDEPENDENT = (WORLD + 'param clouds = Uniform("clear", "broken")\nparam rain = Range(20, 30)\n'
+               'ego = new Plane at (0, 400)\n')
+
+
+@pytest.mark.parametrize(('text', 'reason', 'share'), [
+    (OFF_CENTRE, 'cross_track_m is', 0.06),
+    (INDEPENDENT, "rain needs clouds broken/overcast/stratus, got 'clear'", 0.5),
+    (PLANE + 'param duration = Uniform(3, 3.01)\n', 'is not a multiple of the control period', 0.5),
+], ids=['beside the runway', 'rain from a clear sky', 'broken step'])
+def test_s6_given_a_draw_that_is_no_scenario_then_that_scene_alone_is_rejected(
+    tmp_path: Path, text: str, reason: str, share: float,
+) -> None:
+    path = write(tmp_path, text)
+    chance = np.random.default_rng(0)
+    with SceneSource(path, seed=0) as source:
+        space = source.space()
+        points = [space.point(chance.random(len(space))) for _ in range(100)]
+        for where in ([None] * 100, points):  # drawn, and searched
+            rejected = []
+            for index, point in enumerate(where):
+                try:
+                    source.scene(index, point)
+                except Rejected as error:
+                    rejected.append((index, error))
+            assert abs(len(rejected) - 100 * share) < 18
+            assert len(rejected) >= 1
+            for index, error in rejected:
+                assert type(error) is Rejected, 'no other point is to be tried'
+                assert reason in str(error)
+                assert str(error).startswith(f'mine.scenic: scene {index}: ')
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    (WORLD + 'ego = new Plane at (16, Range(0, 9))\n', 'cross_track_m is -16'),
+    (INDEPENDENT.replace('Uniform("clear", "broken")', '"clear"').replace('Range(20, 30)', '20'),
+     'rain needs clouds'),
+    (PLANE + 'param clouds = "purple"\nparam rain = Range(0, 90)\n', "clouds is 'purple'"),
+    (PLANE + 'param duration = 1.01\n', 'not a multiple'),
+    (PLANE + 'param wind = Range(0, 1)\n', 'wind'),
+    (PLANE + 'param clouds = Uniform("clear", "purple")\n', "clouds is 'purple', not one of"),
+])
+def test_s6_given_what_is_wrong_in_every_scene_then_it_is_an_error_at_once(
+    tmp_path: Path, text: str, message: str,
+) -> None:
+    with pytest.raises(UsageError, match=message), \
+            SceneSource(write(tmp_path, text), seed=0) as source:
+        source.scene(0)
+
+
+def test_s6_given_an_override_of_what_is_drawn_out_of_range_then_nothing_is_rejected(
+    tmp_path: Path,
+) -> None:
+    path = write(tmp_path, OFF_CENTRE + 'param rain = Range(500, 900)\nparam clouds = "broken"\n')
+    with SceneSource(path, seed=0, overrides={'rain': '20', 'cross_track': '3'}) as source:
+        assert {(scene.rain, scene.cross_track_m)
+                for scene in (source.scene(index) for index in range(50))} == {(0.2, 3.0)}
+
+
+@pytest.mark.parametrize(('duration', 'overrides', 'length_s'), [
+    ('1', {}, 1.0), ('Range(3, 9)', {'duration': '2'}, 2.0),
+])
+def test_s5_attack_the_length_is_known_where_the_first_scene_is_rejected(
+    tmp_path: Path, duration: str, overrides: dict[str, str], length_s: float,
+) -> None:
+    text = (f'{WORLD}param duration = {duration}\n'
+            'ego = new Plane at (Options({0: 1, 300: 1}), 400)\n')
+    for seed in range(40):
+        with SceneSource(write(tmp_path, text), seed=seed, overrides=overrides) as source:
+            try:
+                source.scene(0)
+            except Rejected:
+                assert scene_source.first_duration_s(source) == length_s
+                return
+    pytest.fail('no first scene was rejected')
+
+
+def test_s5_attack_given_no_run_could_be_judged_then_the_first_reason_is_said(
+    tmp_path: Path,
+) -> None:
+    options = CampaignOptions(
+        program='nominal', out=tmp_path, runs=2, seed=0, perception='none',
+    )
+    rows = [rejected_row(options, index, f'scene {index}: beside the runway') for index in (0, 1)]
+    with pytest.raises(UsageError, match='was rejected; the first: scene 0: beside the runway'):
+        exit_code(rows)

@@ -1,0 +1,503 @@
+"""Every construct of Scenic either has its effect on a run, or is refused by name and line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taxinet_ros.campaign.scenes.programs import known_programs, shipped_folder
+
+MODEL = 'model runway_world\n'
+PLANE = MODEL + 'ego = new Plane at (Range(-1, 1), 400)\n'
+AT = MODEL + 'ego = new Plane at (1, 400)'
+
+Ask = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture(scope='module')
+def client(scenic_child: Any) -> Iterator[Any]:
+    """One child for all: importing Scenic takes a second."""
+    with scenic_child() as started:
+        yield started
+
+
+@pytest.fixture
+def ask(client: Any, tmp_path: Path) -> Ask:
+    """What is said of a program: an error or, where it compiles, its scenes."""
+
+    def answer(text: str, *, scenes: int = 1, **files: str) -> dict[str, Any]:
+        for name, other in files.items():
+            (tmp_path / f'{name}.scenic').write_text(other)
+        path = tmp_path / 'mine.scenic'
+        path.write_text(text)
+        said: dict[str, Any] = client.ask(op='compile', program=str(path))
+        drawn = []
+        for index in range(scenes):
+            if 'error' in said:
+                return said
+            said = client.ask(op='scene', index=index)
+            drawn.append(said.get('values'))
+        return {'error': said['error']} if 'error' in said else {'scenes': drawn}
+
+    return answer
+
+
+REFUSED = {
+    'behavior': (MODEL + 'behavior Drive():\n    wait\nego = new Plane at (0, 400)\n', 2,
+                 'behavior has no effect here: the controller under test steers the aircraft'),
+    'with behavior': (MODEL + 'from library import Drive\n' + AT[len(MODEL):]
+                      + ',\n    with behavior Drive()\n', 4,
+                      'behavior has no effect here: the controller'),
+    'behavior of a class': (
+        MODEL + 'from library import Drive\nclass Own(Plane):\n    behavior: Drive()\n'
+        'ego = new Own at (0, 400)\n', 4, 'behavior has no effect here: the controller'),
+    'monitor': (PLANE + 'monitor Watch():\n    wait\n', 3, 'monitor has no effect here: what'),
+    'require monitor': (PLANE + 'from library import Watch\nrequire monitor Watch()\n', 4,
+                        'require monitor has no effect here: what a run has to fulfil is a'),
+    'compose': ('scenario Main():\n    setup:\n        model runway_world\n', 3,
+                'Cannot use "model" inside'),
+    'compose block': (
+        MODEL + 'scenario Main():\n    setup:\n        ego = new Plane at (0, 400)\n'
+        '    compose:\n        wait\n', 6, 'compose has no effect here: each run is one scene'),
+    'precondition': (
+        MODEL + 'scenario Main():\n    precondition: 1 > 2\n    setup:\n'
+        '        ego = new Plane at (0, 400)\n', 3, 'precondition has no effect here: write'),
+    'invariant': (
+        MODEL + 'scenario Main():\n    invariant: 1 > 2\n    setup:\n'
+        '        ego = new Plane at (0, 400)\n', 3, 'invariant has no effect here: what a run'),
+    'compose of a library': (MODEL + 'from library import Main\n', 19,
+                             'compose has no effect here'),
+    'require always': (PLANE + 'require always ego.position.x < 1\n', 3,
+                       'require always has no effect here: a scene says how a run begins'),
+    'require eventually': (PLANE + 'require eventually ego.position.x > 99\n', 3,
+                           'require eventually has no effect'),
+    'require next': (PLANE + 'require next ego.position.x > 99\n', 3, 'require next has no'),
+    'require until': (PLANE + 'require (ego.position.x > 9) until (ego.position.y > 3)\n', 3,
+                      'require until has no effect'),
+    'require not eventually': (PLANE + 'require not (eventually ego.position.x > 9)\n', 3,
+                               'require eventually has no effect'),
+    'record': (PLANE + 'record ego.position\n', 3, 'record has no effect here: the bag'),
+    'record initial': (PLANE + 'record initial ego.position as start\n', 3, 'record initial has'),
+    'record final': (PLANE + 'record final ego.position as end\n', 3, 'record final has no'),
+    'record in a function': (
+        PLANE + 'def keep():\n    record ego.position\nkeep()\n', 4, 'record has no effect'),
+    'record of a library': (PLANE + 'from library import keep\nkeep()\n', 17,
+                            'record has no effect'),
+    'terminate when': (PLANE + 'terminate when ego.position.x > 3\n', 3, 'terminate when has no'),
+    'terminate simulation when': (PLANE + 'terminate simulation when 1 > 0\n', 3,
+                                  'terminate simulation when has no effect here: a run ends'),
+    'terminate after': (PLANE + 'terminate after 5 seconds\n', 3,
+                        'terminate after has no effect here: write "param duration = SECONDS"'),
+    'simulator': (PLANE + 'simulator None\n', 3, 'simulator has no effect here: the graph'),
+    'simulator of a model': (
+        'model scenic.simulators.newtonian.model\nego = new Object at (0, 400)\n', 1,
+        'simulator has no effect here: the graph'),
+    'override': (PLANE + 'override ego with speed 3\n', 3, 'override has no effect here'),
+    'do': (PLANE + 'do Drive()\n', 3, 'Cannot use "Do"'),
+    'take': (PLANE + 'take 3\n', 3, 'Cannot use "Take"'),
+    'wait': (PLANE + 'wait\n', 3, 'Cannot use "Wait"'),
+    'terminate': (PLANE + 'terminate\n', 3, 'Cannot use "Terminate"'),
+    'try interrupt': (PLANE + 'try:\n    wait\ninterrupt when True:\n    wait\n', 3,
+                      'Cannot use'),
+    'second plane': (PLANE + '\nsecond = new Plane at (0, 600)\n', 4, 'a further Plane: there is'),
+    'truck ahead': (
+        PLANE + 'class Truck:\n    width: 3\nnew Truck ahead of ego by Range(5, 50)\n', 5,
+        'a further Truck: there is nothing but the ego on the runway, so it has no effect'),
+    'ego assigned twice': (PLANE + 'ego = new Plane at (0, 600)\n', 2, 'a further Plane'),
+    'object of a library': (PLANE + 'from library import cone\ncone()\n', 14, 'a further Object'),
+    'speed': (AT + ', with speed 5\n', 2, 'speed has no effect here: a run begins at the taxiing'),
+    'random speed': (AT + ',\n    with speed Range(0, 5)\n', 3, 'speed has no effect here'),
+    'speed of a class': (
+        MODEL + 'class Fast(Plane):\n    # quick\n    speed: 9\nego = new Fast at (0, 400)\n', 4,
+        'speed has no effect here'),
+    'velocity': (AT + ', with velocity (0, 5, 0)\n', 2, 'velocity has no effect here'),
+    'angular speed': (AT + ', with angularSpeed 1\n', 2, 'angularSpeed has no effect'),
+    'angular velocity': (AT + ', with angularVelocity (0, 0, 1)\n', 2, 'angularVelocity has no'),
+    'altitude': (MODEL + 'ego = new Plane at (0, 400, 5)\n', 2,
+                 'an altitude of 5 m has no effect here: the aircraft stands on its wheels'),
+    'random altitude': (MODEL + 'ego = new Plane at (0, 400, Range(0, 1))\n', 2,
+                        'a random altitude has no effect here'),
+    'altitude in a box': (MODEL + 'ego = new Plane in BoxRegion(dimensions=(9, 9, 9))\n', 0,
+                          'an altitude of'),
+    'altitude by mutation': (AT + ', with positionStdDev (1, 1, 1)\nmutate ego\n', 0,
+                             'an altitude of'),
+    'pitch': (AT + ', with pitch 5 deg\n', 2, 'pitch has no effect here'),
+    'roll': (AT + ', with roll 5 deg\n', 2, 'roll has no effect here'),
+    'facing with a pitch': (AT + ', facing (3 deg, 4 deg, 0)\n', 2, 'a pitch of 4 deg has no'),
+    'leaning region': (AT + ', facing Orientation.fromEuler(0, 0, 5 deg)\n', 2, 'a roll of 5 deg'),
+    'with cross_track': (AT + ', with cross_track 5\n', 2,
+                         'with cross_track: it follows from where the aircraft stands'),
+    'with distance': (AT + ', with distance Range(0, 5)\n', 2, 'with distance: it follows'),
+    'with heading_deg': (AT + ', with heading_deg 5\n', 2, 'with heading_deg: it follows'),
+    'cross_track of a class': (
+        MODEL + 'class Own(Plane):\n    cross_track: 5\nego = new Own at (0, 400)\n', 2,
+        '"cross_track" property cannot be overridden'),
+    'contradicting model': (
+        'class Jet:\n    cross_track: 5\n    distance: self.position.y\n    heading_deg: 0\n'
+        'ego = new Jet at (0, 400)\n', 0, 'cross_track is 5, but where the aircraft stands it is'),
+    'position twice': (MODEL + 'ego = new Plane at (0, 400), with position (1, 2)\n', 2,
+                       'property "position" specified twice'),
+    'colour': (AT + ', with color (1, 0, 0)\n', 2, 'color has no effect here: the look'),
+    'typo': (AT + ', with yoll 3 deg\n', 2,
+             'with yoll: no property of Plane, so it has no effect; did you mean roll?'),
+    'unknown property': (AT + ', with wind 3\n', 2, 'with wind: no property of Plane'),
+    'width for nothing': (AT + ', with width 11\n', 2, 'width has no effect here: the size of'),
+    'view for nothing': (AT + ', with viewAngle 60 deg\n', 2,
+                         'viewAngle has no effect here: it matters to "visible" and "can see"'),
+    'noise for nothing': (AT + ', with positionStdDev (1, 0, 0)\n', 2,
+                          'positionStdDev has no effect here: it matters with "mutate ego" only'),
+    'mutator for nothing': (
+        MODEL + 'class Own(Plane):\n    headingStdDev: 3\nego = new Own at (0, 400)\n', 3,
+        'headingStdDev has no effect here'),
+    'mutation scale': (AT + ', with mutationScale 2\n', 2, 'mutationScale: has no effect here'),
+    'sensors': (AT + ', with sensors {"a": 1}\n', 2, 'sensors has no effect here'),
+    'mutate of nothing': (MODEL + 'mutate\nego = new Plane at (0, 400)\n', 2,
+                          'mutate has no effect here: there is no object yet'),
+    'unknown param': (PLANE + 'param wind = 3\n', 3, 'param wind: unknown, so it has no effect'),
+    'param with a typo': (PLANE + 'param shadow = False\n', 3,
+                          'param shadow: unknown, so it has no effect; did you mean shadows?'),
+    'param of a sampler with a typo': (PLANE + 'param verifaiSamplerTyp = "ce"\n', 3,
+                                       'param verifaiSamplerTyp: unknown'),
+    'param of a library': (PLANE + 'import library2\n', 1, 'param fog: unknown'),
+    'clouds of X-Plane': (PLANE + 'param clouds = Uniform("clear", 3)\n', 3,
+                          'clouds is 3, not one of clear, cirrus, scattered'),
+    'param twice': (PLANE + 'param rain = 0\nparam clouds = "clear", rain = 5\n', 4,
+                    'param rain is set twice, so line 3 has no effect; leave one out'),
+    'param of libraries': (MODEL + 'param duration = 5\nimport library3\n', 1,
+                           'param duration is set twice, so mine.scenic:2 has no effect'),
+    'param of the plane': (PLANE + 'param heading = 3\n', 3, "parameter 'heading' belongs to the"),
+    'own external sampler': (
+        PLANE + 'from scenic.core.external_params import ExternalSampler\n'
+        'param externalSampler = ExternalSampler\n', 4, 'externalSampler: a sampler of the'),
+    'rejection feedback': (PLANE + 'param externalSamplerRejectionFeedback = 3\n', 3,
+                           'externalSamplerRejectionFeedback has no effect here'),
+    'attack: switch': (PLANE + 'param shadows = Uniform("on", "maybe")\n', 3,
+                       "param shadows needs on or off, got 'maybe'"),
+    'attack: rare word': (PLANE + 'param clouds = Options({"clear": 999, "cloudy": 1})\n', 3,
+                          "param clouds is 'cloudy', not one of"),
+    'attack: aircraft': (PLANE + 'param aircraft = Uniform("default", "jumbo")\n', 3,
+                         'param aircraft'),
+    'attack: word of a pair': (
+        PLANE + 'w = Uniform(("clear", 0), ("brokn", 9))\nparam clouds = w[0]\n', 4,
+        "param clouds is 'brokn'"),
+    'attack: date': (PLANE + 'param date = Uniform("2026-06-01", "June")\n', 3, 'param date'),
+    'attack: DotMap': (PLANE + 'param verifaiSamplerParams = DotMap(alpha=0.9)\n', 3,
+                       "NameError: name 'DotMap' is not defined; a dict does as well"),
+    'attack: deviation': (MODEL + 'ego = new Plane at (Normal(0, -3), 400)\n', 2,
+                          'ValueError: the standard deviation of a Normal is -3; it has to be'),
+    'several scenarios': (
+        MODEL + 'scenario A():\n    setup:\n        ego = new Plane at (0, 4)\nscenario B():\n'
+        '    setup:\n        ego = new Plane at (0, 5)\n', 0,
+        'scenario A, B: call the one to be run Main'),
+}
+"""Program, line and beginning of what is said."""
+
+LIBRARY = """behavior Drive():
+    wait
+
+
+monitor Watch():
+    wait
+
+
+SPEED = 3
+
+
+def cone():
+    # beside the runway
+    new Object at (20, 400)
+
+def keep():
+    record ego.position
+
+scenario Main():
+    compose:
+        wait
+"""
+OTHERS = {'library': LIBRARY, 'library2': 'param fog = 3\n', 'library3': 'param duration = 9\n'}
+
+
+@pytest.mark.parametrize('case', REFUSED)
+def test_s5_what_has_no_effect_is_refused_by_name_and_line(
+    case: str, ask: Ask, tmp_path: Path
+) -> None:
+    text, line, message = REFUSED[case]
+    error = ask(text, **OTHERS)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['line'] == line
+    assert Path(error['file']).parent == tmp_path
+    assert '\n' not in error['message']
+
+
+OTHERS['planes'] = MODEL + 'class Late(Plane):\n    position: (0, 700)\n'
+
+
+def spot(draw: str, before: str = '') -> str:
+    return f'{MODEL}{before}\nego = new Plane at (0, {draw})\nparam rain = 0\n'
+
+
+LATE = {
+    'speed': (PLANE + 'ego.speed = 9\n', 3, 'ego.speed is set when'),
+    'pitch': (PLANE + 'ego.pitch = 0.3\n', 3, 'ego.pitch is set when'),
+    'behavior': (PLANE + 'ego.behavior = 3\n', 3, 'ego.behavior is set when'),
+    'typo': (PLANE + 'ego.distnace = 7\n', 3, 'ego.distnace is set when'),
+    'yaw': (PLANE + 'ego.yaw += 0.3\n', 3, 'ego.yaw is set when'),
+    'position': (PLANE + 'ego.position = (0, 500)\n', 3, 'ego.position is set when'),
+    'part of the position': (PLANE + 'ego.position.x = 3\n', 3, 'ego.position.x is set when'),
+    'heading': (PLANE + 'ego.heading_deg = 3\n', 3, 'ego.heading_deg is set when'),
+    'by another name': (
+        MODEL + 'jet = new Plane at (0, 400)\nego = jet\njet.speed, y = 3, 4\n', 4, 'jet.speed is'),
+    'in a scenario block': (
+        MODEL + 'scenario Main():\n    setup:\n        ego = new Plane at (0, 400)\n'
+        '        ego.yaw = 3\n', 5, 'ego.yaw is set when'),
+    'in a function': (PLANE + 'def turn(thing):\n    thing.yaw = 1\nturn(ego)\n', 2,
+                      'yaw of the Plane is set when'),
+    'by setattr': (PLANE + 'setattr(ego, "yoll", 3)\n', 2, 'yoll of the Plane is set when'),
+}
+
+
+@pytest.mark.parametrize('case', LATE)
+def test_s5_attack_what_is_assigned_to_a_made_object_is_refused(case: str, ask: Ask) -> None:
+    text, line, message = LATE[case]
+    error = ask(text)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['message'].endswith('new Plane at (x, y), facing ANGLE')
+    assert error['line'] == line
+
+
+NP = 'import numpy as np'
+CHANCE = {
+    'uniform': (spot('random.uniform(0, 2000)', 'import random'), 3,
+                'write Range(0, 2000) instead: random.uniform is drawn once for all runs'),
+    'by its name': (spot('gauss(500, 9)', 'from random import gauss'), 3,
+                    'write Normal(500, 9) instead: gauss is drawn once for all runs'),
+    'choice': (spot('random.choice([3, 4])', 'import random'), 3,
+               'write Uniform(*[3, 4]) instead: random.choice is drawn once'),
+    'shuffle': (spot('spots[0]', 'import random\nspots = [3, 4]\nrandom.shuffle(spots)'), 4,
+                'write Range(LOW, HIGH) instead: random.shuffle is drawn once'),
+    'in a function': (spot('draw()', 'import random\ndef draw():\n    return random.random()'), 4,
+                      'write Range(LOW, HIGH) instead: random.random is drawn once'),
+    'seed': (spot('400', 'import random\nrandom.seed(3)'), 3, 'random.seed has no effect here'),
+    'seed of chance': (spot('400', 'import random\nrandom.seed()'), 3, 'random.seed is another'),
+    'unseeded': (spot('random.Random().random()', 'import random'), 3, 'random.Random is another'),
+    'numpy': (spot('x', f'{NP}\nx = np.random.uniform(0, 9)'), 3,
+              'write Range(0, 9) instead: np.random.uniform is drawn once'),
+    'numpy at the end': (spot('400', NP) + 'param duration = 3 + np.random.rand()', 5,
+                         'write Range(LOW, HIGH) instead: np.random.rand is drawn once'),
+    'numpy in a function': (spot('f()', f'{NP}\ndef f():\n    return np.random.rand()'), 4,
+                            'write Range(LOW, HIGH) instead: np.random.rand is drawn'),
+    'numpy seed': (spot('400', f'{NP}\nnp.random.seed(3)'), 3, 'np.random.seed has no effect'),
+    'default_rng': (spot('np.random.default_rng().uniform(0, 9)', NP), 3,
+                    'np.random.default_rng is another one each time the program is compiled'),
+    'time': (spot('time.time() % 2000', 'import time'), 3, 'time.time is another one each time'),
+    'time by its name': (spot('time() % 2000', 'from time import time'), 3, 'time is another'),
+    'now': (spot('datetime.now().second', 'from datetime import datetime'), 3,
+            'datetime.now is another one each time'),
+    'urandom': (spot('os.urandom(1)[0]', 'import os'), 3, 'os.urandom is another one'),
+    'uuid': (spot('uuid.uuid4().int % 9', 'import uuid'), 3, 'uuid.uuid4 is another one'),
+    'secrets': (spot('secrets.randbelow(9)', 'import secrets'), 3, 'secrets.randbelow is another'),
+    'a clock for each scene': (
+        'from scenic.core.distributions import distributionFunction\nimport time\n'
+        '@distributionFunction\ndef half(x):\n    return time.time()\n' + MODEL
+        + 'ego = new Plane at (half(Range(1, 2)), 400)\n', 5, 'time.time is another one each'),
+    'library': (spot('400', 'import library4'), 2, 'write Range(LOW, HIGH) instead: random.random'),
+}
+OTHERS['library4'] = 'import random\nX = random.random()\n'
+
+
+@pytest.mark.parametrize('case', CHANCE)
+def test_s5_attack_chance_outside_scenic_is_refused_by_line(
+    case: str, ask: Ask, tmp_path: Path
+) -> None:
+    text, line, message = CHANCE[case]
+    error = ask(text, **OTHERS)['error']
+    print(error)
+    assert error['message'].startswith(message)
+    assert error['line'] == line
+    assert Path(error['file']).parent == tmp_path
+
+
+@pytest.mark.parametrize('module', ['random', 'numpy.random'])
+def test_s5_attack_chance_in_a_python_module_is_refused(
+    module: str, ask: Ask, tmp_path: Path
+) -> None:
+    name = f'chance_of_{module[:5]}'
+    (tmp_path / f'{name}.py').write_text(f'import {module}\nX = {module}.uniform(0, 9)\n')
+    error = ask(spot(f'{name}.X', f'import {name}'))['error']
+    assert 'is drawn once for all runs' in error['message']
+
+
+WORKS = {
+    'plain': (PLANE, {'distance': 400}),
+    'place as a vector': (MODEL + 'ego = new Plane at 3 @ 400, facing 9 deg\n',
+                          {'cross_track': -3, 'distance': 400, 'heading': 9}),
+    'place as a property': (MODEL + 'ego = new Plane with position (3, 400), with yaw 9 deg\n',
+                            {'cross_track': -3, 'distance': 400, 'heading': 9}),
+    'level': (MODEL + 'ego = new Plane at (0, 400, 0), facing (9 deg, 0, 0)\n',
+              {'heading': 9}),
+    'neutral words': (AT + ', with speed 0, with velocity (0, 0, 0), with pitch 0,'
+                      ' with behavior None,'
+                      ' with color None\n', {'distance': 400}),
+    'words that are kept': (
+        AT + ', with name "c", with allowCollisions True, with occluding False\n',
+        {'distance': 400}),
+    'parent orientation': (AT + ', with parentOrientation 9 deg, with yaw 1 deg\n',
+                           {'heading': 10}),
+    'facing toward': (MODEL + 'ego = new Plane at (0, 400), facing toward (0, 900)\n',
+                      {'heading': 0}),
+    'offset by': (MODEL + 'spot = new OrientedPoint at (1, 300), facing 90 deg\n'
+                  'ego = new Plane ahead of spot by 3, facing 0 deg\n', {'distance': 300}),
+    'beyond': (MODEL + 'spot = new Point at (0, 300)\n'
+               'ego = new Plane beyond spot by 50 from (0, 0)\n', {'distance': 350}),
+    'left of with a width': (MODEL + 'spot = new OrientedPoint at (0, 300)\n'
+                             'ego = new Plane left of spot by 1, with width 4\n',
+                             {'cross_track': 3}),
+    'in a region': (MODEL + 'ego = new Plane in RectangularRegion((0, 500), 0, 1e-9, 1e-9)\n',
+                    {'distance': 500}),
+    'on a region': (MODEL + 'ego = new Plane on RectangularRegion((0, 500), 0, 1e-9, 1e-9)\n',
+                    {'distance': 500}),
+    'contained in': (MODEL + 'ego = new Plane contained in RectangularRegion((0, 500), 0, 8, 8),'
+                     ' with width 2, with length 3\n', {}),
+    'region contained in': (
+        MODEL + 'ego = new Plane at (Range(-9, 9), 400),\n'
+        '    with regionContainedIn RectangularRegion((0, 400), 0, 2, 2)\n', {}),
+    'vector field': (
+        MODEL + 'field = VectorField("turned", lambda spot: 9 deg)\n'
+        'ego = new Plane at (0, 400), facing field\n', {'heading': 9}),
+    'following': (
+        MODEL + 'field = VectorField("north", lambda spot: 0)\n'
+        'ego = new Plane following field from (0, 300) for 50\n', {'distance': 350}),
+    'visible': (
+        MODEL + 'eye = new OrientedPoint at (0, 400), with visibleDistance 20\n'
+        'ego = new Plane at (Range(-9, 9), 400), with viewAngle 60 deg\n'
+        'require eye can see ego\n', {}),
+    'mutation scale of a random place': (
+        MODEL + 'ego = new Plane at (Range(-1, 1), 400), with mutationScale Range(1, 2)\n', {}),
+    'property that is read': (AT + ', with limit 3\nrequire ego.position.x < ego.limit\n', {}),
+    'class': (MODEL + 'class Late(Plane):\n    delay: 3\n    position: (0, 400 + self.delay)\n'
+              'ego = new Late with delay 5\n', {'distance': 405}),
+    'class with words that are kept': (
+        MODEL + 'class Own(Plane):\n    allowCollisions: False\n    speed: 0\n'
+        'ego = new Own at (0, 400)\n', {}),
+    'class of a library': (MODEL + 'from planes import Late\nego = new Late\n',
+                           {'distance': 700}),
+    'unused library': (MODEL + 'from library import SPEED\n'
+                       'ego = new Plane at (SPEED, 400)\n', {'cross_track': -3}),
+    'own model': (
+        'class Jet:\n    cross_track: 0 - self.position.x\n    distance: self.position.y\n'
+        '    heading_deg: self.heading * 57.29577951308232\n'
+        'ego = new Jet at (3, 400), facing Range(-3, 3) deg\n', {'cross_track': -3}),
+    'function and loop': (
+        MODEL + 'def middle(a, b):\n    return (a + b) / 2\ntotal = 0\nfor i in range(3):\n'
+        '    total += i\nego = new Plane at (middle(1, 3), 400 + total)\n',
+        {'cross_track': -2, 'distance': 403}),
+    'if': (MODEL + 'if 1 > 2:\n    param rain = 1\nelse:\n    param duration = 9\n'
+           'ego = new Plane at (0, 400)\n', {'duration': 9}),
+    'requirements': (PLANE + 'require ego.cross_track > 0\nrequire[0.5] ego.position.x < 9\n'
+                     'require ego.position.x < 1 implies ego.distance > 3\n', {}),
+    'initial scenario': (PLANE + 'require ego.distance > 3 if initial scenario else True\n', {}),
+    'options and resample': (
+        MODEL + 'x = Range(0, 1)\ny = resample(x)\n'
+        'param duration = Options({3: 1, 3.0: 2})\nego = new Plane at (x - y, 400)\n',
+        {'duration': 3}),
+    'param of a library anew': (MODEL + 'import library3\nparam duration = 5\n'
+                                'ego = new Plane at (0, 400)\n', {'duration': 5}),
+    'param read': (MODEL + 'param duration = 5\n'
+                   'ego = new Plane at (0, 400 + globalParameters.duration)\n',
+                   {'distance': 405}),
+    'scenario block': (
+        MODEL + 'scenario Main():\n    setup:\n        param duration = 5\n'
+        '        ego = new Plane at (0, 400)\n        require ego.distance > 3\n',
+        {'distance': 400, 'duration': 5}),
+    'one scenario of several': (
+        MODEL + 'scenario Other():\n    setup:\n        ego = new Plane at (0, 9)\n'
+        'scenario Main():\n    setup:\n        ego = new Plane at (0, 400)\n',
+        {'distance': 400}),
+    'workspace that holds it': (
+        'model runway_world\nworkspace = Workspace(RectangularRegion((0, 400), 0, 4, 4))\n'
+        'ego = new Plane at (Range(-9, 9), 400), with width 2\n', {}),
+    'workspace as a region': (
+        'model runway_world\nworkspace = Workspace(RectangularRegion((0, 400), 0, 4, 4))\n'
+        'ego = new Plane in workspace\n', {}),
+    'unused class and point': (PLANE + 'class Cone:\n    height: 1\nnew Point at (0, 3)\n', {}),
+    'python': ('import math\nfrom scenic.core.distributions import distributionFunction\n'
+               '@distributionFunction\ndef half(x):\n    return x / 2\n' + MODEL
+               + 'ego = new Plane at (half(Range(4, 4)), 400 * math.cos(0))\n',
+               {'cross_track': -2}),
+    'verifai words': (
+        MODEL + 'from dotmap import DotMap\nparam verifaiSamplerType = "ce"\n'
+        'param verifaiSamplerParams = DotMap(alpha=0.9)\n'
+        'ego = new Plane at (VerifaiRange(-1, 1), VerifaiOptions([400, 400]))\n',
+        {'distance': 400}),
+    'chance with a seed of its own': (
+        MODEL + 'import random\nimport numpy as np\nimport logging\nlogging.warning("now")\n'
+        'y = random.Random(3).uniform(0, 9) + np.random.default_rng(3).uniform(0, 9)\n'
+        'ego = new Plane at (0, y)\n', {}),
+    'chance for each scene': (
+        'import random\nfrom scenic.core.distributions import distributionFunction\n'
+        '@distributionFunction\ndef noise(x):\n    return x + random.random()\n' + MODEL
+        + 'ego = new Plane at (noise(Range(1, 2)), 400)\n', {}),
+    'mesh': (MODEL + 'box = MeshVolumeRegion(BoxShape().mesh, position=(0, 400, 0), '
+             'dimensions=(9, 9, 9))\nego = new Plane at (0, 400)\nrequire ego.position in box\n',
+             {}),
+    'text and tools': (PLANE + '"""What it is for."""\nverbosePrint("hello")\n'
+                       'assert localPath("x")\n', {}),
+}
+"""Program, and some values of each of its scenes."""
+
+
+@pytest.mark.parametrize('case', WORKS)
+def test_s5_what_has_an_effect_is_not_refused(case: str, ask: Ask) -> None:
+    text, expected = WORKS[case]
+    said = ask(text, scenes=2, **OTHERS)
+    print(said)
+    assert len(said['scenes']) == 2
+    for values in said['scenes']:
+        assert {key: values[key] for key in expected} == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize('program', known_programs())
+def test_s5_every_shipped_program_is_accepted(program: str, client: Any) -> None:
+    path = shipped_folder() / f'{program}.scenic'
+    assert client.ask(op='compile', program=str(path)) == {}
+    assert client.ask(op='asked') == {'notes': [], 'sampler': {
+        'kind': None, 'params': {}, 'places': {}
+    }}
+
+
+def test_s5_a_workspace_holds_the_plane(ask: Ask) -> None:
+    said = ask(*WORKS['workspace that holds it'][:1], scenes=60)
+    places = [values['cross_track'] for values in said['scenes']]
+    assert len(places) == 60
+    assert max(abs(place) for place in places) <= 1.0, 'a plane of 2 m within 4 m'
+
+
+def test_s2_mutate_moves_the_scene(ask: Ask) -> None:
+    scenes = ask(AT + ', facing 3 deg\nmutate ego by 2\n', scenes=400)['scenes']
+    assert len(scenes) == 400
+    for key, mean, deviation in (('cross_track', -1, 2), ('distance', 400, 2), ('heading', 3, 10)):
+        values = np.array([values[key] for values in scenes])
+        assert np.mean(values) == pytest.approx(mean, abs=5 * deviation / 20), key
+        assert np.std(values) == pytest.approx(deviation, rel=5 / np.sqrt(2 * 400)), key
+
+
+def test_s2_requirements_see_the_plane_where_mutation_put_it(ask: Ask) -> None:
+    scenes = ask(AT + '\nmutate ego by 2\nrequire ego.cross_track > 1\n', scenes=40)['scenes']
+    assert len(scenes) == 40
+    assert all(values['cross_track'] > 1 for values in scenes)
+
+
+def test_s2_a_mutator_of_the_program_moves_the_scene(ask: Ask) -> None:
+    text = MODEL + (
+        'class Left(Mutator):\n    def appliedTo(self, obj):\n'
+        '        obj.position += Vector(-2, 5, 0)\n        return obj, False\n'
+        'ego = new Plane at (0, 400), with mutator (Left(),)\nmutate\n'
+    )
+    (values,) = ask(text)['scenes']
+    assert (values['cross_track'], values['distance']) == (2, 405)

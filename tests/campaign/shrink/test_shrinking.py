@@ -1,0 +1,362 @@
+"""Shrinking a failed run on disk: what is asked, kept, refused and resumed; runs by a formula."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from taxinet_ros.campaign.past_runs.judged_run import find_run
+from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
+from taxinet_ros.campaign.scenes.programs import scenario_program
+from taxinet_ros.campaign.scenes.source import sample_scenarios
+from taxinet_ros.campaign.shrink.algorithm import End
+from taxinet_ros.campaign.shrink.options import (
+    ShrinkOptions,
+    make_shrink_options,
+    make_shrink_space,
+)
+from taxinet_ros.campaign.shrink.shrinking import (
+    Report,
+    Shrinking,
+    finding_lines,
+    make_report,
+    parameter_table,
+    result_lines,
+    run_command,
+)
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.run_statistics import RunStatistics
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.errors import UsageError
+
+NAME = 'phi_eventually'
+WET = Scenario(
+    cross_track_m=3.0123456789012345, distance_m=420.0, heading_rad=0.2, clouds='stratus',
+    rain=0.8, time_of_day_s=15.5 * 3600, duration_s=1.0,
+)
+
+Judge = Callable[[RunRequest], RunResult]
+
+
+def judged(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
+    """What a run gives: a failure in more than 30.5 % of rain on the first 705 m."""
+    scenario = request.scenario
+    rho = max(0.305 - scenario.rain, (scenario.distance_m - 705) / 1000)
+    outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
+    return RunResult(
+        outcome=outcome, last_seq=10, rho={NAME: rho} if outcome.judged else {},
+        kind='' if outcome.judged else 'test', who='' if outcome.judged else 'simulator',
+        statistics=RunStatistics(max_cross_track_m=2.0) if outcome.judged else None,
+    )
+
+
+def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
+    """A campaign with one run and no bag; the path of the run."""
+    folder.mkdir()
+    request = RunRequest(run_id='p-s7-00000', index=0, program='p', seed=7, scenario=scenario,
+                         specs=(NAME,), participants=())
+    result = judged(request, changes.pop('outcome', None))
+    row = RunRow.of_run(request, result, perception='truth', sim_s=1.0).to_json()
+    with Ledger(folder / LEDGER_NAME) as ledger:
+        ledger.campaign({'specs': {NAME: 'eventually[0:10](always(abs(cte) <= 1.5))'},
+                         'gains': {'heading_gain': 1.5}})
+        ledger.result(RunRow.from_json({**row, **changes}))
+    return folder / request.run_id
+
+
+def options(path: Path, out: Path, **changes: Any) -> ShrinkOptions:
+    return make_shrink_options(path, **{
+        'perception': None, 'specs': (), 'nominal': (), 'runs': 100, 'workers': 1, 'out': out,
+        'resume': False, 'images': 'none', **changes,
+    })
+
+
+def drive(chosen: ShrinkOptions, judge: Judge = judged, most: int = 1000) -> Shrinking:
+    """Run it as so many workers would, the newest run ending first; interrupt it after ``most``."""
+    with Shrinking(chosen, ('perception',)) as shrinking:
+        under_way: list[RunRequest] = []
+        while True:
+            if most <= 0:
+                shrinking.interrupt()
+            while len(under_way) < chosen.workers and (request := shrinking.next()) is not None:
+                (chosen.campaign.out / request.run_id).mkdir()
+                under_way.append(request)
+            if not under_way:
+                return shrinking
+            request, most = under_way.pop(), most - 1
+            result = judge(request) if most >= 0 else judged(request, Outcome.INTERRUPTED)
+            shrinking.take(request, result)
+
+
+def shrunk(shrinking: Shrinking) -> dict[str, Any]:
+    return {one.key: one.shrunk for one in make_report(shrinking).findings}
+
+
+NEAREST = {
+    'cross_track': 0.0, 'heading': 0.0, 'clouds': 'broken', 'rain': 31.0, 'time_of_day': 10.0,
+    'distance': 700.0,
+}
+
+
+@pytest.mark.parametrize('workers', [1, 2, 8])
+def test_given_a_failed_run_then_what_matters_is_found_and_every_run_is_on_record(
+    tmp_path, workers
+):
+    out = tmp_path / 'out'
+    shrinking = drive(options(campaign(tmp_path / 'c'), out, workers=workers))
+    found = make_report(shrinking)
+    assert shrunk(shrinking) == NEAREST
+    assert found.state.end is End.MINIMAL
+    matters = {one.key: (one.passes_at, one.matters) for one in found.findings}
+    assert matters == {
+        'cross_track': (None, False), 'heading': (None, False), 'time_of_day': (None, False),
+        'clouds': ('scattered', True), 'rain': (30.0, True), 'distance': (710.0, True),
+    }
+    assert all(one.rho_passes_at > 0 and one.rho_in_shrunk > 0
+               for one in found.findings if one.matters)
+    assert all(one.rho_in_original is not None for one in found.findings)
+    table = read_table(out)
+    assert len(table) == len(shrinking.rows) >= found.state.asked
+    assert set(table['sampler']) == {'shrink'}
+    assert table['distance_m'].between(420, 1000).all()
+    events = [json.loads(line) for line in (out / LEDGER_NAME).read_text().splitlines()]
+    assert [event['event'] for event in events[:2]] == ['campaign', 'intent']
+    facts = json.loads((out / 'campaign.json').read_text())
+    assert facts['shrinks'] == 'p-s7-00000'
+    assert facts['gains'] == {'heading_gain': 1.5}
+
+
+def test_given_an_interrupt_when_resumed_then_nothing_is_run_twice_and_the_result_is_the_same(
+    tmp_path
+):
+    path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
+    whole = drive(options(path, tmp_path / 'whole'))
+    begun = drive(options(path, out, workers=2), most=6)
+    assert make_report(begun).state.end is End.NOT_YET
+    assert begun.interrupted
+    rows = read_ledger(out / LEDGER_NAME).rows
+    assert sum(row.outcome is Outcome.INTERRUPTED for row in rows) == 1
+    done = drive(options(path, out, resume=True))
+    assert shrunk(done) == shrunk(whole) == NEAREST
+    assert make_report(done).state == make_report(whole).state
+    scenes = [json.dumps(row.to_json(), default=str) for row in done.rows]
+    assert len(scenes) == len(set(scenes))
+    judged_rows = [row for row in read_ledger(out / LEDGER_NAME).rows if row.outcome.judged]
+    assert len(judged_rows) <= len(whole.rows) + 2, 'at most those that were run on a guess'
+
+
+def test_given_few_runs_then_more_may_be_asked_for_on_resumption(tmp_path):
+    path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
+    few = drive(options(path, out, runs=9))
+    assert make_report(few).state.end is End.SPENT
+    assert len(few.rows) == 9
+    assert '--runs are spent' in result_lines(make_report(few), few.options, 9, 1.0)[0]
+    assert shrunk(drive(options(path, out, runs=200, resume=True))) == NEAREST
+
+
+def test_given_a_run_that_breaks_once_then_it_is_retried_and_if_twice_the_bench_is_broken(
+    tmp_path
+):
+    broken: list[str] = []
+
+    def once(request: RunRequest) -> RunResult:
+        if request.index == 3 and not broken:
+            broken.append(request.run_id)
+            return judged(request, Outcome.INFRA_ERROR)
+        return judged(request)
+
+    path = campaign(tmp_path / 'c')
+    shrinking = drive(options(path, tmp_path / 'once'), once)
+    assert shrunk(shrinking) == NEAREST
+    assert [row.retries for row in shrinking.rows if row.retries] == [1]
+    assert (tmp_path / 'once' / f'{broken[0]}.broken-1').is_dir()
+
+    def never(request: RunRequest) -> RunResult:
+        return judged(request, Outcome.INFRA_ERROR if request.index == 3 else None)
+
+    shrinking = drive(options(path, tmp_path / 'never'), never)
+    assert shrinking.broken is not None
+    assert (shrinking.broken.index, shrinking.broken.retries) == (3, 1)
+    assert len(shrinking.rows) == 3
+    assert shrunk(drive(options(path, tmp_path / 'never', resume=True))) == NEAREST
+
+
+def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_undisturbed_one(
+    tmp_path
+):
+    path, but = campaign(tmp_path / 'c'), [*WALL_CLOCK_COLUMNS, 'retries']
+    drive(options(path, tmp_path / 'whole'))
+    whole = read_table(tmp_path / 'whole')
+    for at in (0, 3, len(whole) - 1):
+        out = tmp_path / f'at-{at}'
+
+        def broken(request: RunRequest, at=at) -> RunResult:
+            return judged(request, Outcome.INFRA_ERROR if request.index == at else None)
+
+        for sitting in range(2):
+            assert drive(options(path, out, resume=sitting > 0), broken).broken is not None
+        drive(options(path, out, resume=True), most=2)
+        assert shrunk(drive(options(path, out, resume=True))) == NEAREST
+        table = read_table(out)
+        pd.testing.assert_frame_equal(table.drop(columns=but), whole.drop(columns=but))
+        assert dict(table['retries'].value_counts()) == {0: len(whole) - 1, 4: 1}
+
+
+def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
+    shrinking = drive(
+        options(campaign(tmp_path / 'c'), tmp_path / 'out'),
+        lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
+            outcome=Outcome.PASS, rho={NAME: 0.5}, last_seq=10,
+            statistics=RunStatistics(max_cross_track_m=1.0),
+        ),
+    )
+    assert make_report(shrinking).state.end is End.NOT_REPRODUCED
+    assert len(shrinking.rows) == 2
+
+
+def screen(found: Report) -> list[str]:
+    console = Console(width=80, record=True, highlight=False, file=io.StringIO())
+    console.print(parameter_table(found))
+    return [line.rstrip() for line in console.export_text().splitlines()]
+
+
+def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
+    scenario = scenario_from_human({
+        **WET.to_human(), 'heading': -30.0, 'cross_track': -12.3, 'distance': 420.0,
+    })
+    shrinking = drive(options(campaign(tmp_path / 'c', scenario), tmp_path / 'out'))
+    found = make_report(shrinking)
+    lines = screen(found)
+    assert lines[1].split() == [
+        'parameter', 'original', 'nominal', 'shrunk', 'original', 'shrunk', 'verdict']
+    assert lines[2].split()[:5] == ['cross_track', '-12.3', 'm', '0.0', 'm']
+    assert lines[6].split() == [
+        'clouds', 'stratus', 'clear', 'broken', '+0.30', '+0.30', 'matters']
+    assert len(lines) == 8
+    assert 'rain: 31 % fails, 30 % passes (rho +0.01)' in finding_lines(found)
+    assert '(a clear sky is dry too)' in finding_lines(found)[0]
+    assert run_command(shrinking.options, 'a b.scenic') == (
+        "taxinet run 'a b.scenic' --perception truth --set steering.heading_gain=1.5")
+
+
+def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
+    def either(request: RunRequest) -> RunResult:
+        scenario = request.scenario
+        rho = min(0.305 - scenario.rain, 1.0 if scenario.distance_m > 705 else -0.1)
+        return RunResult(
+            outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={NAME: rho}, last_seq=10,
+            statistics=RunStatistics(max_cross_track_m=1.0),
+        )
+
+    shrinking = drive(options(campaign(tmp_path / 'c'), tmp_path / 'out'), either)
+    matter = [one.key for one in make_report(shrinking).findings if one.matters]
+    assert matter == ['clouds', 'rain']
+    lines = finding_lines(make_report(shrinking))
+    assert 'rain: the original fails without it too, so it has another cause' in lines
+
+
+MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
+    'workers': ({'workers': 9}, '--workers 9: needs to be within 1..8'),
+    'runs': ({'runs': 1}, '--runs 1: needs to be 2 or more'),
+    'unknown key': ({'nominal': ['duration=3']}, '--nominal duration: unknown; known: cross_track'),
+    'no key': ({'nominal': ['rain']}, "--nominal 'rain': expected key=value"),
+    'impossible': ({'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
+    'perception': ({'perception': 'nobody'}, "perception: 'nobody' is unknown"),
+    'images': ({'images': 'few'}, '--images few: unknown'),
+    'resume': ({'resume': True, 'out': None}, '--resume: say with --out'),
+}
+
+
+@pytest.mark.parametrize('case', MISTAKES)
+def test_given_a_mistake_then_one_line_says_so(tmp_path, case):
+    changes, expected = MISTAKES[case]
+    out = changes.pop('out', tmp_path / 'out')
+    with pytest.raises(UsageError) as caught:
+        options(campaign(tmp_path / 'c'), out, **changes)
+    assert expected in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+RUNS: dict[str, tuple[dict[str, Any], str]] = {
+    'passed': ({'scenario': Scenario()}, 'satisfied phi_eventually with rho +0.30'),
+    'broken': ({'outcome': Outcome.INFRA_ERROR}, 'INFRA_ERROR, so it was never judged'),
+    'rejected': ({'outcome': Outcome.REJECTED, 'distance': None}, 'no scene was drawn'),
+    'other weights': ({'perception_fingerprint': 'ab' * 32},
+                      'truth is without weights now, it was abababababab; --perception truth'),
+    'lost file': ({'perception': 'gone.onnx'}, 'say with --perception where it is'),
+}
+
+
+@pytest.mark.parametrize('case', RUNS)
+def test_given_a_run_that_cannot_be_shrunk_then_one_line_says_why(tmp_path, case):
+    changes, expected = RUNS[case]
+    path = campaign(tmp_path / 'c', **changes)
+    with pytest.raises(UsageError) as caught:
+        options(path, tmp_path / 'out')
+    assert expected in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_given_no_run_or_a_whole_campaign_then_one_line_says_what_to_name(tmp_path):
+    path = campaign(tmp_path / 'c')
+    with pytest.raises(UsageError, match='no such run; name it <campaign>/<run>'):
+        find_run(path.with_name('p-s7-00001'))
+    with pytest.raises(UsageError, match=r'1 failed runs, as in .*c/p-s7-00000$'):
+        find_run(path.parent)
+    with pytest.raises(UsageError, match='no such run'):
+        find_run(tmp_path / 'nowhere' / 'x')
+
+
+def test_given_a_run_on_a_nominal_scenario_then_there_is_nothing_to_shrink(tmp_path):
+    nominal = make_shrink_space(WET).nominal
+    with pytest.raises(UsageError, match='the run is nominal already'):
+        make_shrink_space(nominal)
+    assert [one.key for one in make_shrink_space(nominal, ['shadows=off']).moving] == ['shadows']
+
+
+def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_path):
+    path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
+    drive(options(path, out))
+    with pytest.raises(UsageError, match='has another nominal'):
+        drive(options(path, out, resume=True, nominal=['time_of_day=11']))
+    with pytest.raises(UsageError, match='exists already'):
+        options(path, out)
+
+
+def test_given_a_space_then_its_ends_are_exact_and_its_steps_are_what_people_would_type():
+    space = make_shrink_space(WET)
+    top = tuple(one.axis.steps for one in space.moving)
+    assert space.scenario(top) == WET, 'to the last bit'
+    assert space.scenario((0,) * len(top)) == space.nominal
+    hours = next(one.values for one in space.parameters if one.key == 'time_of_day')
+    assert hours[:3] == (10.0, 10.05, 10.1)
+    assert hours[-2:] == (15.45, 15.5)
+    clouds = next(one.values for one in space.parameters if one.key == 'clouds')
+    assert clouds == ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
+    beyond = make_shrink_space(Scenario(distance_m=1500.0, clouds='cirrus'))
+    assert beyond.nominal.distance_m == 1800.0
+    assert make_shrink_space(Scenario(clouds='clear'), ['clouds=broken', 'rain=30']).moving[
+        -2
+    ].values == ('broken', 'scattered', 'cirrus', 'clear')
+
+
+def test_given_a_scenario_when_written_as_a_program_then_that_draws_it(tmp_path):
+    path = tmp_path / 'shrunk.scenic'
+    text = scenario_program(WET, 'From "a" \\ b.', {'rain': 'matters', 'heading': 'matters'})
+    path.write_text(text)
+    assert '# heading matters' in text
+    (drawn,) = sample_scenarios(path, seed=3, n=1)
+    for key, value in WET.to_human().items():
+        assert drawn.to_human()[key] == value
+    assert drawn.cross_track_m == WET.cross_track_m
+    assert drawn.heading_rad == pytest.approx(WET.heading_rad, abs=1e-15)

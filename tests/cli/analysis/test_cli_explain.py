@@ -1,0 +1,181 @@
+"""``taxinet explain`` on runs of the real graph, from bag to page."""
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from taxinet_ros.analysis.explain import track as explain_track
+from taxinet_ros.analysis.report import pictures as picture_files
+from taxinet_ros.bag.rewrite.frames import restore_frames
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.outcome import RunRequest
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.world import World
+
+pytestmark = pytest.mark.ros
+
+SCENE = Scenario(
+    clouds='stratus', rain=0.9, heading_rad=0.4, cross_track_m=2.0, distance_m=900.0,
+    duration_s=2.0,
+)
+SEQS = 21
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Drawing takes by far the longest; here only that it is done matters."""
+    monkeypatch.setattr(picture_files, 'DOTS_PER_INCH', 30)
+
+
+def recorded(perception, fingerprint):
+    request = RunRequest(
+        run_id=perception, index=0, program='p', seed=0, scenario=SCENE, specs=('phi_eventually',),
+        participants=('perception', 'steering_controller', 'mtl_monitor', 'recorder'),
+    )
+    return RecordedRun(request=request, perception=perception, fingerprint=fingerprint, gains={})
+
+
+@pytest.fixture(scope='module')
+def bags(tmp_path_factory):
+    """Two seconds in the rain with the old network and with the truth, without frames."""
+    from taxinet_ros.nodes.graph.replay import rerun
+
+    out = tmp_path_factory.mktemp('bags')
+    fingerprint = make_perception('original').fingerprint
+    rerun(
+        [
+            (recorded('original', fingerprint), 'original', 'steering'),
+            (recorded('truth', ''), 'truth', 'steering'),
+        ],
+        out, images='none',
+    )
+    return out
+
+
+@pytest.fixture(scope='module')
+def dataset(tmp_path_factory):
+    """Six photographs at noon, with labels."""
+    folder = tmp_path_factory.mktemp('data')
+    lines = ['image,cte_m,heading_error_deg']
+    for number in range(6):
+        scene = Scenario(cross_track_m=number - 3.0, distance_m=500.0 + number)
+        image = World(scene).observe().image
+        assert cv2.imwrite(str(folder / f'{number}.png'), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+        lines.append(f'{number}.png,{number - 3.0},0')
+    (folder / 'labels.csv').write_text('\n'.join(lines) + '\n')
+    return folder
+
+
+def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_page(
+    bags, dataset, taxinet, tmp_path
+):
+    code, out, err = taxinet(
+        'explain', bags / 'original', '--dataset', dataset, '--frames', 1, '--out', 'x')
+    assert (code, err) == (0, '')
+    assert 'All estimates came out as recorded, to the bit.' in out
+    assert 'out of distribution' in out
+    assert out.rstrip().endswith('page: x/explain.html')
+    found = json.loads((tmp_path / 'x' / 'explain.json').read_text())
+    assert found['recomputed'] == {'cte_m': 0.0, 'he_rad': 0.0, 'equal': True}
+    (moment,) = found['moments']
+    trace = read_trace(bags / 'original')
+    assert len(trace['seq']) == SEQS
+    gain = SteeringGains().cte_gain_rad_per_m
+    misled = trace['est_he_rad'] - trace['he_rad'] + gain * (trace['est_cte_m'] - trace['cte_m'])
+    row = int(np.abs(misled).argmax())
+    assert moment['seq'] == row
+    assert moment['misled_rad'] == pytest.approx(misled[row])
+    assert moment['estimate']['cte_m'] == trace['est_cte_m'][row]
+    assert moment['truth']['he_rad'] == trace['he_rad'][row]
+    assert moment['nearest']['out_of_distribution']
+    assert len(moment['nearest']['by_picture']) == 3
+    assert [factor['name'] for factor in found['factors']] == [
+        'shadow', 'crossing', 'rain', 'overcast', 'clear', 'ten', 'easy']
+    # It rains so hard that the network is blind; in fair weather it sees.
+    assert found['blamed'] in ('rain', 'overcast', 'clear')
+    names = {path.name for path in (tmp_path / 'x').iterdir()}
+    assert {'explain.html', 'explain.json', 'explain-errors.png', 'explain-factors.png',
+            f'explain-scenes-{row:04d}.png', f'explain-patches-{row:04d}.png',
+            f'explain-nearest-{row:04d}.png'} <= names
+    assert 'The nearest training images' in (tmp_path / 'x' / 'explain.html').read_text()
+
+
+def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags, taxinet):
+    code, out, _ = taxinet(
+        'explain', bags / 'truth', '--perception', 'original', '--frames', 1, '--out', 'x',
+        '--json')
+    found = json.loads(out)
+    assert code == 0
+    assert (found['perception'], found['recorded_perception']) == ('original', 'truth')
+    assert 'The network in question did not drive this run: truth did.' in found['sentences']
+    assert found['recomputed']['equal'] is False
+    assert len(found['moments']) == 1
+
+
+def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_one_line(
+    bags, taxinet, monkeypatch, tmp_path
+):
+    assert list(restore_frames(bags / 'original', tmp_path / 'original'))
+
+    def elsewhere(path, wanted):
+        raise WorldDiffers(f'{path}: step 0: x of the aircraft is another', path=path)
+        yield
+
+    monkeypatch.setattr(explain_track, 'observations', elsewhere)
+    code, out, err = taxinet('explain', bags / 'original', '--out', 'x')
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert 'were not recorded and cannot be rendered as they were' in err
+    assert not (tmp_path / 'x').exists()
+    code, out, err = taxinet(
+        'explain', tmp_path / 'original', '--frames', 1, '--out', 'y', '--json')
+    assert (code, err) == (0, '')
+    found = json.loads(out)
+    assert found['recomputed']['equal'] is True
+    assert (found['factors'], found['blamed'], len(found['moments'])) == ([], None, 1)
+    assert 'x of the aircraft is another' in found['sentences'][0]
+    assert found['moments'][0]['region']['share'] > 0
+
+
+@pytest.mark.parametrize(('words', 'complaint'), [
+    ((), 'the truth took part, and no network; name one with --perception'),
+    (('--perception', 'truth'), 'looks at no picture; name a network'),
+    (('--perception', 'taxinett'), "perception: 'taxinett' is unknown"),
+    (('--perception', 'taxinet', '--dataset', 'nowhere'), 'nowhere: no such folder'),
+    (('--perception', 'taxinet', '--frames', '0'), 'frames'),
+])
+def test_given_what_cannot_be_done_then_one_line(bags, taxinet, words, complaint, tmp_path):
+    code, out, err = taxinet('explain', bags / 'truth', *words)
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert complaint in err
+    assert not (tmp_path / 'bags').exists()
+
+
+def test_given_a_full_folder_or_no_bag_then_one_line(bags, taxinet, tmp_path):
+    (tmp_path / 'full').mkdir()
+    (tmp_path / 'full' / 'mine').touch()
+    code, _, err = taxinet('explain', bags / 'original', '--out', 'full')
+    assert (code, err.count('\n')) == (2, 1)
+    assert 'name a new folder' in err
+    code, _, err = taxinet('explain', 'nothing')
+    assert (code, err.count('\n')) == (2, 1)
+
+
+def test_given_a_run_of_another_network_of_that_name_then_it_is_refused(
+    bags, taxinet, monkeypatch
+):
+    from taxinet_ros.cli.analysis import explain as command
+
+    was = command.read_run
+    monkeypatch.setattr(
+        command, 'read_run', lambda path: dataclasses.replace(was(path), fingerprint='f' * 64))
+    code, _, err = taxinet('explain', bags / 'original')
+    assert (code, err.count('\n')) == (2, 1)
+    assert 'sha256 ffffffffffff…' in err
+    assert 'name the file, or another network, with --perception' in err

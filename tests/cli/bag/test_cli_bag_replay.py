@@ -1,0 +1,170 @@
+"""``taxinet bag render``, ``replay``, ``compare``, ``golden`` and ``taxinet run --from``."""
+
+import csv
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.rewrite.frames import IMAGE
+
+GOLDEN = Path(__file__).parents[3] / 'bags' / 'golden'
+TRUTH = GOLDEN / 'truth-nominal'
+EARLY = GOLDEN / 'original-early-light'
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope='module')
+def again(tmp_path_factory):
+    """The scene of the golden run on the truth, run again on this machine, 1 s of it."""
+    import dataclasses
+
+    from taxinet_ros.bag.run.facts import read_run
+    from taxinet_ros.nodes.graph.replay import rerun
+
+    run = read_run(TRUTH)
+    scenario = dataclasses.replace(run.request.scenario, duration_s=1.0)
+    request = dataclasses.replace(run.request, run_id='short', scenario=scenario)
+    out = tmp_path_factory.mktemp('again')
+    again = dataclasses.replace(run, request=request)
+    rerun([(again, 'truth', 'steering')], out, images='none')
+    return out / 'short'
+
+
+def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxinet, tmp_path):
+    code, out, _ = taxinet('bag', 'render', again, '--out', tmp_path / 'new')
+    assert (code, out.split(' into ')[0]) == (0, '11 frames rendered')
+    assert read_info(again).counts.get(IMAGE) is None
+    code, out, _ = taxinet('bag', 'doctor', '--images', tmp_path / 'new')
+    assert code == 0
+    assert '11 of 11 equal those rendered anew, bit for bit' in out
+    code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
+    assert (code, out.split(':')[0]) == (0, 'nothing to do')
+    assert taxinet('bag', 'render', again, '--out', tmp_path / 'new')[0] == 2
+
+
+def test_given_a_recorded_run_when_run_again_then_it_is_the_same_to_the_byte(again, taxinet):
+    code, out, _ = taxinet('run', '--from', again, '--out', 'new')
+    assert code == 0
+    assert 'once more short, perception truth -> new' in out
+    assert 'the same: ' in out
+    code, out, _ = taxinet('bag', 'compare', again, 'new/short')
+    assert (code, out.splitlines()[-1]) == (0, 'the files are the same byte for byte')
+
+
+def test_given_another_perception_when_run_again_then_the_first_step_is_told(again, taxinet):
+    code, out, _ = taxinet(
+        'run', '--from', again, '--perception', 'original', '--images', 'none', '--out', 'new'
+    )
+    assert code == 1
+    assert 'perception truth, now original (' in out
+    assert '; first at step 0 (0.0 s)' in out
+    code, out, _ = taxinet('bag', 'compare', again, 'new/short', '--skip', 'taxi_command')
+    assert code == 1
+    lines = {line.split()[0]: line for line in out.splitlines()}
+    assert '11 of 11 differ' in lines['/perception/tracking_error']
+    assert '/taxi_command' not in lines
+
+
+def test_given_a_run_when_replayed_into_another_network_then_table_and_picture(again, taxinet):
+    words = ('bag', 'replay', again, '--perception', 'taxinet', '--out')
+    code, out, _ = taxinet(*words, 'strict')
+    assert code == 1
+    assert 'short into perception: recorded: truth, now: taxinet (' in out
+    assert '0 of 11' in out
+    picture = cv2.imread('strict/replay.png')
+    assert picture.shape[0] > 500
+    assert picture.std() > 10
+    with Path('strict/replay.csv').open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row['seq'] for row in rows] == [str(seq) for seq in range(11)]
+    assert rows[3]['recorded_cross_track_estimate_m'] == rows[3]['true_cross_track_m']
+    limits = ('--tolerance-cte', '5', '--tolerance-he', '30')
+    code, out, _ = taxinet(*words, 'wide', *limits)
+    assert code == 0
+    assert 'the same within the tolerance' in out
+
+
+@pytest.mark.parametrize('node', ['perception', 'steering_controller', 'mtl_monitor'])
+def test_given_the_same_node_when_replayed_into_then_the_same_to_the_bit(node, again, taxinet):
+    code, out, _ = taxinet('bag', 'replay', again, '--into', node, '--out', 'new')
+    assert code == 0
+    assert 'the same to the bit' in out
+    assert os.path.getsize('new/replay.png') > 10_000
+
+
+def test_given_a_golden_bag_that_comes_out_otherwise_then_update_records_it_anew(
+    again, taxinet, tmp_path
+):
+    golden = tmp_path / 'golden'
+    shutil.copytree(again, golden / 'short')
+    assert taxinet('run', '--from', again, '--perception', 'original', '--out', 'new')[0] == 1
+    code, out, _ = taxinet('bag', 'golden', golden, '--update')
+    assert (code, out.splitlines()[-1]) == (0, '0 of 1 golden bags recorded anew')
+    before = {path.name: path.read_bytes() for path in (golden / 'short').iterdir()}
+    assert taxinet('bag', 'golden', golden)[0] == 0
+
+    # As if the program had been another one: the recorded run is that of another scene.
+    shutil.rmtree(golden / 'short')
+    _with_other_commands(again, golden / 'short')
+    code, out, _ = taxinet('bag', 'golden', golden)
+    assert code == 1
+    assert '/taxi_command  1 of 11 differ' in out
+    code, out, _ = taxinet('bag', 'golden', golden, '--update')
+    assert code == 0
+    assert '/taxi_command  1 of 11 differ' in out
+    assert out.splitlines()[-1] == '1 of 1 golden bags recorded anew'
+    assert {path.name: path.read_bytes() for path in (golden / 'short').iterdir()} == before
+
+
+def _with_other_commands(source: Path, folder: Path) -> None:
+    from taxinet_ros.bag.reader import stored_messages
+    from taxinet_ros.bag.writer import BagWriter
+
+    info = read_info(source)
+    with BagWriter(
+        folder, info.topics, metadata={}, attachments={}, min_free_bytes=0
+    ) as bag:
+        for topic, stamp_ns, cdr in stored_messages(source):
+            if topic.name == '/taxi_command' and stamp_ns == 400_000_000:
+                cdr = cdr[:-1] + bytes([cdr[-1] ^ 1])
+            bag.write(topic.name, cdr, stamp_ns)
+
+
+BAD = {
+    'no bag': (('bag', 'replay', 'nowhere'), 'nowhere: no such bag'),
+    'unknown node': (('bag', 'replay', TRUTH, '--into', 'recorder'), '--into recorder: '),
+    'unknown network': (('bag', 'replay', TRUTH, '--perception', 'best'), "'best' is unknown"),
+    'tolerance below 0': (
+        ('bag', 'replay', TRUTH, '--tolerance-cte', '-1'), '--tolerance-cte -1: needs to be 0'
+    ),
+    'tolerance of the controller': (
+        ('bag', 'replay', TRUTH, '--into', 'steering_controller', '--tolerance-he', '1'),
+        '--into steering_controller: takes neither',
+    ),
+    'a file for a folder': (('bag', 'replay', TRUTH, '--out', __file__), 'exists already'),
+    'nothing to compare with': (('bag', 'compare', TRUTH, 'nowhere'), 'nowhere: no such bag'),
+    'unknown topic': (('bag', 'compare', TRUTH, TRUTH, '--skip', 'x'), '--skip x: neither bag'),
+    'no bag to render': (('bag', 'render', 'nowhere'), 'nowhere: no such bag'),
+    'no golden bags': (('bag', 'golden', 'nowhere'), 'nowhere: holds no bags'),
+    'neither scene nor bag': (('run',), 'run: name a SCENARIO, or a recorded run with --from'),
+    'scene and bag': (('run', 'nominal', '--from', TRUTH), '--from: the bag already says SCENARIO'),
+    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), 'the bag already says --seed'),
+    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), 'already says --set'),
+    'bag and images': (('run', '--from', TRUTH, '--images', 'few'), '--images few: unknown'),
+    'no bag to run': (('run', '--from', 'nowhere'), 'nowhere: no such bag'),
+}
+
+
+@pytest.mark.parametrize('name', BAD)
+def test_given_bad_input_then_one_line_and_exit_code_2(name, taxinet):
+    words, expected = BAD[name]
+    code, out, err = taxinet(*words)
+    assert (code, out) == (2, '')
+    assert len(err.splitlines()) == 1
+    assert expected in err
+    assert not list(Path.cwd().iterdir())

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import functools
+import math
+
+import cv2
+import numpy as np
+import pytest
+from ground_reference import ground_picture
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxinet_ros.core.camera import pixels
+from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, intrinsics, pose
+from taxinet_ros.core.camera.ground import atlas as ground
+from taxinet_ros.core.camera.ground import view as ground_view
+from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas
+from taxinet_ros.core.camera.ground.view import GroundView
+from taxinet_ros.core.types import AircraftState
+
+GAIN = np.array([1.0, 0.93, 0.71])
+NOTHING_HIDDEN = np.zeros(2, np.int32)
+
+
+def state(x: float, y: float, heading: float, roll: float, pitch: float) -> AircraftState:
+    return AircraftState(
+        x_m=x, y_m=y, z_m=1.55, roll_rad=math.radians(roll), pitch_rad=math.radians(pitch),
+        yaw_rad=math.radians(heading), speed_mps=5.0, yaw_rate_radps=0.0,
+    )
+
+
+POSES = st.builds(
+    state, st.floats(-300, 3400), st.floats(-220, 220), st.floats(-180, 180), st.floats(-6, 6),
+    st.floats(-6, 6),
+)
+
+
+@functools.cache
+def view(height: int, width: int) -> GroundView:
+    return GroundView(ground_atlas(), grain_atlas(), GAIN, np.zeros(height, np.int32), width)
+
+
+@settings(max_examples=40, deadline=None)
+@given(at=POSES, size=st.sampled_from([(IMAGE_HEIGHT, IMAGE_WIDTH), (150, 361), (90, 1)]))
+def test_given_a_pose_when_the_ground_is_sampled_then_every_byte_is_that_of_the_written_rules(
+    at: AircraftState, size: tuple[int, int]
+) -> None:
+    _, to_optical, camera = pose(at)
+    rays = to_optical.T @ np.linalg.inv(intrinsics())
+    stretched = ground_view._FINER_CODES * GAIN
+    wanted = ground_picture(
+        atlas=ground_atlas(),
+        grain=cv2.multiply(grain_atlas(), np.append(stretched, 1.0)),
+        neutral=np.rint(ground.GRAIN_NEUTRAL * stretched).astype(np.uint8),
+        sight=pixels.Sight(rays, camera, *size),
+        camera=camera,
+        dither=ground_view._dither(*size),
+    )
+    np.testing.assert_array_equal(view(*size).render(rays, camera), wanted)
+
+
+@settings(max_examples=20, deadline=None)
+@given(at=POSES, seed=st.integers(0, 9))
+def test_given_hidden_columns_when_the_ground_is_sampled_then_they_stay_and_the_rest_is_the_same(
+    at: AircraftState, seed: int
+) -> None:
+    _, to_optical, camera = pose(at)
+    rays = to_optical.T @ np.linalg.inv(intrinsics())
+    height, width = 40, 361
+    hidden = np.random.default_rng(seed).integers(0, width + 1, height, dtype=np.int32)
+    partly = GroundView(ground_atlas(), grain_atlas(), GAIN, hidden, width)
+    found, whole = partly.render(rays, camera), view(height, width).render(rays, camera)
+    is_hidden = np.arange(width)[None, :] < hidden[:, None]
+    np.testing.assert_array_equal(found, np.where(is_hidden[..., None], 0, whole))
+
+
+@pytest.mark.parametrize('shape', [(4, 4), (1, 4, 3), (4, 1, 3), (4, 4, 4)])
+def test_given_what_is_no_texture_when_a_ground_is_made_of_it_then_it_says_so(
+    shape: tuple[int, ...],
+) -> None:
+    no_texture, dither = np.zeros(shape, np.uint8), np.ones((2, 3), np.float32)
+    with pytest.raises(ValueError, match=r'a texture is \(rows, columns, 3\)'):
+        pixels.Ground(no_texture, grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0)
+
+
+@pytest.mark.parametrize('shape', [(3, 3, 3), (2, 2, 3), (2, 3, 4), (6, 3)])
+def test_given_a_picture_of_another_size_when_filled_then_it_says_so_and_writes_nothing(
+    shape: tuple[int, ...],
+) -> None:
+    dither, out = np.ones((2, 3), np.float32), np.zeros(shape, np.uint8)
+    textures = ground_atlas(), grain_atlas()
+    small = pixels.Ground(*textures, dither, ground_view._ruler(), (1, 1, 1), 1.0)
+    with pytest.raises(ValueError, match='of one size'):
+        small.sample(out, pixels.Sight(np.eye(3), np.ones(3), 2, 3), NOTHING_HIDDEN)
+    assert not out.any()
+
+
+@pytest.mark.parametrize('hidden', [[0], [0, 4], [-1, 0]])
+def test_given_other_columns_than_there_are_when_left_out_then_it_says_so(
+    hidden: list[int],
+) -> None:
+    small = pixels.Ground(
+        ground_atlas(), grain_atlas(), np.ones((2, 3), np.float32), ground_view._ruler(),
+        (1, 1, 1), 1.0,
+    )
+    sight = pixels.Sight(np.eye(3), np.ones(3), 2, 3)
+    with pytest.raises(ValueError, match='so many columns are hidden'):
+        small.sample(np.zeros((2, 3, 3), np.uint8), sight, np.array(hidden, np.int32))
+
+
+def test_given_a_picture_whose_rows_lie_apart_when_filled_then_it_refuses_to_fill_a_copy() -> None:
+    dither = np.ones((2, 3), np.float32)
+    small = pixels.Ground(
+        ground_atlas(), grain_atlas(), dither, ground_view._ruler(), (1, 1, 1), 1.0
+    )
+    part = np.zeros((2, 5, 3), np.uint8)[:, :3]
+    with pytest.raises(TypeError, match='incompatible function arguments'):
+        small.sample(part, pixels.Sight(np.eye(3), np.ones(3), 2, 3), NOTHING_HIDDEN)

@@ -1,0 +1,1 @@
+"""Helpers of the tests of the core lie here, also for those of other rooms."""

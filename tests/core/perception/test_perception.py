@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from network_samples import frame, random_weights, save_sample
+from onnx_samples import save
+
+from taxinet_ros.core.perception.network import CTE_SCALE_M, HE_SCALE_RAD
+from taxinet_ros.core.perception.perception import (
+    NO_ESTIMATE,
+    PERCEPTION,
+    Perception,
+    check_perception,
+    make_perception,
+)
+from taxinet_ros.core.perception.weights import SHIPPED, digest
+from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import UsageError
+
+TRUTH = TrackingError(cte_m=-1.5, he_rad=0.2)
+
+
+@pytest.fixture(params=[*PERCEPTION, 'weights', 'onnx'])
+def perception(request: pytest.FixtureRequest, tmp_path: Path) -> Perception:
+    """The contract kit runs over every perception there is."""
+    files = {'weights': save_sample, 'onnx': save}
+    if request.param in files:
+        return make_perception(str(files[request.param](tmp_path)))
+    return make_perception(request.param)
+
+
+def test_given_any_perception_when_asked_then_there_is_one_finite_estimate(
+    perception: Perception,
+) -> None:
+    estimate = perception.estimate(frame(), TRUTH)
+    assert isinstance(estimate, TrackingError)
+    assert estimate.usable
+    assert (type(estimate.cte_m), type(estimate.he_rad)) == (float, float)
+
+
+def test_given_any_perception_when_asked_again_later_then_the_estimate_is_equal(
+    perception: Perception,
+) -> None:
+    first = perception.estimate(frame(1), TRUTH)
+    perception.estimate(frame(2), TrackingError(cte_m=3.0, he_rad=-0.1))
+    assert perception.estimate(frame(1), TRUTH) == first
+
+
+def test_given_any_perception_when_asked_then_the_frame_is_left_alone(
+    perception: Perception,
+) -> None:
+    image = frame(4)
+    perception.estimate(image, TRUTH)
+    assert np.array_equal(image, frame(4))
+
+
+def test_given_any_perception_when_it_has_nothing_to_go_by_then_the_estimate_is_invalid(
+    perception: Perception,
+) -> None:
+    assert perception.estimate(None, None) == NO_ESTIMATE
+    assert not NO_ESTIMATE.usable
+
+
+def test_given_any_perception_when_described_then_word_fingerprint_and_need_agree(
+    perception: Perception,
+) -> None:
+    assert perception.word in (*PERCEPTION, 'weights', 'onnx')
+    assert perception.needs_image == (perception.word != 'truth')
+    assert len(perception.fingerprint) == (64 if perception.needs_image else 0)
+
+
+def test_given_the_truth_when_asked_then_it_is_passed_on() -> None:
+    truth = make_perception('truth')
+    assert truth.estimate(None, TRUTH) == TRUTH
+    assert truth.estimate(frame(), None) == NO_ESTIMATE
+
+
+def test_given_the_network_when_the_truth_changes_then_its_estimate_does_not() -> None:
+    network = make_perception('taxinet')
+    seen = network.estimate(frame(), None)
+    assert network.estimate(frame(), TRUTH) == seen
+    assert seen != TRUTH
+
+
+@pytest.mark.parametrize(
+    'image', [np.zeros((240, 430, 3), np.uint8), np.zeros((200, 360, 3)), np.zeros(0, np.uint8)]
+)
+def test_given_the_network_when_the_frame_is_of_wrong_shape_or_type_then_invalid(
+    image: np.ndarray, tmp_path: Path
+) -> None:
+    network = make_perception(str(save_sample(tmp_path)))
+    assert network.estimate(image, TRUTH) == NO_ESTIMATE
+
+
+@pytest.mark.parametrize('bias', [(3e38, 0.5), (0.5, -3e38)])
+def test_given_finite_weights_that_overflow_when_asked_then_the_estimate_is_invalid(
+    bias: tuple[float, float], tmp_path: Path
+) -> None:
+    weights = random_weights()
+    weights['hidden.bias'][:] = 3e38
+    weights['output.weight'][:] = np.sign(bias)[:, np.newaxis] * (np.abs(bias) > 1)[:, np.newaxis]
+    weights['output.bias'][:] = 0.5
+    network = make_perception(str(save_sample(tmp_path, weights)))
+    assert network.estimate(frame(), TRUTH) == NO_ESTIMATE
+
+
+def test_given_weights_that_always_say_one_when_asked_then_ten_metres_and_thirty_degrees(
+    tmp_path: Path,
+) -> None:
+    weights = random_weights()
+    weights['output.weight'][:] = 0
+    weights['output.bias'][:] = (1, -1)
+    network = make_perception(str(save_sample(tmp_path, weights)))
+    estimate = network.estimate(frame(), None)
+    assert estimate == TrackingError(cte_m=CTE_SCALE_M, he_rad=-HE_SCALE_RAD)
+    assert math.isclose(math.degrees(HE_SCALE_RAD), 30.0)
+
+
+def test_given_a_weights_file_when_chosen_then_its_digest_is_the_fingerprint(
+    tmp_path: Path,
+) -> None:
+    path = save_sample(tmp_path)
+    assert make_perception(str(path)).fingerprint == digest(path.read_bytes())
+    assert make_perception('taxinet').fingerprint == digest(SHIPPED['taxinet'].read_bytes())
+
+
+@pytest.mark.parametrize('word', ['truht', 'Truth', '', 'net.pt', 'ground_truth'])
+@pytest.mark.parametrize('choose', [make_perception, check_perception])
+def test_given_an_unknown_word_when_chosen_then_the_known_ones_are_listed(
+    choose: object, word: str
+) -> None:
+    assert callable(choose)
+    with pytest.raises(UsageError) as caught:
+        choose(word)
+    message = str(caught.value)
+    assert repr(word) in message
+    assert all(known in message for known in (*PERCEPTION, '.safetensors', '.onnx'))
+    assert '\n' not in message
+
+
+@pytest.mark.parametrize('choose', [make_perception, check_perception])
+def test_given_a_missing_weights_file_when_chosen_then_there_is_no_fallback(
+    choose: object, tmp_path: Path
+) -> None:
+    assert callable(choose)
+    with pytest.raises(UsageError, match=r'^weights: .*gone\.safetensors: no such file'):
+        choose(str(tmp_path / 'gone.safetensors'))
+
+
+@pytest.mark.parametrize('word', PERCEPTION)
+def test_given_a_known_word_when_checked_then_nothing_is_said(word: str) -> None:
+    check_perception(word)
+
+
+def test_given_a_perception_when_chosen_then_torch_is_not_imported() -> None:
+    script = (
+        'import sys; from taxinet_ros.core.perception.perception import make_perception; '
+        'make_perception("truth"); make_perception("taxinet"); print("torch" in sys.modules)'
+    )
+    root = str(Path(__file__).parents[3])
+    result = subprocess.run(
+        [sys.executable, '-c', script], cwd=root, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == 'False'

@@ -1,0 +1,161 @@
+"""Closed, full and unread streams, no home, odd paths: one line, and an exit code of no verdict."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from broken_surroundings import SURROUNDINGS
+from typer.main import get_command
+
+from taxinet_ros.cli.main import app
+
+ROOT = Path(__file__).parents[3]
+BAG = str(ROOT / 'bags' / 'golden' / 'truth-nominal')
+SCRIPT = Path(sys.prefix) / 'bin' / 'taxinet'
+
+Answer = tuple[int, str]
+Ask = Callable[[list[str], str], Answer]
+
+DOES_NOTHING = {
+    'analyze': ['nowhere'], 'bag': ['info', 'nowhere'], 'bench': ['nothing'],
+    'camera': ['frame', 'nothing'], 'case-study': ['--config', 'nowhere'],
+    'check-node': ['no_such_program'],
+    'dataset': ['nothing', '--out', 'data'], 'demo': ['--nothing'], 'doctor': ['nowhere'],
+    'evaluate': ['nothing'],
+    'experiment': ['nothing'], 'explain': ['nowhere'], 'falsify': ['nothing'],
+    'gate': ['nowhere'], 'improve': ['nothing'], 'learned': ['nowhere'], 'localize': ['nowhere'],
+    'monitor': ['nowhere'], 'node': ['nothing'], 'run': ['nothing'], 'shrink': ['nowhere'],
+    'spec': ['nothing('], 'train': ['nothing'], 'up': ['--perception', 'nothing'],
+}
+BREAK_ALL = ('few files', 'ASCII')
+WRONG = re.compile('Traceback|a defect of taxinet|\x1b')
+WORKS = (
+    ['--version'], ['gate', '--help'], ['bag', 'info', BAG], ['bag', 'doctor', BAG],
+    ['monitor', BAG],
+)
+
+
+@pytest.fixture(scope='module')
+def ask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ask]:
+    """Has a command run in surroundings that are broken."""
+    with subprocess.Popen(
+        [sys.executable, Path(__file__).with_name('broken_surroundings.py')], text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=tmp_path_factory.mktemp('asked'),
+    ) as child:
+        def answer(words: list[str], surroundings: str) -> Answer:
+            coded = [os.fsencode(word).hex() for word in words]
+            child.stdin.write(json.dumps([coded, surroundings]) + '\n')
+            child.stdin.flush()
+            code, complaints = json.loads(child.stdout.readline())
+            return code, complaints
+
+        yield answer
+        child.stdin.close()
+
+
+def test_f6_given_the_commands_then_each_is_tried():
+    assert set(get_command(app).commands) == set(DOES_NOTHING)
+    assert len(SURROUNDINGS) >= 12
+
+
+@pytest.mark.parametrize('surroundings', SURROUNDINGS)
+def test_f6_given_broken_surroundings_then_no_command_ends_in_a_traceback_or_a_verdict(
+    ask: Ask, surroundings: str
+):
+    for name, words in DOES_NOTHING.items():
+        code, complaints = ask([name, *words], surroundings)
+        assert code == 2 or (code == 4 and surroundings in BREAK_ALL), (name, code, complaints)
+        assert not WRONG.search(complaints), (name, complaints)
+        assert len(complaints.splitlines()) <= 1, (name, complaints)
+
+
+@pytest.mark.parametrize(('surroundings', 'code', 'complaint'), [
+    ('stdin closed', 0, ''),
+    ('stdout closed', 2, 'taxinet: error: standard output is closed; send it somewhere, if to '
+     '/dev/null\n'),
+    ('stderr closed', 0, ''),
+    ('stdout full', 4, 'taxinet: error: output: [Errno 28] No space left on device\n'),
+    ('stderr full', 0, ''),
+    ('stdout unread', 141, 'taxinet: error: output: nobody reads it any more\n'),
+    ('no HOME', 0, ''),
+    ('HOME nowhere', 0, ''),
+    ('no PATH', 0, ''),
+])
+def test_f6_given_a_command_that_has_something_to_say_then_the_code_tells_whether_it_was_heard(
+    ask: Ask, surroundings: str, code: int, complaint: str
+):
+    for words in WORKS:
+        assert ask(words, surroundings) == (code, complaint), words
+
+
+def test_people2_attack_given_a_working_folder_that_is_not_utf8_then_nothing_is_written(
+    tmp_path: Path
+):
+    folder = tmp_path / os.fsdecode(b'a\xff')
+    folder.mkdir()
+    done = subprocess.run(
+        [SCRIPT, 'run', 'nominal', '--set', 'duration=1', '--perception', 'truth', '--images',
+         'none'],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        f'taxinet: error: {tmp_path}/a\\xff: is not UTF-8; give a name that is\n'
+    )
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(('word', 'complaint'), [
+    ('x' * 300, 'taxinet: error: '),
+    ('y/' * 2500, 'taxinet: error: '),
+    (os.fsdecode(b'\xff\xfe'), '\\xff\\xfe: is not UTF-8; give a name that is'),
+    ('a\x1b[31mb', ''),
+])
+@pytest.mark.parametrize('words', [
+    ['run', 'nominal', '--out'], ['falsify', 's_falsif', '--out'], ['bag', 'info'], ['gate'],
+    ['monitor'], ['analyze'], ['dataset', 's_falsif', '--count', '1', '--out'], ['run'],
+    ['evaluate', 's_falsif', '--perception'], ['bag', 'recover', BAG, '--out'],
+], ids=' '.join)
+def test_f7_given_a_path_that_cannot_be_then_one_line_says_so(
+    ask: Ask, words: list[str], word: str, complaint: str
+):
+    if word.isprintable() or words[0] not in ('run', 'falsify', 'dataset'):
+        code, complaints = ask([*words, word], 'no PATH')
+        assert code in ((2, 4) if complaint else (0, 2, 4)), complaints
+        assert complaint in complaints
+        assert not WRONG.search(complaints), complaints
+        assert len(complaints.splitlines()) <= 1
+
+
+@pytest.mark.skipif(shutil.which('env') is None, reason='no env that holds signals back')
+@pytest.mark.parametrize(('number', 'moments'), [
+    (signal.SIGINT, (0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2)),
+    (signal.SIGTERM, (0.02, 0.2, 0.6)), (signal.SIGHUP, (0.02, 0.2, 0.6)),
+])
+def test_f7_given_a_signal_at_any_moment_of_the_start_then_it_ends_in_one_line(
+    tmp_path: Path, number: int, moments: tuple[float, ...]
+):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup
+    for moment in moments:
+        with subprocess.Popen(
+            [SCRIPT, 'run', 'nominal', '--set', 'duration=600', '--perception', 'truth',
+             '--images', 'none', '--out', tmp_path / str(moment)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        ) as command:
+            time.sleep(moment)  # not waited for: the moment is the point
+            command.send_signal(number)
+            _, complaints = command.communicate()
+        # The shell that holds signals back may be met before it does.
+        assert command.returncode in (128 + number, -number), (moment, complaints)
+        assert 'Traceback' not in complaints, moment
+        assert len(complaints.splitlines()) <= 1, complaints

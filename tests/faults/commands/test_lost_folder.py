@@ -1,0 +1,105 @@
+"""A campaign whose folder is taken away ends and says so; one whose disk was full goes on."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from command_process import ended, taxinet
+from waiting import wait_for
+
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+
+RUNS = ['--perception', 'truth', '--images', 'none', '--set', 'duration=1', '--out', 'c']
+RUN = ['run', 'nominal', '--runs', '2000', *RUNS]
+FALSIFY = ['falsify', 'nominal', '--runs', '2000', '--workers', '2', *RUNS]
+
+
+def results(ledger: Path) -> int:
+    return ledger.read_text().count('"event":"result"') if ledger.exists() else 0
+
+
+def moved(tmp_path: Path) -> None:
+    (tmp_path / 'c').rename(tmp_path / 'moved')
+
+
+def replaced(tmp_path: Path) -> None:
+    moved(tmp_path)
+    (tmp_path / 'c').mkdir()
+
+
+def lost(
+    words: list[str], act: Callable[[Path], None], tmp_path: Path
+) -> tuple[int, list[str], list[str]]:
+    with taxinet(*words, cwd=tmp_path) as campaign:
+        wait_for(lambda: results(tmp_path / 'c' / 'ledger.jsonl') >= 2)
+        act(tmp_path)
+        code, out, err = ended(campaign)
+    complaints = [line for line in err.splitlines() if line.startswith('taxinet: error: ')]
+    assert 'Traceback' not in err
+    return code, out.splitlines(), complaints
+
+
+@pytest.mark.parametrize(
+    ('words', 'act'), [(RUN, replaced), (FALSIFY, moved)], ids=['run', 'falsify']
+)
+def test_f9_given_a_record_that_is_taken_away_then_the_campaign_ends_and_tells_what_it_knows(
+    words, act, tmp_path
+):
+    code, lines, complaints = lost(words, act, tmp_path)
+    assert code == 4
+    (line,) = complaints
+    assert 'was moved' in line
+    assert line.startswith('taxinet: error: c/')
+    shown = [line for line in lines if ' rho ' in line]
+    assert len(shown) >= 2
+    assert lines[-1].startswith('known until then: ')
+    assert not any(line.startswith(('table:', 'under the program')) for line in lines)
+    kept = read_ledger(tmp_path / 'moved' / 'ledger.jsonl').rows
+    assert len(kept) >= len(shown)
+    if act is moved:
+        assert not (tmp_path / 'c').exists(), 'nothing is begun in its place'
+    assert not list((tmp_path / 'c').glob('*.*'))
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk on which there is room for a ledger, but for no bag."""
+    place = tmp_path / 'disk'
+    place.mkdir()
+    words = ['mount', '-t', 'tmpfs', '-o', 'size=400k', 'taxinet-test', str(place)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip('no mount here')
+    if done.returncode:
+        pytest.skip(f'may not mount ({done.stderr.strip()})')
+    try:
+        yield place
+    finally:
+        subprocess.run(['umount', '-l', str(place)], check=True)
+
+
+def test_f1_given_a_full_disk_when_there_is_room_again_then_the_campaign_ends_as_undisturbed(
+    disk, tmp_path
+):
+    few = ['falsify', 'nominal', '--runs', '4', *RUNS[:-1]]
+    with taxinet(*few, str(disk / 'c'), cwd=tmp_path) as campaign:
+        code, out, err = ended(campaign)
+    assert (code, 'Traceback' in err) == (4, False), err
+    assert '3 INFRA_ERROR (3 bag)' in out
+    assert '3 runs in a row were broken by the bench; --resume continues it' in out
+    subprocess.run(['mount', '-o', 'remount,size=3g', str(disk)], check=True)
+    for words in ([str(disk / 'c'), '--resume'], ['whole']):
+        with taxinet(*few, *words, cwd=tmp_path) as campaign:
+            assert ended(campaign)[0] in (0, 1)
+    done, whole = read_table(disk / 'c'), read_table(tmp_path / 'whole')
+    assert list(done['retries']) == [2, 2, 2, 0]
+    but = [*WALL_CLOCK_COLUMNS, 'retries']
+    pd.testing.assert_frame_equal(done.drop(columns=but), whole.drop(columns=but))

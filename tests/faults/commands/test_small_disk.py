@@ -1,0 +1,82 @@
+"""A disk that is full: the run says so, what was recorded is sound, the campaign does not go on."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_process import ended, taxinet
+from fault_runs import request, run, steps_in
+
+from taxinet_ros.bag.rewrite.recovery import recover
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import RECORDER
+
+pytestmark = pytest.mark.ros
+
+
+class NothingKeptFree(GraphOptions):
+    """A recorder that begins on a disk however small."""
+
+    def nodes(self):
+        kind, parameters = super().nodes()[RECORDER]
+        return {**super().nodes(), RECORDER: (kind, {**parameters, 'min_free': 0})}
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own with room for 600 kB, or for so many frames."""
+    place = tmp_path / 'disk'
+    place.mkdir()
+    words = ['mount', '-t', 'tmpfs', '-o', 'size=600k', 'taxinet-test', str(place)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip('no mount here; a limit on files stands for it in test_recorded_bag.py')
+    if done.returncode:
+        pytest.skip(f'may not mount ({done.stderr.strip()}); see test_recorded_bag.py')
+    try:
+        yield place
+    finally:
+        subprocess.run(['umount', str(place)], check=True)
+
+
+def test_given_a_disk_that_fills_up_then_the_run_is_broken_and_its_bag_can_be_saved(
+    disk, tmp_path
+):
+    with composed_graph(NothingKeptFree(perception='truth', out=disk)) as graph:
+        (full,) = run(graph, request('full', 60.0))
+        assert (full.outcome, full.kind, full.who) == (Outcome.INFRA_ERROR, 'bag', RECORDER)
+        assert f'{disk}/full/full_0.mcap: cannot write: [Errno 28] No space left on device' in (
+            full.detail
+        )
+        assert full.rho == {}
+        steps = steps_in(disk / 'full')
+        assert len(steps) > 2
+        assert steps == list(range(len(steps)))
+        assert not (disk / 'full' / 'metadata.yaml').exists(), 'it is not declared whole'
+        recover(disk / 'full', tmp_path / 'saved')
+        assert steps_in(tmp_path / 'saved') == steps
+        (disk / 'full' / 'full_0.mcap').unlink()
+        (after,) = run(graph, request('after', 0.1))
+    assert after.outcome.judged, 'there is room again'
+
+
+def test_given_too_little_space_when_a_campaign_begins_then_it_pauses_after_two_runs(
+    disk, tmp_path
+):
+    words = ('run', 'nominal', '--runs', '6', '--perception', 'truth', '--images', 'none',
+             '--set', 'duration=1', '--out', str(disk / 'c'))
+    with taxinet(*words, cwd=tmp_path) as campaign:
+        code, out, err = ended(campaign)
+    assert (code, 'Traceback' in err) == (4, False), err
+    assert '0.001 GB free on the disk, 1.000 GB wanted; make room or record elsewhere' in out
+    assert '2 INFRA_ERROR' in out
+    table = read_table(disk / 'c')
+    assert list(table['outcome']) == ['INFRA_ERROR'] * 2
+    assert list(table['kind']) == ['bag'] * 2
+    assert table['rho'].isna().all()

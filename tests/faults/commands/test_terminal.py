@@ -1,0 +1,241 @@
+"""Ctrl-C on a terminal: every process of the foreground group gets it at once.
+
+``pytest --count 20 tests/faults/commands/test_terminal.py`` tries each case twenty times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import re
+import shlex
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+import pytest
+from command_process import Terminal, on_terminal
+from fault_runs import grown, once, request, run, steps_in
+from process_table import children, gone
+from waiting import wait_for
+
+from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
+from taxinet_ros.nodes.running.domain import own_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]  # many processes on few cores
+
+CTRL_C = b'\x03'
+NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
+REPOSITORY = Path(__file__).parents[3]
+ALL = (
+    'simulator', 'ground_truth_perception', 'steering_controller', 'mtl_monitor', 'recorder',
+    'scenario_sampler',
+)
+RUN = ('program:=nominal', 'runs:=3', 'set:=["duration=600"]')
+TAXINET = str(Path(sys.executable).with_name('taxinet'))
+PERCEPTION = REPOSITORY / 'examples' / 'own_perception.py'
+DEAF = """
+import runpy, signal, subprocess, sys
+every = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+signal.pthread_sigmask(signal.SIG_BLOCK, every)
+subprocess.Popen(['sleep', '3600'], start_new_session=True)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name='__main__')
+"""
+GROUP = """
+import json, signal, subprocess, sys
+processes = [subprocess.Popen(words) for words in json.loads(sys.argv[1])]
+signal.signal(signal.SIGINT, lambda *_: None)
+print('codes', [process.wait() for process in processes], flush=True)
+"""
+
+
+class Place(NamedTuple):
+    """Where a campaign and its bags go."""
+
+    table: Path
+    bag: Path
+
+
+def node(name: str, *parameters: str) -> list[str]:
+    options = [part for word in parameters for part in ('-p', word)]
+    return [str(NODES / name), *(['--ros-args', *options] if options else [])]
+
+
+def environment(domain: int) -> dict[str, str]:
+    return {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'AMENT_PREFIX_PATH': sys.prefix}
+
+
+def group(folder: Path) -> tuple[list[str], Place]:
+    """Six nodes, started one by one."""
+    out = f'out:={folder}/c'
+    parameters = {'recorder': [out], 'scenario_sampler': [*RUN, out]}
+    nodes = [node(name, *parameters.get(name, ())) for name in ALL]
+    return (
+        [sys.executable, '-c', GROUP, json.dumps(nodes)], Place(folder / 'c', folder / 'c/c-00000')
+    )
+
+
+def launch(folder: Path) -> tuple[list[str], Place]:
+    """What ``ros2 launch`` does."""
+    if importlib.util.find_spec('launch_ros') is None:
+        pytest.skip('launch_ros is not installed')
+    program = (
+        'import sys; from launch import LaunchService, LaunchDescription; '
+        'from launch.actions import IncludeLaunchDescription as Include; '
+        'from launch.launch_description_sources import PythonLaunchDescriptionSource as Source; '
+        'service = LaunchService(); service.include_launch_description(LaunchDescription([Include('
+        'Source(sys.argv[1]), launch_arguments=[w.split(":=", 1) for w in sys.argv[2:]])])); '
+        'sys.exit(service.run())'
+    )
+    file = str(REPOSITORY / 'launch' / 'taxinet.launch.py')
+    # Its runs take 30 s of simulated time each, so it is not over before the key is pressed.
+    words = [file, 'perception:=truth', 'program:=nominal', 'runs:=3', f'out:={folder}/c']
+    return [sys.executable, '-P', '-c', program, *words], Place(folder / 'c', folder / 'c/c-00000')
+
+
+def ended(terminal: Terminal, pids: list[int]) -> None:
+    """Wait until a group has ended; none of it may have been aborted or have complained."""
+    wait_for(lambda: terminal.process.poll() is not None and all(map(gone, pids)))
+    terminal.close()
+    for word in ('Traceback', 'terminate called', 'FATAL', 'exit code -'):
+        assert word not in terminal.shown, terminal.shown
+
+
+def codes(terminal: Terminal) -> list[int]:
+    (found,) = re.findall(r'codes (\[.*\])', terminal.shown)
+    return json.loads(found)
+
+
+def check_interrupted(place: Place) -> None:
+    """The run is INTERRUPTED, and its bag is whole up to the last step."""
+    assert list(read_table(place.table)['outcome']) == ['INTERRUPTED']
+    assert read_info(place.bag).complete
+    assert check_bag(place.bag).findings == ()
+    (row,) = read_ledger(place.table / 'ledger.jsonl').rows
+    assert steps_in(place.bag) == list(range(row.steps))
+
+
+@pytest.mark.parametrize('start', [group, launch])
+def test_r3_given_one_interrupt_of_a_whole_group_then_the_bag_is_closed_and_all_end(
+    start, tmp_path
+):
+    words, place = start(tmp_path)
+    with own_domain() as domain, on_terminal(
+        *words, cwd=tmp_path, env=environment(domain)
+    ) as terminal:
+        wait_for(lambda: grown(place.bag))
+        pids = [*children(terminal.process.pid, '')]
+        terminal.press(CTRL_C)
+        ended(terminal, pids)
+    assert len(pids) == 6
+    check_interrupted(place)
+    if start is group:
+        assert codes(terminal) == [0, 0, 0, 0, 0, 130]
+
+
+def test_r15_given_an_interrupt_while_nodes_get_ready_then_all_end_without_a_complaint(tmp_path):
+    words, place = group(tmp_path)
+    with own_domain() as domain, on_terminal(
+        *words, cwd=tmp_path, env=environment(domain)
+    ) as terminal:
+        wait_for(place.bag.exists)
+        pids = [*children(terminal.process.pid, '')]
+        terminal.press(CTRL_C)
+        ended(terminal, pids)
+    assert codes(terminal) == [0, 0, 0, 0, 0, 130]
+    assert list(read_table(place.table)['outcome']) == ['INTERRUPTED']
+    assert check_bag(place.bag).findings == ()
+
+
+def test_r4_given_two_interrupts_at_once_then_no_node_is_aborted(tmp_path):
+    words, place = group(tmp_path)
+    with own_domain() as domain, on_terminal(
+        *words, cwd=tmp_path, env=environment(domain)
+    ) as terminal:
+        wait_for(lambda: grown(place.bag))
+        pids = [*children(terminal.process.pid, '')]
+        terminal.press(CTRL_C, CTRL_C)
+        ended(terminal, pids)
+    # Two that come as one are one.
+    assert set(codes(terminal)) <= {0, 130}
+    steps = steps_in(place.bag)
+    assert steps == list(range(len(steps)))
+
+
+@contextlib.contextmanager
+def standing(folder: Path, *words: str) -> Iterator[tuple[Terminal, list[int], Place]]:
+    """A standing graph amid a run, every process that it has started, and where it all goes."""
+    alone = {name: word for name, word in os.environ.items() if name != 'ROS_DOMAIN_ID'}
+    with on_terminal(
+        TAXINET, 'up', *words, '--out', 'up', cwd=folder, env={**alone, 'COLUMNS': '200'},
+    ) as terminal:
+        wait_for(lambda: 'ready: ' in terminal.shown)
+        domain = int(re.findall(r'ROS domain (\d+)', terminal.shown)[0])
+        sampler = node('scenario_sampler', *RUN, f'out:={folder}/table')
+        place = Place(folder / 'table', folder / 'up' / 'table-00000')
+        with on_terminal(*sampler, cwd=folder, env=environment(domain)) as sampling:
+            wait_for(lambda: grown(place.bag))
+            started = psutil.Process(terminal.process.pid).children(recursive=True)
+            yield terminal, [process.pid for process in started], place
+            wait_for(lambda: sampling.process.poll() is not None)
+
+
+ENDS = {
+    'once': (lambda terminal: terminal.press(CTRL_C), 130),
+    'twice': (lambda terminal: terminal.press(CTRL_C, CTRL_C), 130),
+    'asked': (lambda terminal: terminal.process.send_signal(signal.SIGTERM), 143),
+    'closed': (lambda terminal: terminal.close(), 129),
+}
+
+
+@pytest.mark.parametrize('end', ENDS)
+def test_r3_given_an_end_of_a_standing_graph_then_its_run_ends_in_order(end, tmp_path):
+    make_end, code = ENDS[end]
+    with standing(tmp_path, '--perception', 'truth') as (terminal, pids, place):
+        make_end(terminal)
+        ended(terminal, pids)
+        assert terminal.process.wait() == code
+    assert len(pids) == 5
+    if end == 'twice':  # two that do not come as one wait for nothing
+        steps = steps_in(place.bag)
+        assert steps == list(range(len(steps)))
+    else:
+        check_interrupted(place)
+
+
+@pytest.mark.parametrize('times', [1, 2])
+def test_r3_given_a_node_that_hears_nothing_then_it_ends_with_all_that_it_has_started(
+    times, tmp_path
+):
+    (tmp_path / 'deaf.py').write_text(DEAF)
+    command = shlex.join([sys.executable, 'deaf.py', str(PERCEPTION)])
+    with standing(tmp_path, '--perception-cmd', command) as (terminal, pids, place):
+        for _ in range(times):
+            terminal.press(CTRL_C)
+            wait_for(lambda: gone(pids[0]) or times == 1)
+        ended(terminal, pids)
+    assert len(pids) == 7
+    check_interrupted(place)
+
+
+def test_r5_given_a_cancelled_run_then_its_bag_ends_on_a_whole_step(tmp_path):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with (
+        process_graph(options, tmp_path / 'logs') as graph,
+        once(lambda: graph.seq > 20, graph.interrupt),
+    ):
+        (result,) = run(graph, request())
+    assert result.outcome is Outcome.INTERRUPTED
+    assert steps_in(tmp_path / 'run') == list(range(result.last_seq + 1))
+    assert check_bag(tmp_path / 'run').findings == ()

@@ -1,0 +1,67 @@
+"""A node that starts long after the others is waited for."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import pytest
+from fault_runs import request, run, steps_in
+from rclpy.node import Node
+from waiting import PATIENT_S, wait_for
+
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
+from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
+
+pytestmark = pytest.mark.ros
+
+LATE_S = 10.0
+
+
+def stopped(graph, name: str) -> int:
+    """Stop a node's process before it has come to anything; its number."""
+    pid = next(child.process.pid for child in graph.children if child.name == name)
+    os.kill(pid, signal.SIGSTOP)
+    return pid
+
+
+def wait_for_others(graph, name: str) -> None:
+    """Until every other node is in the graph, however long the machine takes to start it."""
+    others = {SIMULATOR, *PARTICIPANTS} - {name}
+    looker = Node('looker', context=graph._context)
+    wait_for(
+        lambda: others <= set(looker.get_node_names()) and not missing_nodes(looker, [*others])
+    )
+    looker.destroy_node()
+
+
+def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_whole(tmp_path):
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': PATIENT_S},
+    )
+    with process_graph(options, tmp_path / 'logs') as graph:
+        timer = threading.Timer(LATE_S, os.kill, (stopped(graph, PERCEPTION), signal.SIGCONT))
+        timer.start()
+        (result,) = run(graph, request(duration=2.0))
+        assert not timer.is_alive(), 'the run did not wait'
+    assert result.outcome.judged, result
+    assert read_info(tmp_path / 'run').complete
+    assert steps_in(tmp_path / 'run') == list(range(21))
+
+
+def test_r8_given_a_node_that_does_not_come_then_it_is_named_alone(tmp_path):
+    who = PERCEPTION
+    options = GraphOptions(
+        perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': 2.0},
+    )
+    with process_graph(options, tmp_path / 'logs') as graph:
+        pid = stopped(graph, who)
+        wait_for_others(graph, who)
+        (result,) = run(graph, request(duration=2.0))
+        os.kill(pid, signal.SIGCONT)
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
+    assert (result.who, result.detail.partition(':')[0]) == (who, 'not ready within 2 s')

@@ -1,0 +1,306 @@
+"""The launch file: what it starts for which word, what it refuses, and what it ends with.
+
+What it decides is tested without launch, which does not come as a wheel; what ``ros2 launch`` makes
+of it where launch and launch_ros are installed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.launch_plan import (
+    ARGUMENTS,
+    CLOCK_REMAP,
+    Ending,
+    NodePlan,
+    check_names,
+    environment,
+    namespace,
+    parameter_file,
+    plan,
+)
+from taxinet_ros.nodes.running.domain import own_domain
+
+REPOSITORY = Path(__file__).parents[3]
+FILE = REPOSITORY / 'launch' / 'taxinet.launch.py'
+NODES = Path(sys.prefix, 'lib', 'taxinet_ros')
+SERVICE = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+service = LaunchService(argv=sys.argv[2:])
+service.include_launch_description(LaunchDescription([IncludeLaunchDescription(
+    PythonLaunchDescriptionSource(sys.argv[1]),
+    launch_arguments=[word.split(':=', 1) for word in sys.argv[2:]],
+)]))
+sys.exit(service.run())
+"""
+SHORT = '/**/scenario_sampler: {ros__parameters: {set: ["duration=1"]}}'
+
+with_launch = pytest.mark.skipif(
+    importlib.util.find_spec('launch_ros') is None,
+    reason='launch_ros is not installed, and does not come as a wheel',
+)
+
+
+def test_given_the_docs_then_their_table_of_launch_arguments_is_that_of_the_launch_file():
+    section = (REPOSITORY / 'docs' / 'ros.md').read_text().partition('\n## Launch\n')[2]
+    rows = [line for line in section.partition('\n## ')[0].splitlines() if line.startswith('| `')]
+    assert rows == [
+        f'| `{name}` | {default} | {text} |' for name, (default, text) in ARGUMENTS.items()
+    ]
+
+
+def words(**given: str) -> dict[str, str]:
+    return {name: given.get(name, default) for name, (default, _) in ARGUMENTS.items()}
+
+
+def planned(**given: str) -> dict[str, NodePlan]:
+    return {node.name: node for node in plan(words(**given))}
+
+
+def test_r11_given_no_word_then_every_node_of_the_graph_is_started_with_the_usual_parts():
+    nodes = planned(out='somewhere')
+    assert [(node.name, node.executable) for node in nodes.values()] == [
+        ('simulator', 'simulator'),
+        ('perception', 'taxinet_perception'),
+        ('steering_controller', 'steering_controller'),
+        ('mtl_monitor', 'mtl_monitor'),
+        ('recorder', 'recorder'),
+        ('scenario_sampler', 'scenario_sampler'),
+    ]
+    assert nodes['recorder'].parameters == {'out': 'somewhere', 'images': 'all'}
+    assert nodes['scenario_sampler'].parameters['out'] == 'somewhere'
+    assert nodes['scenario_sampler'].parameters['program'] == 's_falsif'
+
+
+@pytest.mark.parametrize('word', ['original', 'truth', 'my.onnx', 'my.safetensors', 'own.py:look'])
+def test_r11_given_a_word_of_taxinet_run_then_the_launch_file_takes_it_as_perception(
+    word, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    Path('own.py').write_text('def look(image): return 0, 0\n')
+    seeing = planned(perception=word)['perception']
+    if word == 'truth':
+        assert (seeing.executable, seeing.parameters) == ('ground_truth_perception', {})
+    else:
+        assert seeing.executable == 'taxinet_perception'
+        assert seeing.parameters == {'weights': word}
+
+
+def test_r11_given_nodes_of_somebody_s_own_then_they_are_awaited_or_started():
+    outside = planned(perception='external', controller='external')
+    assert set(outside) == {'simulator', 'mtl_monitor', 'recorder', 'scenario_sampler'}
+    started = planned(
+        perception_cmd='env my_node --fast', controller='cmd:env mine', namespace='a/b'
+    )
+    rules = ['-r', '__ns:=/a/b', '-r', '/clock:=clock']
+    assert list(started['perception'].command) == [
+        'env', 'my_node', '--fast', '--ros-args', '-r', '__node:=perception', *rules,
+    ]
+    assert list(started['steering_controller'].command) == [
+        'env', 'mine', '--ros-args', '-r', '__node:=steering_controller', *rules,
+    ]
+
+
+def test_given_words_on_timing_then_the_simulator_has_them_and_else_what_the_parameter_file_says():
+    assert planned()['simulator'].parameters == {}
+    assert planned(latency='perception=0.15')['simulator'].parameters == {
+        'latency': 'perception=0.15',
+    }
+    assert planned(lockstep='false', real_time_factor='0.5')['simulator'].parameters == {
+        'lockstep': False, 'real_time_factor': 0.5,
+    }
+
+
+def test_r11_given_a_function_as_controller_then_the_shipped_node_runs_it(tmp_path):
+    file = tmp_path / 'own.py'
+    file.write_text('def steer(estimate): return 0, 5\n')
+    node = planned(controller=f'{file}:steer')['steering_controller']
+    assert node.executable == 'steering_controller'
+    assert node.parameters == {'controller': f'{file}:steer'}
+
+
+@pytest.mark.parametrize(
+    ('given', 'complaint'),
+    [
+        ({'runs': 'many'}, 'runs:=many: expected a whole number'),
+        ({'budget': 'x'}, 'budget:=x: expected a number'),
+        ({'lockstep': 'no'}, 'lockstep:=no: expected true or false'),
+        ({'resume': 'perhaps'}, 'resume:=perhaps: expected true or false'),
+        ({'perception': 'gone.py:look'}, 'gone.py: No such file'),
+        ({'perception': 'truth', 'perception_cmd': 'mine'}, 'give one of the two'),
+        ({'scenario': 'nominal', 'program': 'crossing'}, 'give one of the two'),
+        ({'controller_cmd': 'no-such-program-anywhere'}, 'no such program'),
+        ({'controller': 'cmd:'}, 'names no program'),
+        ({'perception': 'external', 'namespace': '3x', 'controller': 'cmd:env x'}, 'namespace:=3x'),
+    ],
+)
+def test_r11_given_a_bad_word_then_one_line_names_it_before_anything_starts(given, complaint):
+    with pytest.raises(UsageError, match=re.escape(complaint)) as caught:
+        plan(words(**given))
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_domain_or_a_parameter_file_that_is_none_then_one_line_names_it(tmp_path):
+    assert environment(words(domain='7'))['ROS_DOMAIN_ID'] == '7'
+    assert 'ROS_DOMAIN_ID' not in environment(words())
+    with pytest.raises(UsageError, match='300'):
+        environment(words(domain='300'))
+    assert parameter_file(words(), REPOSITORY).endswith('config/nodes.yaml')
+    with pytest.raises(UsageError, match='no such file'):
+        parameter_file(words(params=str(tmp_path / 'gone.yaml')), REPOSITORY)
+    with pytest.raises(UsageError, match='3x'):
+        namespace(words(namespace='3x'))
+
+
+def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignored():
+    check_names(['perception:=truth', 'launch-prefix:=nice'])
+    with pytest.raises(UsageError, match=r'perceptoin:=truth.*did you mean perception\?'):
+        check_names(['runs:=3', 'perceptoin:=truth'])
+    with pytest.raises(UsageError, match=r'weights:=a\.onnx: say perception:=a\.onnx'):
+        check_names(['weights:=a.onnx'])
+
+
+@pytest.mark.parametrize(('code', 'left_with'), [(0, None), (1, 1), (4, 4), (130, 130), (-9, 4)])
+def test_given_the_end_of_the_campaign_then_all_ends_and_its_exit_code_is_that_of_the_launch(
+    code, left_with
+):
+    ending = Ending([NodePlan(name='recorder'), NodePlan(name='scenario_sampler')])
+    for pid in (1, 2, 3):
+        ending.begun(pid)
+    assert not ending.over(3, '', 1)  # of another launch file
+    assert ending.over(2, 'scenario_sampler', code)
+    assert ending.exit_code is None  # the recorder may still have to close a bag
+    assert not ending.over(1, 'recorder', 0)
+    assert ending.exit_code == left_with
+
+
+@pytest.mark.parametrize(('code', 'ends'), [(2, True), (127, True), (0, False), (-11, False)])
+def test_given_a_node_that_refuses_then_nothing_idles_and_one_that_dies_is_the_campaign_s_affair(
+    code, ends
+):
+    ending = Ending([NodePlan(name='perception'), NodePlan(name='scenario_sampler')])
+    ending.begun(1)
+    assert ending.over(1, 'perception', code) == ends
+    assert ending.exit_code == (2 if ends else None)
+
+
+@pytest.mark.ros
+def test_r13_given_two_graphs_with_namespaces_on_one_domain_then_each_has_its_own_verdicts(
+    tmp_path,
+):
+    """As the launch file starts them, without launch."""
+    graphs = {
+        'left': words(perception='truth', scenario='nominal', out=str(tmp_path / 'left')),
+        'right/hand': words(perception='original', seed='1', out=str(tmp_path / 'right')),
+    }
+    ends = {}
+    with own_domain() as domain:
+        started: list[tuple[str, subprocess.Popen[bytes]]] = []
+        try:
+            for name, given in graphs.items():
+                given.update(namespace=name, runs='2', images='none')
+                started += [
+                    (f'{name} {node.name}', start(node, given, domain)) for node in plan(given)
+                ]
+            for name in graphs:
+                ends[name] = dict(started)[f'{name} scenario_sampler'].wait()
+        finally:
+            for _, process in started:
+                process.terminate()
+            codes = [process.wait() for _, process in started]
+    assert ends == {'left': 0, 'right/hand': 1}
+    assert sum(codes) == 1
+    # What taxinet run says of the same scenes, each on a domain of its own.
+    assert list(pd.read_csv(tmp_path / 'left' / 'runs.csv')['outcome']) == ['PASS', 'PASS']
+    assert 'FAIL' in list(pd.read_csv(tmp_path / 'right' / 'runs.csv')['outcome'])
+
+
+def start(node: NodePlan, given: dict[str, str], domain: int) -> subprocess.Popen[bytes]:
+    """Start a node as launch_ros does."""
+    options = ['-r', f'__node:={node.name}', '-r', f'__ns:={namespace(given)}']
+    options += ['-r', ':='.join(CLOCK_REMAP)]
+    parameters = {**node.parameters}
+    if node.name == 'scenario_sampler':
+        parameters['set'] = ['duration=1']
+    if parameters:
+        file = Path(given['out']).with_suffix(f'.{node.name}.yaml')
+        file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
+        options += ['--params-file', str(file)]
+    return subprocess.Popen(
+        [str(NODES / node.executable), '--ros-args', *options],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+    )
+
+
+def launched(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """What ``ros2 launch`` does, on a domain that nobody else uses."""
+    (folder / 'short.yaml').write_text(SHORT)
+    with own_domain() as domain:
+        return subprocess.run(
+            [sys.executable, '-P', '-c', SERVICE, str(FILE), 'params:=short.yaml',
+             f'domain:={domain}', *arguments],
+            cwd=folder, capture_output=True, text=True,
+            env={
+                **os.environ, 'ROS_LOG_DIR': str(folder / 'log'),
+                'AMENT_PREFIX_PATH': f'{sys.prefix}:{os.environ.get("AMENT_PREFIX_PATH", "")}',
+            },
+        )
+
+
+@with_launch
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('arguments', 'code'),
+    [
+        (('perception:=truth', 'scenario:=nominal'), 0),
+        (('perception:=original', 'controller:=own.py:straight', 'seed:=1', 'namespace:=n/m'), 1),
+        (
+            (
+                f'perception_cmd:={sys.executable} {REPOSITORY}/examples/own_perception.py',
+                'scenario:=nominal', 'namespace:=n',
+            ), 0,
+        ),
+    ],
+)
+def test_r11_given_ros2_launch_when_its_campaign_ends_then_its_exit_code_tells(
+    arguments, code, tmp_path
+):
+    (tmp_path / 'own.py').write_text('def straight(estimate): return 0.0, 5.0\n')
+    done = launched(tmp_path, 'runs:=2', 'out:=c', *arguments)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert len(pd.read_csv(tmp_path / 'c' / 'runs.csv')) == 2
+
+
+@with_launch
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('arguments', 'complaint'),
+    [
+        (('runs:=x',), 'error: runs:=x: expected a whole number'),
+        (('perceptoin:=truth',), 'error: perceptoin:=truth: unknown launch argument'),
+        (('perception:=nobody',), "error: perception: 'nobody' is unknown; known: truth"),
+        (('controller:=nobody',), "error: controller: 'nobody' is unknown"),
+        (('scenario:=nowhere', 'perception:=truth'), "error: program 'nowhere': no such file"),
+    ],
+)
+def test_r13_given_ros2_launch_when_something_is_refused_then_it_ends_at_once_with_two(
+    arguments, complaint, tmp_path
+):
+    done = launched(tmp_path, *arguments)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert (done.stdout + done.stderr).count('error: ') == 1
+    assert complaint in done.stdout + done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['log', 'short.yaml']

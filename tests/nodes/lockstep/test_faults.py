@@ -1,0 +1,189 @@
+"""Trouble in the graph ends the run as INFRA_ERROR naming who failed; the bag stays readable."""
+
+import contextlib
+import threading
+
+import pytest
+from waiting import wait_for
+
+from taxinet_ros.bag.errors import BagTruncated
+from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS
+
+pytestmark = pytest.mark.ros
+
+
+def request(run_id: str = 'run', duration: float = 60.0, **changes) -> RunRequest:
+    values = {
+        'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
+        'scenario': scenario_from_human({'duration': duration}),
+        'specs': ('phi_eventually',), 'participants': PARTICIPANTS,
+    }
+    return RunRequest(**{**values, **changes})
+
+
+def run(graph, *asked: RunRequest) -> list[RunResult]:
+    results: list[RunResult] = []
+
+    def keep(request: RunRequest, result: RunResult) -> bool:
+        results.append(result)
+        return True
+
+    graph.run(asked, keep)
+    return results
+
+
+def truth_stamps(folder) -> list[int]:
+    """Stamps of the truth in a bag, which may be cut short where the recorder was killed."""
+    stamps = []
+    with contextlib.suppress(BagTruncated):
+        for name, _, stamp, _ in read_messages(folder):
+            if name == '/ground_truth/tracking_error':
+                stamps.append(stamp)
+    return stamps
+
+
+def node_of(graph, name):
+    return next(node for node in graph.nodes if node.get_name() == name)
+
+
+def after_steps(graph, steps: int, act) -> None:
+    """Call ``act`` from another thread once the recorder has written so many steps."""
+    recorder = node_of(graph, interface.RECORDER)
+
+    def wait() -> None:
+        wait_for(lambda: getattr(recorder, '_written', 0) >= steps)
+        act()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def test_given_a_result_that_is_lost_on_its_way_then_the_sampler_asks_again(tmp_path, monkeypatch):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    with composed_graph(options) as graph:
+        server = node_of(graph, interface.SIMULATOR)._server
+        sent = server._send_result_response
+        lost: list[object] = []
+        monkeypatch.setattr(
+            server, '_send_result_response',
+            lambda header, future: sent(header, future) if lost else lost.append(future),
+        )
+        (result,) = run(graph, request(duration=1.0))
+    assert lost
+    assert result.outcome.judged, result
+
+
+@pytest.mark.parametrize(
+    ('who', 'method'),
+    [
+        (interface.PERCEPTION, '_know'),
+        (interface.STEERING_CONTROLLER, '_answer'),
+        (interface.MTL_MONITOR, '_judge_step'),
+    ],
+)
+def test_given_a_node_that_raises_mid_run_then_the_run_names_it_and_why(
+    who, method, tmp_path, monkeypatch
+):
+    options = GraphOptions(perception='truth', out=tmp_path)
+    calls = {'n': 0}
+    kinds = {kind for kind, _ in options.nodes().values()}
+    owner = next(
+        base for kind in kinds for base in kind.__mro__ if method in vars(base)
+    )
+    original = getattr(owner, method)
+
+    def failing(self, *args):
+        calls['n'] += 1
+        if calls['n'] == 20:
+            raise RuntimeError('lost the plot')
+        return original(self, *args)
+
+    monkeypatch.setattr(owner, method, failing)
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert result.outcome is Outcome.INFRA_ERROR
+    assert (result.kind, result.who) == ('node_error', who)
+    assert 'lost the plot' in result.detail
+    assert result.rho == {}
+    stamps = truth_stamps(tmp_path / 'run')
+    assert len(stamps) >= 19
+    assert stamps == sorted(stamps)
+
+
+def test_given_a_node_that_falls_silent_then_the_watchdog_names_it(tmp_path, monkeypatch):
+    from taxinet_ros.nodes.steering_controller import SteeringController
+
+    original = SteeringController._answer
+    monkeypatch.setattr(
+        SteeringController, '_answer',
+        lambda self, message: original(self, message) if message.seq < 15 else None,
+    )
+    options = GraphOptions(perception='truth', out=tmp_path, timeouts={'answer_timeout': 2.0})
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'timeout')
+    assert result.who == interface.STEERING_CONTROLLER
+    assert result.last_seq == 15
+    assert len(truth_stamps(tmp_path / 'run')) == 16
+
+
+@pytest.mark.parametrize('who', PARTICIPANTS)
+def test_r8_given_a_missing_node_then_the_run_is_not_begun_and_it_is_named_alone(who, tmp_path):
+    class Without(GraphOptions):
+        def nodes(self):
+            nodes = super().nodes()
+            del nodes[who]
+            return nodes
+
+    options = Without(
+        perception='truth', out=tmp_path, timeouts={'ready_timeout': 1.0}
+    )
+    with composed_graph(options) as graph:
+        (result,) = run(graph, request())
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
+    assert result.who == who
+    assert result.detail.startswith('not ready within 1 s: does not ')
+
+
+def test_given_a_bag_that_exists_then_it_is_not_overwritten_and_the_run_fails(tmp_path):
+    (tmp_path / 'run').mkdir()
+    (tmp_path / 'run' / 'precious').write_text('data')
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        (result,) = run(graph, request(duration=1.0))
+    assert (result.outcome, result.who) == (Outcome.INFRA_ERROR, interface.RECORDER)
+    assert [file.name for file in (tmp_path / 'run').iterdir()] == ['precious']
+
+
+def test_given_an_interrupt_then_the_run_at_hand_ends_in_order_and_no_more_are_begun(tmp_path):
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        after_steps(graph, 10, graph.interrupt)
+        results = run(graph, request('one', 600.0), request('two', 600.0))
+    assert [result.outcome for result in results] == [Outcome.INTERRUPTED]
+    assert (tmp_path / 'one' / 'metadata.yaml').exists()
+    assert not (tmp_path / 'two').exists()
+
+
+def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_reason(tmp_path):
+    from taxinet_ros.nodes.messages import convert
+
+    original = convert.scenario_message
+
+    def broken(asked):
+        message = original(asked)
+        message.cross_track = 99.0
+        return message
+
+    import taxinet_ros.nodes.scenario_sampler as sampler
+
+    sampler.scenario_message, kept = broken, sampler.scenario_message
+    try:
+        with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+            (result,) = run(graph, request(duration=1.0))
+    finally:
+        sampler.scenario_message = kept
+    assert result.outcome is Outcome.REJECTED
+    assert 'cross_track_m is 99' in result.detail

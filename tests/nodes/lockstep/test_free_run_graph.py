@@ -1,0 +1,190 @@
+"""Free runs on the real graph: slow, silent and dead perceptions, and what their bags tell."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.facts import free_account, read_run
+from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.campaign.past_runs.judged_run import find_run
+from taxinet_ros.campaign.shrink.options import make_shrink_options
+from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.pacing.timing import free_timing
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.replay import rerun
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
+from taxinet_ros.nodes.names import PARTICIPANTS
+
+pytestmark = pytest.mark.ros
+
+SLEEP_S = 0.25
+MINE = f"""
+import os
+import signal
+import time
+
+
+class Slow:
+    needs_image = False
+
+    def __call__(self, truth):
+        time.sleep({SLEEP_S})
+        return truth
+
+
+class Silent:
+    needs_image = False
+
+    def __init__(self):
+        self.frames = 0
+
+    def __call__(self, truth):
+        self.frames += 1
+        if self.frames > 3:
+            time.sleep(4)
+        return truth
+
+
+class Dying(Silent):
+    def __call__(self, truth):
+        self.frames += 1
+        if self.frames > 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return truth
+"""
+STEPS = 101
+
+
+def request(**changes) -> RunRequest:
+    return RunRequest(**{
+        'run_id': 'free', 'index': 0, 'program': 'test', 'seed': 1,
+        'scenario': Scenario(cross_track_m=2.0, duration_s=10.0), 'specs': ('phi_eventually',),
+        'participants': PARTICIPANTS, **changes,
+    })
+
+
+def run(opened, asked: RunRequest) -> RunResult:
+    results: list[RunResult] = []
+    with opened as graph:
+        graph.run([asked], lambda _, result: results.append(result) or True)
+    assert len(results) == 1
+    return results[0]
+
+
+@pytest.fixture(scope='module')
+def mine(tmp_path_factory) -> Path:
+    """A file with perceptions that take their time."""
+    file = tmp_path_factory.mktemp('mine') / 'mine.py'
+    file.write_text(MINE)
+    return file
+
+
+def options(out: Path, perception: str, factor: str, **more) -> GraphOptions:
+    return GraphOptions(
+        perception=perception, out=out, images='none', timing=free_timing(factor), **more,
+    )
+
+
+@pytest.fixture(scope='module')
+def slow(mine, tmp_path_factory) -> tuple[RunResult, Path]:
+    """A run at ten times real time with a perception that takes 25 steps for an answer."""
+    out = tmp_path_factory.mktemp('slow')
+    graph = process_graph(options(out, f'{mine}:Slow', '10'), out / 'logs')
+    return run(graph, request()), out / 'free'
+
+
+def test_r5_given_a_slow_perception_then_what_it_does_not_answer_is_counted(slow):
+    result, bag = slow
+    assert result.outcome.judged, result
+    assert result.timing == 'free real_time_factor=10' == read_run(bag).timing.words
+    figures, counts = result.free, read_info(bag).counts
+    assert figures['frames'] == STEPS == counts['/ground_truth/odom']
+    assert figures['unanswered'] == STEPS - counts['/taxi_command'] > 0
+    assert result.statistics.unusable_estimates == STEPS - counts['/perception/tracking_error']
+    # It cannot have been faster than it sleeps, however slow the machine is.
+    assert figures['perception_wall_median_s'] >= SLEEP_S
+    assert figures['loop_wall_max_s'] >= figures['loop_wall_p95_s'] >= SLEEP_S
+    assert figures['late'] > 0
+
+
+def test_r5_given_the_bag_of_a_free_run_then_its_account_is_that_of_its_messages(slow):
+    result, bag = slow
+    account = free_account(read_info(bag))
+    assert account is not None
+    assert account.figures() == pytest.approx(result.free)
+    commanded = [seq for seq in range(STEPS) if not math.isnan(account.command_s[seq])]
+    assert len(commanded) == read_info(bag).counts['/taxi_command']
+    # What held is some command that was given before, and in the end one did.
+    assert set(account.applied) <= {-1, *commanded}
+    assert all(held < seq for seq, held in enumerate(account.applied))
+
+
+def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again(slow):
+    _, bag = slow
+    checked = check_bag(bag)
+    assert checked.findings == ()
+    steps = next(check for check in checked.checks if check.name == 'steps')
+    assert 'a free run: ' in steps.looked_at
+    # Compares each state with the recorded one, to the bit.
+    assert len(list(observations(bag))) == STEPS
+
+
+def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slow, tmp_path):
+    _, bag = slow
+    assert find_run(bag).timing.free
+    with pytest.raises(UsageError, match='a free run: free runs depend on how fast'):
+        make_shrink_options(bag, perception='truth', specs=('phi_always',), nominal=(), runs=100,
+                            workers=1, out=tmp_path / 'never', resume=False, images='none')
+    with pytest.raises(UsageError, match='a free run: frames without an answer'):
+        run_replay(ReplayOptions(bag=bag, target='perception', perception='truth', controller=None,
+                                 tolerance_cte_m=0.0, tolerance_he_deg=0.0, out=tmp_path / 'r'))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_r5_given_a_free_run_when_run_again_then_it_is_free_again(slow, tmp_path):
+    _, bag = slow
+    results = rerun([(read_run(bag), 'truth', 'steering')], tmp_path, images='none')
+    assert results['free'].timing == 'free real_time_factor=10'
+    assert results['free'].free['frames'] == STEPS
+
+
+@pytest.mark.parametrize(('name', 'kind', 'says'), [
+    ('Silent', 'timeout', 'silent for 2 s'), ('Dying', 'died', 'killed by SIGKILL'),
+])
+def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and_names_it(
+    mine, tmp_path, name, kind, says
+):
+    graph = options(tmp_path, f'{mine}:{name}', '1', timeouts={'answer_timeout': 2.0})
+    asked = request(scenario=Scenario(duration_s=600.0))
+    result = run(process_graph(graph, tmp_path / 'logs'), asked)
+    assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, kind, 'perception')
+    assert says in result.detail
+    # The bag tells what there was: the commands of three frames, and all frames since.
+    counts = read_info(tmp_path / 'free').counts
+    assert counts['/taxi_command'] == 3
+    assert counts['/ground_truth/odom'] >= 3
+    assert check_bag(tmp_path / 'free').findings == ()
+
+
+def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp_path):
+    asked = request(specs=('phi_always', 'phi_eventually', 'on_runway'))
+    result = run(composed_graph(options(tmp_path, 'truth', 'max')), asked)
+    assert result.outcome.judged, result
+    assert result.free['overruns'] == 0
+    assert check_bag(tmp_path / 'free').findings == ()
+
+
+def test_r5_given_a_free_graph_then_a_rule_to_stop_is_refused(tmp_path):
+    asked = request(stop_on=StopOn.VIOLATED)
+    result = run(composed_graph(options(tmp_path, 'truth', '1')), asked)
+    assert (result.outcome, result.detail) == (
+        Outcome.REJECTED,
+        'stop_on violated: not in a free run, where nobody waits for the monitor',
+    )

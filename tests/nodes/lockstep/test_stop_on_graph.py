@@ -1,0 +1,130 @@
+"""A run that may end early ends at the same step in every layout, and its bag holds just that."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.bag.check.judge import judge_runs
+from taxinet_ros.bag.reader import read_info
+from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import Assumptions, parse_spec
+from taxinet_ros.core.outcome import Outcome, RunRequest, StopOn
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
+from taxinet_ros.nodes.interface import PARTICIPANTS
+
+pytestmark = pytest.mark.ros
+
+SPECS = ('soon=eventually[0:1.7](always(abs(cte) <= 1.5))', 'on_runway')
+LATE = scenario_from_human({'cross_track': 6, 'heading': 15, 'duration': 5})
+GOOD = scenario_from_human({'cross_track': 0.5, 'heading': 0, 'duration': 5})
+
+
+def requests(stop_on: StopOn) -> list[RunRequest]:
+    return [
+        RunRequest(
+            run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
+            specs=SPECS, participants=PARTICIPANTS, stop_on=stop_on,
+        )
+        for index, scene in enumerate((LATE, GOOD))
+    ]
+
+
+def run_graph(opened, asked):
+    results = []
+    with opened as graph:
+        graph.run(asked, lambda request, result: results.append(result) or True)
+    assert len(results) == len(asked)
+    return results
+
+
+def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same(tmp_path):
+    asked = requests(StopOn.VIOLATED)
+    options = [GraphOptions(perception='truth', out=tmp_path / name) for name in ('one', 'many')]
+    composed = run_graph(composed_graph(options[0]), asked)
+    run_graph(process_graph(options[1], tmp_path / 'logs'), asked)
+
+    late, good = composed
+    steps = []
+    judgement = run_closed_loop(
+        LATE, make_perception('truth'), specs=[parse_spec(text) for text in SPECS],
+        stop_on=StopOn.VIOLATED, on_step=steps.append,
+    )
+    assert 17 <= len(steps) - 1 < 50
+    assert (late.outcome, late.stopped_early) == (Outcome.FAIL, True)
+    assert late.last_seq == len(steps) - 1
+    assert late.rho == {}
+    assert list(late.rho_lower.values()) == [r.lower for r in judgement.readings]
+    assert list(late.rho_upper.values()) == [r.upper for r in judgement.readings]
+    assert late.rho_lower['soon'] == -math.inf
+    assert late.rho_upper['soon'] < 0 < late.rho_upper['on_runway']
+    assert repr(late.statistics) == repr(judgement.statistics), 'NaN where there is nothing'
+
+    bag = tmp_path / 'one' / 'run-0'
+    trace = read_trace(bag)
+    assert trace['cte_m'].tobytes() == np.array(
+        [step.observation.state.tracking_error.cte_m for step in steps]
+    ).tobytes()
+    assert trace['rho_upper.soon'].tobytes() == np.array(
+        [step.readings[0].upper for step in steps]
+    ).tobytes()
+    info = read_info(bag)
+    assert info.complete, info.trouble
+    assert info.counts['/camera/image_raw'] == info.counts['/taxi_command'] == len(steps)
+    assert info.counts['/monitor/robustness'] == 2 * len(steps)
+
+    assert (good.outcome, good.stopped_early, good.last_seq) == (Outcome.PASS, False, 50)
+    assert set(good.rho) == {'soon', 'on_runway'}
+    for run in ('run-0', 'run-1'):
+        one, many = (
+            {file.name: file.read_bytes() for file in (tmp_path / name / run).iterdir()}
+            for name in ('one', 'many')
+        )
+        assert len(one) == 2
+        assert one == many, 'the bags differ in bytes'
+
+
+def test_given_decided_when_a_run_ends_then_every_formula_is_decided_or_the_run_is_whole(tmp_path):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    late, good = run_graph(composed_graph(options), requests(StopOn.DECIDED))
+    assert (late.stopped_early, late.last_seq) == (False, 50), 'on_runway is open to the end'
+    assert set(late.rho) == {'soon', 'on_runway'}
+    assert late.outcome is Outcome.FAIL
+    assert good.outcome is Outcome.PASS
+
+
+def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_without_ros(tmp_path):
+    base = replace(
+        requests(StopOn.DECIDED)[1], specs=('wide=always(abs(cte) <= 8)',), rates=('cte=3',)
+    )
+    asked = [base, replace(
+        base, run_id='run-x', rates=('cte=0.001',), bounds=('cte=-20:20',), stop_on=StopOn.NEVER,
+    )]
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    kept, broken = run_graph(composed_graph(options), asked)
+
+    steps = []
+    judgement = run_closed_loop(
+        GOOD, make_perception('truth'), specs=[parse_spec(base.specs[0])],
+        stop_on=StopOn.DECIDED, assumptions=Assumptions(rates={'cte': 3.0}), on_step=steps.append,
+    )
+    assert (kept.outcome, kept.stopped_early) == (Outcome.PASS, True)
+    assert 20 < kept.last_seq == len(steps) - 1 < 30
+    assert kept.rho_lower['wide'] == judgement.readings[0].lower > 0
+
+    assert (broken.outcome, broken.stopped_early, broken.last_seq) == (Outcome.PASS, False, 50)
+    assert broken.rho['wide'] > 0, 'the run goes on without what it has broken'
+
+    for request, early in zip(asked, (True, False), strict=True):
+        (judged,) = judge_runs(tmp_path / request.run_id)
+        assert judged.stopped_early is early
+        assert judged.verdicts[0].same is True
+        assert (judged.verdicts[0].breach_s is None) is early
+        assert check_bag(tmp_path / request.run_id).findings == ()
+    (other,) = judge_runs(tmp_path / 'run-1', assumptions=Assumptions())
+    assert other.verdicts[0].same is None, 'an open interval is another one without the rates'

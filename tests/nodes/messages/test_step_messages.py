@@ -1,0 +1,187 @@
+"""The bytes of a step's messages are what ROS makes of message objects with the same values.
+
+Messages of a control step are put together in whatever order they arrive.
+"""
+
+from functools import cache
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from taxinet_msgs import msg as taxinet
+
+from taxinet_ros.bag.cdr.alignment import Canonical
+from taxinet_ros.bag.run.message_values import command_of, error_of
+from taxinet_ros.bag.topics import describe_topic
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import Reading, Spec, Verdict
+from taxinet_ros.core.mtl.specs import SHIPPED
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError, quaternion
+from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.messages import convert
+from taxinet_ros.nodes.messages.step import (
+    StepCollector,
+    camera_info_cdr,
+    clock_cdr,
+    command_cdr,
+    error_cdr,
+    odometry_cdr,
+    progress_cdr,
+    robustness_cdr,
+)
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+NUMBERS = st.integers(0, 2**32 - 1)
+WORDS = st.text('aβ_-', max_size=9)
+ERRORS = st.builds(TrackingError, cte_m=st.floats(), he_rad=st.floats(), valid=st.booleans())
+COMMANDS = st.builds(TaxiCommand, steering_rad=FINITE, speed_mps=FINITE)
+ANGLES = st.floats(-3.0, 3.0)
+STATES = st.builds(
+    AircraftState, x_m=FINITE, y_m=FINITE, z_m=FINITE, roll_rad=ANGLES, pitch_rad=ANGLES,
+    yaw_rad=ANGLES, speed_mps=FINITE, yaw_rate_radps=FINITE,
+)
+SPECS = st.builds(Spec, name=WORDS, formula=st.just(SHIPPED['phi_always'].formula), text=WORDS)
+READINGS = st.builds(
+    Reading, lower=st.floats(), upper=st.floats(), verdict=st.sampled_from(Verdict),
+    final=st.booleans(), valid=st.booleans(), samples=NUMBERS, rejected=NUMBERS,
+    trusted=st.booleans(),
+)
+
+
+@cache
+def canonical(topic: str) -> Canonical:
+    known = next(known for known in interface.TOPICS if known.name == topic)
+    return Canonical([describe_topic(name=topic, type_name=known.type_name, qos='')])
+
+
+def serialised(topic, message) -> bytes:
+    """What ROS makes of a message, with zeros where it leaves whatever was there."""
+    return canonical(topic.name).message(topic.name, bytes(serialize_message(message)))
+
+
+@given(STAMPS)
+def test_given_a_time_then_clock_and_camera_info_say_it(stamp_ns):
+    clock = Clock(clock=convert.time_of(stamp_ns))
+    assert clock_cdr(stamp_ns) == serialised(interface.CLOCK, clock)
+    info = convert.camera_info_message()
+    info.header.stamp = convert.time_of(stamp_ns)
+    assert info.header.frame_id == 'camera_optical'
+    assert camera_info_cdr(stamp_ns) == serialised(interface.CAMERA_INFO, info)
+
+
+@given(STATES, STAMPS)
+def test_given_a_state_then_odometry_says_pose_in_map_and_speed_in_base_link(state, stamp_ns):
+    message = Odometry(header=convert.header(stamp_ns, 'map'), child_frame_id='base_link')
+    message.pose.pose.position = Point(x=state.x_m, y=state.y_m, z=state.z_m)
+    x, y, z, w = quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad)
+    message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    message.twist.twist.linear.x = state.speed_mps
+    message.twist.twist.angular.z = state.yaw_rate_radps
+    assert odometry_cdr(state, stamp_ns) == serialised(interface.ODOMETRY, message)
+
+
+@given(ERRORS, WORDS, NUMBERS, STAMPS)
+def test_given_a_tracking_error_then_ros_makes_the_same_bytes_of_it(error, run_id, seq, stamp_ns):
+    message = taxinet.TrackingError(
+        header=convert.header(stamp_ns, 'map'), run_id=run_id, seq=seq,
+        cross_track_error=error.cte_m, heading_error=error.he_rad, valid=error.valid,
+    )
+    assert error_cdr(error, run_id, seq, stamp_ns) == serialised(interface.ESTIMATE, message)
+
+
+@given(COMMANDS, WORDS, NUMBERS, STAMPS)
+def test_given_a_command_then_ros_makes_the_same_bytes_of_it(command, run_id, seq, stamp_ns):
+    message = taxinet.TaxiCommand(
+        header=convert.header(stamp_ns, 'base_link'), run_id=run_id, seq=seq,
+        steering_angle=command.steering_rad, speed=command.speed_mps,
+    )
+    assert command_cdr(command, run_id, seq, stamp_ns) == serialised(interface.COMMAND, message)
+
+
+@given(SPECS, READINGS, WORDS, NUMBERS, STAMPS)
+def test_given_a_reading_then_ros_makes_the_same_bytes_of_it_as_for_a_verdict(
+    spec, reading, run_id, seq, stamp_ns
+):
+    message = convert.robustness_message(spec, reading, run_id, seq, stamp_ns)
+    written = robustness_cdr(spec, reading, run_id, seq, stamp_ns)
+    assert written == serialised(interface.ROBUSTNESS, message)
+
+
+@given(WORDS, WORDS, WORDS, WORDS, NUMBERS, STAMPS)
+def test_given_progress_then_ros_makes_the_same_bytes_of_it(
+    node, implementation, fingerprint, run_id, seq, stamp_ns
+):
+    message = taxinet.NodeStatus(
+        header=convert.header(stamp_ns, ''), run_id=run_id, node=node, seq=seq,
+        state=taxinet.NodeStatus.PROGRESS, implementation=implementation, fingerprint=fingerprint,
+    )
+    written = progress_cdr(node, implementation, fingerprint, run_id, seq, stamp_ns)
+    assert written == serialised(interface.PROGRESS, message)
+
+
+def test_given_runs_in_turns_then_each_message_is_of_its_own_run_and_formula():
+    reading = Reading(
+        lower=-1.0, upper=1.0, verdict=Verdict.UNKNOWN, final=False, valid=True, samples=1,
+        rejected=0,
+    )
+    for run_id in ('first', 'the second', 'first'):
+        for spec in SHIPPED.values():
+            cdr = robustness_cdr(spec, reading, run_id, 1, CONTROL_PERIOD_NS)
+            read = deserialize_message(cdr, taxinet.Robustness)
+            assert (read.run_id, read.spec, read.formula) == (run_id, spec.name, spec.text)
+
+
+@given(ERRORS.filter(lambda error: error.usable), COMMANDS)
+def test_given_what_is_said_when_read_then_every_bit_is_there(error, command):
+    told = deserialize_message(error_cdr(error, 'run', 7, 700_000_000), taxinet.TrackingError)
+    assert error_of(told) == error
+    done = deserialize_message(command_cdr(command, 'run', 7, 700_000_000), taxinet.TaxiCommand)
+    assert command_of(done) == command
+    for message in (told, done):
+        assert (message.run_id, message.seq) == ('run', 7)
+        assert message.header.stamp == Time(sec=0, nanosec=700_000_000)
+
+
+EXPECTED = {'image': 1, 'truth': 1, 'robustness': 2}
+MESSAGES = [
+    (topic, seq, f'{topic}-{seq}-{i}')
+    for seq in range(5) for topic, count in EXPECTED.items() for i in range(count)
+]
+
+
+def by_topic(seq: int) -> dict[str, list[str]]:
+    return {
+        topic: [f'{topic}-{seq}-{i}' for i in range(count)] for topic, count in EXPECTED.items()
+    }
+
+
+@given(st.permutations(MESSAGES))
+def test_given_messages_in_any_order_then_whole_steps_come_out_in_order(messages):
+    collector = StepCollector(EXPECTED)
+    steps = [step for topic, seq, m in messages for step in collector.add(topic, seq, m)]
+    assert [seq for seq, _ in steps] == [0, 1, 2, 3, 4]
+    for seq, content in steps:
+        assert {topic: sorted(found) for topic, found in content.items()} == by_topic(seq)
+    assert collector.torn() == []
+
+
+def test_given_repeated_messages_then_they_are_counted_and_ignored():
+    collector = StepCollector({'image': 1, 'truth': 1})
+    assert list(collector.add('image', 0, 'first')) == []
+    assert list(collector.add('image', 0, 'again')) == []
+    steps = list(collector.add('truth', 0, 'truth'))
+    assert steps == [(0, {'image': ['first'], 'truth': ['truth']})]
+    assert list(collector.add('truth', 0, 'late')) == []
+    assert collector.repeated == 2
+
+
+def test_given_a_run_that_stops_then_what_was_begun_is_still_there():
+    collector = StepCollector({'image': 1, 'truth': 1})
+    list(collector.add('image', 1, 'b'))
+    list(collector.add('image', 0, 'a'))
+    assert collector.torn() == [(0, {'image': ['a']}), (1, {'image': ['b']})]

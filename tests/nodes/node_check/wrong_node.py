@@ -1,0 +1,153 @@
+"""An example node with faults of the command line: ``wrong_node.py controller seq,stamp``."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[3] / 'examples'))
+
+import own_controller
+import own_perception
+import rclpy
+from rclpy.qos import ReliabilityPolicy
+from taxinet_msgs.msg import NodeStatus, Scenario, TaxiCommand
+
+ROLE, FAULTS = sys.argv[1], set(sys.argv[2].split(','))
+EXAMPLE = {'perception': own_perception.OwnPerception, 'controller': own_controller.OwnController}
+LISTENS = {'perception': 'camera/image_raw', 'controller': 'perception/tracking_error'}[ROLE]
+
+
+def ready(run_id: str) -> NodeStatus:
+    node = {'perception': 'perception', 'controller': 'steering_controller'}[ROLE]
+    listens = [LISTENS] if 'listens' in FAULTS else [LISTENS, 'scenario']
+    return NodeStatus(
+        run_id=run_id, node=node, state=NodeStatus.READY, implementation='wrong', listens=listens,
+    )
+
+
+class Answers:
+    """Stands before the publisher of the answers, and spoils them."""
+
+    def __init__(self, publisher):
+        self.publisher, self.count, self.run_id = publisher, 0, ''
+
+    def __getattr__(self, name):
+        return getattr(self.publisher, name)
+
+    def publish(self, answer):
+        self.count += 1
+        if 'dies' in FAULTS and self.count == 3:
+            raise SystemExit('lost its mind')
+        if 'silent' in FAULTS:
+            return
+        if {'slow', 'very_slow'} & FAULTS:
+            time.sleep(0.4 if 'very_slow' in FAULTS else 0.11)
+        if ROLE == 'controller':
+            self.spoil_command(answer)
+        elif 'nan' in FAULTS:
+            answer.valid, answer.heading_error = True, math.nan
+        if 'run_id' in FAULTS:
+            answer.run_id = 'another'
+        if 'seq' in FAULTS:
+            answer.seq += 1
+        if 'stamp' in FAULTS:
+            answer.header.stamp.nanosec += 1
+        for _ in range(2 if 'twice' in FAULTS else 1):
+            self.publisher.publish(answer)
+
+    def spoil_command(self, command):
+        if 'nan' in FAULTS or ('unusable' in FAULTS and command.speed == 0):
+            command.steering_angle = math.nan
+        if 'away' in FAULTS:
+            command.steering_angle *= -57.3
+        if 'remembers' in FAULTS:
+            command.speed += self.count / 100
+        if 'random' in FAULTS:
+            command.speed += random.random()
+        if 'other_run' in FAULTS:
+            command.run_id = self.run_id
+
+
+class Wrong(EXAMPLE[ROLE]):
+    def __init__(self):
+        super().__init__()
+        name = 'estimates' if ROLE == 'perception' else 'commands'
+        self.answers = Answers(getattr(self, name))
+        setattr(self, name, self.answers)
+        self.begun = 0
+        if 'topics' in FAULTS:
+            self.create_publisher(Scenario, 'scenario', own_controller.LATCHED)
+        if 'once' in FAULTS:
+            self.create_timer(0.02, lambda: self.answers.publisher.publish(TaxiCommand()))
+
+    def create_publisher(self, kind, topic, qos):
+        if topic == 'taxi_command' and 'types' in FAULTS:
+            kind = NodeStatus
+        if topic == 'taxi_command' and 'qos' in FAULTS:
+            qos = rclpy.qos.QoSProfile(depth=16, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return super().create_publisher(kind, topic, qos)
+
+    def create_subscription(self, kind, topic, callback, qos):
+        if topic == 'scenario' and 'qos' in FAULTS:
+            qos = own_controller.EACH_STEP
+        if topic == LISTENS and 'deadline' in FAULTS:
+            qos = rclpy.qos.QoSProfile(depth=16, deadline=rclpy.duration.Duration(seconds=1))
+        return super().create_subscription(kind, topic, callback, qos)
+
+    def begin(self, scenario):
+        self.begun += 1
+        if 'dies_at_4' in FAULTS and self.begun == 4:
+            os._exit(7)
+        self.answers.run_id = scenario.run_id
+        if 'remembers' not in FAULTS:
+            self.answers.count = 0
+        if 'waits' in FAULTS:
+            self.status.publish(ready(scenario.run_id))
+        elif 'uninvited' in FAULTS:
+            self.scenario = scenario
+        elif 'ready' not in FAULTS and not ('ready_again' in FAULTS and self.begun > 1):
+            super().begin(scenario)
+
+    def see(self, image):
+        if 'strange_image' in FAULTS and image.encoding == 'mono8':
+            raise SystemExit('no colours')
+        super().see(image)
+
+
+def main():
+    if 'starts' in FAULTS:
+        raise SystemExit('out of paint')
+    args = ['--ros-args', '-r', '__node:=somebody'] if 'name' in FAULTS else None
+    rclpy.init(args=args)
+    if 'leaves' in FAULTS:
+        subprocess.Popen(['sleep', '1000'], start_new_session=True)
+    node = Wrong()
+    others = []
+    if 'two' in FAULTS:
+        others.append(rclpy.create_node('x'))  # called as the first, by the command line
+    if 'namesake' in FAULTS:
+        others.append(rclpy.create_node('recorder', use_global_arguments=False))
+        others[-1].create_publisher(NodeStatus, 'lockstep/progress', own_controller.EACH_STEP)
+    if 'deaf' in FAULTS:
+        rclpy.signals.uninstall_signal_handlers()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        if 'traceback' in FAULTS:
+            raise
+    except Exception:
+        if rclpy.ok():  # else it is the end, which comes to rclpy at odd moments
+            raise
+
+
+if __name__ == '__main__':
+    main()

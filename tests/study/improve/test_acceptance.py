@@ -1,0 +1,182 @@
+import dataclasses
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxinet_ros.analysis.causes.region import Interval, Region
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.study.improve.acceptance import _bound, _score, decide
+
+ALPHA = 0.05
+
+
+def row(index: int, rho: float, **changes) -> RunRow:
+    scene = {
+        'cross_track': 0.0, 'distance': 100.0 * (index % 20), 'heading': 0.0, 'clouds': 'clear',
+        'rain': 0.0, 'time_of_day': 6 + index % 12, 'left_runway': False,
+    }
+    return RunRow(
+        run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
+        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={'phi': rho},
+        **{**scene, **changes},
+    )
+
+
+def rows(*rhos: float, **changes) -> list[RunRow]:
+    return [row(index, rho, **changes) for index, rho in enumerate(rhos)]
+
+
+def test_given_far_fewer_failures_then_the_candidate_is_accepted():
+    made = decide(rows(*[-1.0] * 8, *[1.0] * 92), rows(*[1.0] * 100), ALPHA)
+    assert (made.accepted, made.failed_before, made.failed_now) == (True, 8, 0)
+    assert (made.only_before, made.only_now, made.pairs) == (8, 0, 100)
+    assert made.failures_p == 2 * 0.5**8
+    assert made.why.startswith('fails less often (p 0.0078)')
+
+
+def test_given_a_few_failures_less_then_that_is_no_proof():
+    made = decide(rows(*[-1.0] * 4, *[1.0] * 96), rows(*[1.0] * 100), ALPHA)
+    # Four pairs are not enough: 2 * 0.5**4 = 0.125; and the ranks of rho rest on the same four.
+    assert (made.accepted, made.failures_p) == (False, 0.125)
+
+
+def test_given_as_many_failures_and_a_better_robustness_then_it_is_accepted():
+    chance = random.Random(1)
+    before = [chance.gauss(1.0, 0.2) for _ in range(300)]
+    now = [rho + 0.05 + chance.gauss(0, 0.05) for rho in before]
+    made = decide(rows(*before), rows(*now), ALPHA)
+    assert made.accepted
+    assert 0 < made.rho_low <= made.rho_change <= made.rho_high
+    assert 'nearer to the centreline' in made.why
+    assert not decide(rows(*now), rows(*before), ALPHA).accepted
+
+
+def test_given_better_rho_but_one_failure_more_then_it_is_rejected():
+    made = decide(rows(*[0.5] * 60), rows(*[0.9] * 59, -0.1), ALPHA)
+    assert (made.accepted, made.why) == (False, 'fails more often')
+
+
+def test_given_fewer_failures_but_more_runs_off_the_runway_then_it_is_rejected():
+    before = rows(*[-1.0] * 20, *[1.0] * 80)
+    now = rows(*[1.0] * 99, -9.0)
+    now[99] = dataclasses.replace(now[99], left_runway=True)
+    made = decide(before, now, ALPHA)
+    assert (made.accepted, made.off_before, made.off_now) == (False, 0, 1)
+    assert 'leaves the runway more often (1 runs, not 0)' in made.why
+
+
+def test_given_fewer_failures_in_all_but_more_at_one_hour_then_the_place_is_named():
+    """40 failures mended at 12-15 h, 12 new ones at 6-9 h."""
+    def campaign(failed: set[int]) -> list[RunRow]:
+        return [
+            row(index, -1.0 if index in failed else 1.0, distance=50.0,
+                time_of_day=7.0 if index < 100 else 13.0)
+            for index in range(200)
+        ]
+    made = decide(campaign(set(range(100, 140))), campaign(set(range(12))), ALPHA)
+    assert made.failures_p < 0.001
+    assert not made.accepted
+    assert made.worse == ('between 07:00 and 07:00',)
+    assert made.why.startswith('may fail up to 18.')
+    assert made.why.endswith('points more often where it is about "between 07:00 and 07:00"')
+
+
+def test_given_scenes_that_only_one_of_them_was_judged_on_then_they_do_not_count():
+    before, now = rows(*[-1.0] * 10, *[1.0] * 30), rows(*[1.0] * 40)
+    assert decide(before[5:], now, ALPHA).pairs == 35
+    assert decide(before, now[:20], ALPHA).pairs == 20
+
+
+def test_given_no_pair_then_nothing_is_accepted_and_nothing_breaks():
+    made = decide([], [], ALPHA)
+    assert (made.accepted, made.pairs, made.satisfied_low) == (False, 0, 0.0)
+    assert made.to_json()['rho_change'] is None
+
+
+@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), max_size=40))
+def test_given_any_runs_then_never_both_directions_are_accepted(pairs):
+    before, now = rows(*(one for one, _ in pairs)), rows(*(other for _, other in pairs))
+    assert not (decide(before, now, ALPHA).accepted and decide(now, before, ALPHA).accepted)
+
+
+@given(st.lists(st.floats(-2, 2), max_size=40))
+def test_given_equal_runs_then_the_incumbent_stays(rhos):
+    assert not decide(rows(*rhos), rows(*rhos), ALPHA).accepted
+
+
+def share_accepted(chances, *, runs=400, rounds=40, gain_m=0.0, causes=()):
+    """Share of rounds in which a network with other chances of failing is accepted.
+
+    Args:
+        chances: of failing before and now, of the place along the runway and the hour.
+        runs: scenes of each round.
+        rounds: how many.
+        gain_m: by how much it keeps nearer to the centreline.
+        causes: known of the incumbent.
+    """
+    accepted = 0
+    for number in range(rounds):
+        rng = np.random.default_rng(number)
+        distance, hour = rng.uniform(0, 2000, runs), rng.uniform(6, 18, runs)
+        scenes = [
+            {'distance': float(d), 'time_of_day': float(h), 'heading': float(rng.uniform(-30, 30)),
+             'cross_track': float(rng.uniform(-8, 8))} for d, h in zip(distance, hour, strict=True)
+        ]
+        both = [
+            np.where(rng.random(runs) < np.asarray(chance(distance, hour)), -1.0, 1.0)
+            + gain + rng.normal(0, 0.05, runs) for chance, gain in zip(chances, (0, gain_m),
+                                                                       strict=True)
+        ]
+        before, now = (
+            [row(index, float(rho), **scene)
+             for index, (rho, scene) in enumerate(zip(rhos, scenes, strict=True))] for rhos in both
+        )
+        accepted += decide(before, now, ALPHA, causes=causes).accepted
+    return accepted / rounds
+
+
+CROSSING = Region(parts=(Interval(feature='distance_m', low=1200.0, high=1450.0),))
+
+
+def at_crossing(there, elsewhere):
+    def chance(distance, hour):
+        beside = elsewhere(hour) if callable(elsewhere) else elsewhere
+        return np.where((distance > 1200) & (distance < 1450), there, beside)
+    return chance
+
+
+def test_t13_given_twice_as_many_failures_and_a_path_nearer_to_the_line_then_it_is_rejected():
+    assert share_accepted(
+        (lambda d, h: 0 * d + 0.01, lambda d, h: 0 * d + 0.02), gain_m=0.03) <= 0.1
+    assert share_accepted(
+        (lambda d, h: 0 * d + 0.05, lambda d, h: 0 * d + 0.075), gain_m=0.03) <= 0.1
+
+
+@pytest.mark.parametrize('new', [
+    0.05, 0.1, lambda hour: 0.1 * (hour < 9), lambda hour: 0.05 * (hour < 9),
+])
+def test_t13_given_new_failures_where_there_were_none_then_a_better_crossing_does_not_help(new):
+    chances = at_crossing(0.6, 0.0), at_crossing(0.05, new)
+    assert share_accepted(chances, causes=[CROSSING]) <= 0.1
+
+
+def test_t13_given_a_network_that_is_really_better_then_it_is_accepted_as_a_rule():
+    assert share_accepted((at_crossing(0.6, 0.0), at_crossing(0.05, 0.0)), causes=[CROSSING]) == 1
+    assert share_accepted((at_crossing(0.9, 0.5), at_crossing(0.1, 0.1)), causes=[CROSSING]) == 1
+    assert share_accepted(
+        (lambda d, h: 0 * d, lambda d, h: 0 * d), gain_m=0.03) == 1, 'nearer, and no failure'
+
+
+@given(st.integers(0, 12), st.integers(0, 12), st.integers(24, 400))
+def test_t13_given_changed_pairs_then_the_bound_is_where_tangos_test_changes_its_mind(
+    more, fewer, pairs
+):
+    bound = _bound(more, fewer, pairs, ALPHA)
+    assert (more - fewer) / pairs <= bound <= 1
+    assert _score(more, fewer, pairs, min(bound + 1e-6, 1 - 1e-9)) <= -1.6448
+    assert bound - 1e-6 <= (more - fewer) / pairs or (
+        _score(more, fewer, pairs, bound - 1e-6) >= -1.6449)

@@ -1,0 +1,98 @@
+"""What the docs say of the paper's statements is what the shipped tables say."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.cli.study.case_study import CaseStudyOptions, run_case_study
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.report.claim import Claim, Verdict, p_words
+from taxinet_ros.study.report.report import gather_findings
+from taxinet_ros.study.report.results import Results, read_tables
+from taxinet_ros.study.stages.config import read_config, shipped_config
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCS = (ROOT / 'docs' / 'case_study.md').read_text()
+
+
+@pytest.fixture(scope='module')
+def found():
+    return gather_findings(read_config(shipped_config()), ROOT / 'bags', ROOT / 'bags')
+
+
+def words(claim: Claim) -> str:
+    return (
+        f'| {claim.statement} | {claim.evidence} | {p_words(claim.p_value)} | '
+        f'{claim.verdict.value} |'
+    )
+
+
+def test_paper_given_the_shipped_tables_then_the_docs_have_each_verdict_with_its_figures(found):
+    assert len(found.claims) == 29
+    missing = [claim.name for claim in found.claims if words(claim) not in DOCS]
+    assert missing == []
+    counts = Counter(claim.verdict for claim in found.claims)
+    head = ', '.join(f'{counts[verdict]} {verdict.value}' for verdict in Verdict)
+    assert f'Of {len(found.claims)} statements of the paper: {head}' in DOCS
+
+
+def test_paper_given_the_four_that_were_not_judged_then_the_tables_say_that_they_do_not_hold(found):
+    verdicts = {claim.name: claim.verdict for claim in found.claims}
+    names = ('clouds_reversal', 'late_morning', 'original_start', 'specialised_metres')
+    assert {verdicts[name] for name in names} == {Verdict.DIFFERS}
+
+
+def test_t14_study_given_the_shipped_searches_then_there_are_five_by_each_rule_and_the_spread(
+    found,
+):
+    results: Results = found.results
+    assert set(results.searches) == {'ce', 'ce-verifai'}
+    for searches in results.searches.values():
+        assert sorted(search.facts['seed'] for search in searches) == [2, 3, 4, 5, 6]
+        assert {search.facts['perception'] for search in searches} == {'generic'}
+    frame = found.learned
+    for name in ('ce', 'ce-verifai'):
+        assert frame[name].sum() == pytest.approx(1)
+        assert (frame[f'{name}_least'] <= frame[name]).all()
+        assert (frame[name] <= frame[f'{name}_greatest']).all()
+    assert frame['weighted'].sum() == pytest.approx(1)
+    assert (frame['weighted_low'] <= frame['weighted']).all()
+    for _, line in frame.iterrows():
+        for name, low, high in (('ce', '_least', '_greatest'), ('of_failures', '_low', '_high'),
+                                ('ce-verifai', '_least', '_greatest'),
+                                ('weighted', '_low', '_high')):
+            ends = f'({100 * line[name + low]:.1f}-{100 * line[name + high]:.1f})'
+            assert f'{100 * line[name]:.1f} % {ends}' in DOCS
+
+
+def test_paper_given_tables_then_the_command_reports_them_and_refuses_what_would_run(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('taxinet_ros.analysis.report.pictures.write_png', lambda *_: None)
+    monkeypatch.setattr('taxinet_ros.analysis.report.page.write_report_page', lambda *_: None)
+    assert run_case_study(CaseStudyOptions(tables=ROOT / 'bags', out=Path('new'))) == 0
+    printed = capsys.readouterr().out
+    assert 'late_morning: Not as in the paper (p ' in printed
+    assert (tmp_path / 'new' / 'report' / 'case_study.json').is_file()
+    with pytest.raises(UsageError, match='--out new: exists already'):
+        run_case_study(CaseStudyOptions(tables=ROOT / 'bags', out=Path('new')))
+    with pytest.raises(UsageError, match=r'--tables .*: runs nothing; leave --resume out'):
+        run_case_study(CaseStudyOptions(tables=ROOT / 'bags', resume=True))
+
+
+def test_paper_given_a_folder_without_tables_then_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=r'--tables empty: has no s_falsif_NETWORK_RUNS\.parquet'):
+        run_case_study(CaseStudyOptions(tables=Path('empty'), out=Path('new')))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_paper_given_a_table_that_a_sampler_chose_then_it_is_no_evaluation(tmp_path):
+    source = ROOT / 'bags' / 'learn-ce-2' / 'runs.parquet'
+    (tmp_path / 's_falsif_generic_9.parquet').write_bytes(source.read_bytes())
+    with pytest.raises(UsageError, match=r'were chosen by a sampler, .* with --sampler ra'):
+        read_tables(read_config(shipped_config()), tmp_path)

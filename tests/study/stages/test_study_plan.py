@@ -1,0 +1,128 @@
+"""The stages of a study are the paper's, and every one is a command that taxinet takes."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pytest
+from studies import smoke_config
+from typer.main import get_command
+
+from taxinet_ros.campaign.samplers.registry import SAMPLERS
+from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
+from taxinet_ros.cli.main import app
+from taxinet_ros.errors import UsageError
+from taxinet_ros.study.report.paper import PAPER_RULE
+from taxinet_ros.study.stages.config import read_config, shipped_config
+from taxinet_ros.study.stages.plan import (
+    NETWORKS,
+    learned_program,
+    stages,
+    stages_until,
+    weights_of,
+)
+
+SHIPPED = read_config(shipped_config())
+FOUND = {stage.name: stage for stage in stages(SHIPPED)}
+LEARNED_PROGRAM = learned_program(SHIPPED)
+
+
+def command(name: str) -> str:
+    return ' '.join(FOUND[name].command())
+
+
+@pytest.mark.parametrize('name', FOUND)
+def test_given_a_stage_then_taxinet_knows_its_words(name):
+    first, *words = FOUND[name].command(resume=True)
+    known = get_command(app).commands[first]
+    known.make_context(first, list(words))
+
+
+def test_given_the_stages_then_each_stands_after_what_it_needs():
+    made: set[str] = set()
+    for stage in FOUND.values():
+        assert set(stage.inputs) - {LEARNED_PROGRAM} <= made
+        assert set(stage.programs) - {LEARNED_PROGRAM} <= {
+            'training_original', 's_falsif', 's_falsif_ce', 'runway_position', 'crossing'}
+        made |= set(stage.outputs)
+
+
+def test_given_the_trainings_then_sizes_and_seed_are_the_same_for_all():
+    shared = ' --images 12000 --validation 1500 --epochs 20 --batch 64 --seed 1 '
+    names = [network for network in NETWORKS if network != 'best']
+    assert len(names) == 7
+    assert all(shared in command(f'train-{network}') for network in names)
+
+
+def test_given_the_evaluations_then_all_networks_have_the_same_scenes():
+    campaigns = [name for name in FOUND if name.startswith(('evaluate-', 'falsify-'))]
+    assert len(campaigns) == 8
+    for name in campaigns:
+        assert command(name).startswith('falsify s_falsif --sampler random --seed 0 --perception ')
+        assert ' --runs 4000 ' in command(name)
+
+
+def test_given_further_training_then_it_begins_with_the_generic_network_and_adds_a_fifth():
+    start = f'--start {weights_of("generic")}'
+    for kind, program in (
+        ('generic', 's_falsif'), ('crossing', 'crossing'), ('learned', LEARNED_PROGRAM),
+    ):
+        words = command(f'train-iterative-{kind}')
+        assert words.startswith('train s_falsif ')
+        assert f'{start} --add {program}=2400' in words
+
+
+def test_t14_study_given_the_searches_then_there_is_one_for_each_rule_and_seed():
+    searches = {name: command(name) for name in FOUND if name.startswith('learn-')}
+    assert len(searches) == 10
+    for sampler in ('ce', 'ce-verifai'):
+        for seed in (2, 3, 4, 5, 6):
+            words = searches[f'learn-{sampler}-{seed}']
+            assert words.startswith(f'falsify s_falsif_ce --sampler {sampler} --seed {seed} ')
+            assert f'--perception {weights_of("generic")} ' in words
+            assert ' --runs 1200 ' in words
+    assert LEARNED_PROGRAM == 'learn-ce-2/learned.scenic'
+    assert SAMPLERS[PAPER_RULE].options['alpha'].default == 0.9  # VerifAI's own
+
+
+def test_given_until_then_the_stages_end_there_and_an_unknown_one_lists_them():
+    found = tuple(FOUND.values())
+    assert [stage.name for stage in stages_until(found, 'falsify-original')] == [
+        'train-original', 'falsify-original']
+    with pytest.raises(UsageError, match='--until lunch: no such stage; known: train-original, '):
+        stages_until(found, 'lunch')
+
+
+def test_given_a_program_or_its_world_that_changed_then_keys_differ(tmp_path):
+    out, folder = tmp_path, tmp_path / 'programs'
+    shutil.copytree(shipped_folder(), folder)
+    program = folder / 's_falsif.scenic'
+    config = smoke_config()
+    first = train(config, program).key(out)
+    assert train(config, program).key(out) == first
+    world = folder / 'runway_world.scenic'
+    world.write_text(world.read_text() + '# other\n')
+    second = train(config, program).key(out)
+    program.write_text(program.read_text() + '# other\n')
+    assert len({first, second, train(config, program).key(out)}) == 3
+    assert find_program(program) == program
+
+
+def train(config, program: Path):
+    config = dataclasses.replace(config, generic=str(program))
+    return next(stage for stage in stages(config) if stage.name == 'train-generic')
+
+
+def test_given_more_runs_then_the_key_is_another_and_the_identity_the_same(tmp_path):
+    config = smoke_config()
+    few, many = (
+        next(stage for stage in stages(dataclasses.replace(config, runs=runs))
+             if stage.name == 'evaluate-best')
+        for runs in (20, 30)
+    )
+    assert few.key(tmp_path) != many.key(tmp_path)
+    assert few.identity(tmp_path) == many.identity(tmp_path)
+    other = dataclasses.replace(few, perception='original')
+    assert other.identity(tmp_path) != few.identity(tmp_path)

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from training_samples import coloured_frame, foreign_folder
+
+from taxinet_ros.core.perception.network import INPUT_SHAPE, shrink
+from taxinet_ros.errors import UsageError
+from taxinet_ros.training.data.image_folder import load_folders, open_folder
+
+
+def rewrite(folder: Path, change: Callable[[str], str]) -> None:
+    path = folder / 'labels.csv'
+    path.write_text(change(path.read_text()))
+
+
+def as_parquet(folder: Path, **columns: object) -> None:
+    table = pd.read_csv(folder / 'labels.csv').assign(**columns)
+    (folder / 'labels.csv').unlink()
+    table.to_parquet(folder / 'labels.parquet', index=False)
+
+
+def test_given_a_foreign_folder_when_loaded_then_pictures_and_signs_are_its_own(
+    tmp_path: Path,
+) -> None:
+    folder = foreign_folder(tmp_path / 'field trip', images=4)
+    told: list[tuple[str, int, int]] = []
+    loaded, sources = load_folders([folder], workers=2, progress=lambda *what: told.append(what))
+    assert told == [('images', 1, 4), ('images', 2, 4), ('images', 3, 4), ('images', 4, 4)]
+    assert list(loaded.cte_m) == [0, 1, 2, 3]
+    assert np.degrees(loaded.he_rad) == pytest.approx([0, -2.5, -5, -7.5])
+    assert loaded.pictures.shape == (4, *INPUT_SHAPE)
+    for index in range(4):
+        assert np.array_equal(loaded.pictures[index], shrink(coloured_frame(index)))
+    assert [(source.kind, source.name) for source in sources] == [('folder', 'field trip')]
+
+
+@pytest.mark.parametrize('shape', [(64, 192, 3), (192, 192, 3), (400, 720, 3), (480, 640, 3)])
+@pytest.mark.parametrize('suffix', ['png', 'jpg'])
+def test_given_another_size_when_loaded_then_the_whole_image_is_brought_to_the_frames_shape(
+    shape: tuple[int, ...], suffix: str, tmp_path: Path
+) -> None:
+    folder = foreign_folder(tmp_path / 'f', images=2, shape=shape, suffix=suffix)
+    loaded, _ = load_folders([folder], workers=1)
+    large = coloured_frame(1, shape)
+    seen = shrink(cv2.resize(large, (360, 200), interpolation=cv2.INTER_AREA))
+    unlike = np.abs(loaded.pictures[1].astype(int) - seen)
+    assert unlike.max() <= (0 if suffix == 'png' else 12)
+    assert unlike.mean() <= 1.5
+
+
+def test_given_the_same_labels_in_another_table_when_loaded_then_the_dataset_is_the_same(
+    tmp_path: Path,
+) -> None:
+    text, table = foreign_folder(tmp_path / 'text'), foreign_folder(tmp_path / 'table')
+    as_parquet(table, distance_m=3.0)
+    (one, _), (two, _) = load_folders([text], workers=1), load_folders([table], workers=3)
+    assert np.array_equal(one.pictures, two.pictures)
+    assert (list(one.cte_m), list(one.he_rad)) == (list(two.cte_m), list(two.he_rad))
+
+
+def test_given_two_folders_when_loaded_then_rows_follow_and_digests_tell_contents_apart(
+    tmp_path: Path,
+) -> None:
+    folders = [foreign_folder(tmp_path / name, images=3) for name in ('a', 'b')]
+    both, sources = load_folders(folders, workers=2)
+    assert list(both.cte_m) == [0, 1, 2, 0, 1, 2]
+    assert sources[0].sha256 == sources[1].sha256
+    cv2.imwrite(str(folders[1] / 'photo_1.png'), coloured_frame(9))
+    other = load_folders(folders[1:], workers=1)[1][0].sha256
+    rewrite(folders[1], lambda text: text.replace('1,', '1.5,'))
+    another = load_folders(folders[1:], workers=1)[1][0].sha256
+    assert len({sources[0].sha256, other, another}) == 3
+
+
+def nan_in_parquet(folder: Path) -> None:
+    as_parquet(folder, cte_m=[0.0, 1.0, float('nan')])
+
+
+def gap_in_parquet(folder: Path) -> None:
+    as_parquet(folder, heading_error_deg=pd.array([0.0, None, 1.0], dtype='Float64'))
+
+
+def cut_in_half(folder: Path) -> None:
+    path = folder / 'photo_1.png'
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def wrong_digest(folder: Path) -> None:
+    digests = [hashlib.sha256((folder / f'photo_{i}.png').read_bytes()) for i in range(3)]
+    as_parquet(folder, sha256=[digest.hexdigest() for digest in digests])
+    cv2.imwrite(str(folder / 'photo_2.png'), coloured_frame(7))
+
+
+def with_text(text: str) -> Callable[[Path], object]:
+    return lambda folder: rewrite(folder, lambda _: text)
+
+
+HEAD = 'image,cte_m,heading_error_deg\n'
+CASES: dict[str, tuple[Callable[[Path], object], str, str]] = {
+    'no table': (lambda f: (f / 'labels.csv').unlink(), '', 'holds no labels.parquet and no'),
+    'two tables': (
+        lambda f: (f / 'labels.parquet').write_bytes(b''), '', 'keep only one of them',
+    ),
+    'no row': (with_text(HEAD), 'labels.csv', 'lists no frames'),
+    'empty file': (with_text(''), 'labels.csv', 'lists no frames'),
+    'column missing': (with_text('image,cte_m\nphoto_0.png,1\n'), 'line 2', 'heading_error_deg'),
+    'line cut short': (with_text(f'{HEAD}photo_0.png,1\n'), 'line 2', 'complete the line'),
+    'no number': (with_text(f'{HEAD}photo_0.png,left,1\n'), 'line 2', "'left'"),
+    'not a number': (with_text(f'{HEAD}photo_0.png,nan,1\n'), 'line 2', 'not a finite number'),
+    'not a number in Parquet': (nan_in_parquet, 'line 3', 'not a finite number'),
+    'gap in Parquet': (gap_in_parquet, 'line 2', 'not a finite number'),
+    'Parquet damaged': (
+        lambda f: (f / 'labels.csv').rename(f / 'labels.parquet'), 'labels.parquet', 'cannot be',
+    ),
+    'no text': (lambda f: (f / 'labels.csv').write_bytes(b'\xff\xfe\0'), 'labels.csv', 'cannot be'),
+    'image missing': (lambda f: (f / 'photo_1.png').unlink(), 'line 3', 'photo_1.png'),
+    'image damaged': (cut_in_half, 'row 2', 'cannot be read as a picture'),
+    'image a text': (
+        lambda f: (f / 'photo_2.png').write_text('hello'), 'row 3', 'cannot be read as a picture',
+    ),
+    'image too small': (
+        lambda f: cv2.imwrite(str(f / 'photo_0.png'), coloured_frame(0, (60, 200, 3))),
+        'row 1', '200x60 pixels, fewer than the 192x64',
+    ),
+    'image twice': (
+        with_text(f'{HEAD}photo_0.png,1,1\nphoto_1.png,1,1\n./photo_0.png,1,1\n'),
+        'line 4', 'already in line 2',
+    ),
+    'image outside': (with_text(f'{HEAD}../other.png,1,1\n'), 'line 2', 'outside'),
+    'image of another root': (with_text(f'{HEAD}/etc/passwd,1,1\n'), 'line 2', 'outside'),
+    'image changed': (wrong_digest, 'row 3', 'SHA-256'),
+    'not finished': (lambda f: (f / 'request.json').write_text('{}'), '', 'taxinet dataset'),
+    'facts damaged': (
+        lambda f: (f / 'dataset.json').write_text('[]'), 'dataset.json', 'taxinet doctor',
+    ),
+    'table changed': (
+        lambda f: (f / 'dataset.json').write_text('{"labels_sha256": "0"}'), 'labels.csv',
+        'is not the table',
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_given_a_bad_folder_when_loaded_then_one_line_says_what_where_and_how_to_mend_it(
+    case: str, tmp_path: Path
+) -> None:
+    folder = foreign_folder(tmp_path / 'f', images=3)
+    cv2.imwrite(str(tmp_path / 'other.png'), coloured_frame(1))
+    load_folders([folder], workers=1)
+    break_it, where, reason = CASES[case]
+    break_it(folder)
+    with pytest.raises(UsageError) as caught:
+        load_folders([folder], workers=2)
+    message = str(caught.value)
+    assert message.startswith(str(folder))
+    assert where in message
+    assert reason in message
+    assert '\n' not in message
+
+
+def test_given_no_folder_when_opened_then_one_line_says_so(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match='no such folder'):
+        open_folder(tmp_path / 'none')
