@@ -61,10 +61,10 @@ _HOME = {
         'errors',
     ),
     **dict.fromkeys(('read_attachment', 'read_info', 'read_messages'), 'reader'),
-    **dict.fromkeys(('read_table', 'read_tables', 'read_trace_table'), 'tables'),
-    **dict.fromkeys(('read_images', 'read_trace'), 'trace'),
-    'check_bag': 'checkup',
-    'read_facts': 'facts',
+    **dict.fromkeys(('read_table', 'read_tables', 'read_trace_table'), 'run.tables'),
+    **dict.fromkeys(('read_images', 'read_trace'), 'run.trace'),
+    'check_bag': 'check.doctor',
+    'read_facts': 'run.facts',
 }
 
 

@@ -137,7 +137,6 @@ def _fading(colour: str) -> list[int]:
     ]
 
 
-Picture = NDArray[np.uint8]
 SCALE = 3
 """The camera's 360 x 200 pixels are shown this much larger."""
 PANEL_HEIGHT_PX = 360

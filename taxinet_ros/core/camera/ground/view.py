@@ -10,7 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
-from taxinet_ros.core.camera.ground import atlas
+from taxinet_ros.core.camera.ground.atlas import (
+    COARSE_M,
+    COLUMN_LEVELS,
+    COLUMNS,
+    FINE_HALF_M,
+    FINE_M,
+    GRAIN_M,
+    GRAIN_NEUTRAL,
+    GRAIN_TEXELS,
+    ROW_LEVELS,
+    ROW_M,
+    ROWS,
+    START_X_M,
+)
 from taxinet_ros.core.camera.sky import GROUND_END_TAN
 
 Floats = NDArray[np.float32]
@@ -23,42 +36,42 @@ _FINER_CODES = 1.5
 
 _LEAST_FALL = GROUND_END_TAN / 2
 
-_BEND = atlas.COARSE_M / atlas.FINE_M - 1
+_BEND = COARSE_M / FINE_M - 1
 _BESIDE_BEND = 1e-3
 
 # Texels are counted from the far end of the ripmaps, so that a multiplication changes the level.
 # Columns are the coarse ruler's, which the bend once more makes the fine one's.
-_ROW_END, _COLUMN_END = 2 * atlas.ROWS, 2 * atlas.COLUMNS
-_ROW_START = -atlas.START_X_M / atlas.ROW_M - _ROW_END
-_MIDDLE = (atlas.COLUMNS / 2 - _COLUMN_END) / (1 + _BEND)
-_HALF = atlas.FINE_HALF_M / atlas.COARSE_M
+_ROW_END, _COLUMN_END = 2 * ROWS, 2 * COLUMNS
+_ROW_START = -START_X_M / ROW_M - _ROW_END
+_MIDDLE = (COLUMNS / 2 - _COLUMN_END) / (1 + _BEND)
+_HALF = FINE_HALF_M / COARSE_M
 
 # A power of two near the ratio of the texels along and across the runway to the grain's: the
 # footprints' levels serve twice.
 _FINER = tuple(
-    2.0 ** round(math.log2(texel_m / atlas.GRAIN_M)) for texel_m in (atlas.ROW_M, atlas.FINE_M)
+    2.0 ** round(math.log2(texel_m / GRAIN_M)) for texel_m in (ROW_M, FINE_M)
 )
 
 
 def _ruler() -> pixels.Ruler:
     """What of the way from a pixel to its texels depends neither on the pose nor on the light."""
-    tile = atlas.GRAIN_TEXELS
+    tile = GRAIN_TEXELS
     grain_along, grain_across = (
         (tile / finer, 2 * tile / finer, finer, 2 * tile - 0.5) for finer in _FINER
     )
     return pixels.Ruler(
         least_fall=_LEAST_FALL,
-        along=(atlas.ROW_M, _ROW_START, atlas.ROW_M),
-        along_limits=(16 - _ROW_END, atlas.ROWS - 16 - _ROW_END, _ROW_END - 0.5,
-                      2.0 ** (1 - atlas.ROW_LEVELS)),
-        across=(atlas.COARSE_M, _MIDDLE, atlas.FINE_M),
-        across_limits=(4 - _COLUMN_END, atlas.COLUMNS - 4 - _COLUMN_END, _COLUMN_END - 0.5,
-                       2.0 ** (1 - atlas.COLUMN_LEVELS)),
+        along=(ROW_M, _ROW_START, ROW_M),
+        along_limits=(16 - _ROW_END, ROWS - 16 - _ROW_END, _ROW_END - 0.5,
+                      2.0 ** (1 - ROW_LEVELS)),
+        across=(COARSE_M, _MIDDLE, FINE_M),
+        across_limits=(4 - _COLUMN_END, COLUMNS - 4 - _COLUMN_END, _COLUMN_END - 0.5,
+                       2.0 ** (1 - COLUMN_LEVELS)),
         bend=(_MIDDLE - _HALF, _MIDDLE + _HALF, _BEND, _BESIDE_BEND),
         bend_levels=round(math.log2(1 + _BEND)),
         grain_along=grain_along,
         grain_across=grain_across,
-        tile_m=atlas.GRAIN_TEXELS * atlas.GRAIN_M,
+        tile_m=GRAIN_TEXELS * GRAIN_M,
         grain_reach_m=_GRAIN_REACH_M,
     )  # fmt: skip
 
@@ -86,7 +99,7 @@ class GroundView:
         """
         height = len(hidden)
         stretched = _FINER_CODES * gain
-        red, green, blue = (atlas.GRAIN_NEUTRAL * stretched).tolist()
+        red, green, blue = (GRAIN_NEUTRAL * stretched).tolist()
         self._size = height, width
         self._hidden = hidden
         self._colour = np.zeros((height, width, 3), np.uint8)
@@ -96,7 +109,7 @@ class GroundView:
             _dither(height, width),
             _ruler(),
             (round(red), round(green), round(blue)),
-            1 / (atlas.GRAIN_NEUTRAL * _FINER_CODES),
+            1 / (GRAIN_NEUTRAL * _FINER_CODES),
         )
 
     def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
