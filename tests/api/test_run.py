@@ -1,4 +1,4 @@
-"""``tx.run``, ``tx.render``, ``tx.robustness``: the numbers of the graph, clear words for bad input."""
+"""``tx.run``, ``tx.render``, ``tx.robustness``: the graph's numbers, clear words for bad input."""
 
 from __future__ import annotations
 
