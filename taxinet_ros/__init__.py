@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
+    from taxinet_ros.api.search import falsify
     from taxinet_ros.core.controller import SteeringGains, SteeringLaw
     from taxinet_ros.core.mtl.specs import Spec
     from taxinet_ros.core.outcome import Outcome
@@ -39,6 +40,7 @@ __all__ = [
     'TaxiCommand',
     'TrackingError',
     'UsageError',
+    'falsify',
     'load_perception',
     'open_campaign',
     'render',
@@ -49,6 +51,7 @@ __all__ = [
 _MODULES = {
     'taxinet_ros.api.campaign': ('Campaign', 'Counterexample', 'open_campaign'),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
+    'taxinet_ros.api.search': ('falsify',),
     'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
     'taxinet_ros.core.mtl.specs': ('Spec',),
     'taxinet_ros.core.outcome': ('Outcome',),

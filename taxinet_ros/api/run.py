@@ -179,7 +179,7 @@ def run(
         InfraError: the simulator failed.
     """
     eyes = _perception(perception)
-    asked = _specs(specs)
+    asked = tuple(map(parse_spec, spec_texts(specs)))
     steps: list[Step] = []
 
     def keep(step: Step) -> None:
@@ -276,12 +276,16 @@ def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
     return np.rint(seconds * NS_PER_S).astype(np.int64)
 
 
-def _specs(specs: str | Spec | Sequence[str | Spec]) -> tuple[Spec, ...]:
+def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
+    """Requirements as text that needs no file.
+
+    Raises:
+        UsageError: there is none, or one is not known.
+    """
     asked = (specs,) if isinstance(specs, str | Spec) else tuple(specs)
     if not asked:
-        raise UsageError('run: no requirement; name one, as in specs="phi_always"')
-    texts = [f'{one.name}={one.text}' if isinstance(one, Spec) else one for one in asked]
-    return tuple(map(parse_spec, read_specs(texts)))
+        raise UsageError('specs: no requirement; name one, as in specs="phi_always"')
+    return read_specs(f'{one.name}={one.text}' if isinstance(one, Spec) else one for one in asked)
 
 
 def _perception(given: str | Perception | Look) -> Perception:

@@ -60,6 +60,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'processes': options.processes,
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
+        **({} if options.bags else {'bags': False}),
     }
 
 
