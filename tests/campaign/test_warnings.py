@@ -78,7 +78,7 @@ def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resume
     tmp_path: Path,
 ) -> None:
     with toy.searching(toy.options(tmp_path / 'new', runs=4)) as search:
-        facts = search.facts
+        facts = search.book.facts
     assert facts['warnings']
     old = tmp_path / 'old'
     old.mkdir()

@@ -23,10 +23,9 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.counterexamples import (
-    FailedRuns,
-    failed_runs,
-    scenario_of_row,
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_failed_campaign,
     spread_evenly,
 )
 from taxinet_ros.campaign.record.row import RunRow
@@ -239,7 +238,7 @@ class LocalizeOptions:
     """What is to be found out.
 
     Attributes:
-        failed: the campaign's failed runs.
+        campaign: whose failed runs are looked into.
         rows: those of them to look into.
         words: of the substitutions, the control first.
         perception: word or file of the network.
@@ -248,7 +247,7 @@ class LocalizeOptions:
         out: folder.
     """
 
-    failed: FailedRuns
+    campaign: RecordedCampaign
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
@@ -284,18 +283,18 @@ def make_localize_options(
     if runs is not None and runs < 1:
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
     chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
-    failed = failed_runs(campaign)
-    if is_free(failed.timing):
+    found = open_failed_campaign(campaign)
+    if is_free(found.timing):
         raise UsageError(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
             'failure is; localize a campaign with --latency'
         )
-    if not failed.specs:
+    if not found.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(
-        failed=failed, rows=spread_evenly(failed.rows, runs),
+        campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
-        perception=_network(failed, perception), controller=_controller(failed), workers=workers,
+        perception=_network(found, perception), controller=_controller(found), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
     )
 
@@ -324,13 +323,13 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
-        facts = options.failed.facts
+        facts = options.campaign.facts
         bench = TrialSetup(
-            perception=options.perception, specs=options.failed.specs,
-            gains=dict(options.failed.gains), controller=options.controller,
-            stop_on=options.failed.stop_on,
+            perception=options.perception, specs=options.campaign.specs,
+            gains=dict(options.campaign.gains), controller=options.controller,
+            stop_on=options.campaign.stop_on,
             bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
-            timing=options.failed.timing,
+            timing=options.campaign.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
             _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
@@ -348,7 +347,7 @@ def _tasks(
         missing = [word for word in options.words if (row.run_id, word) not in done]
         if not missing:
             continue
-        scenario, exact = scenario_of_row(row, options.failed.folder, options.failed.facts)
+        scenario, exact = options.campaign.scenario(row)
         for word in missing:
             if interrupted():
                 return
@@ -358,16 +357,17 @@ def _tasks(
             )
 
 
-def _network(failed: FailedRuns, given: str | None) -> str:
+def _network(campaign: RecordedCampaign, given: str | None) -> str:
     """The network that the campaign was run with.
 
     Raises:
         UsageError: it cannot be found, or is another one now.
     """
-    recorded = failed.rows[0].perception_fingerprint
-    asked = str(failed.facts.get('perception', ''))
-    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
-    mend = f'name the file that {failed.folder} was run with: --perception FILE'
+    first = campaign.counterexamples[0]
+    recorded = first.perception_fingerprint
+    asked = str(campaign.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
+    mend = f'name the file that {campaign.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)
     except UsageError as error:
@@ -379,15 +379,15 @@ def _network(failed: FailedRuns, given: str | None) -> str:
     return str(word)
 
 
-def _controller(failed: FailedRuns) -> str:
+def _controller(campaign: RecordedCampaign) -> str:
     """What steered in the campaign.
 
     Raises:
         UsageError: it cannot be called here, or is another one now.
     """
-    word = str(failed.facts.get('controller', STEERING))
-    found = check_controller(word, failed.gains)
-    if found != (before := failed.facts.get('controller_sha256', '')):
+    word = str(campaign.facts.get('controller', STEERING))
+    found = check_controller(word, campaign.gains)
+    if found != (before := campaign.facts.get('controller_sha256', '')):
         raise UsageError(
             f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
             'back as it was'
@@ -397,17 +397,17 @@ def _controller(failed: FailedRuns) -> str:
 
 def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
-    failed = options.failed
+    campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
     facts = {
-        **{name: failed.facts.get(name) for name in names},
-        **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
-        'stop_on': failed.stop_on.value,
-        **({'timing': failed.timing} if failed.timing else {}),
+        **{name: campaign.facts.get(name) for name in names},
+        **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
+        'stop_on': campaign.stop_on.value,
+        **({'timing': campaign.timing} if campaign.timing else {}),
         **({} if options.controller == STEERING else {
-            'controller_sha256': failed.facts.get('controller_sha256')
+            'controller_sha256': campaign.facts.get('controller_sha256')
         }),
-        'perception_sha256': failed.rows[0].perception_fingerprint,
+        'perception_sha256': campaign.counterexamples[0].perception_fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
 

@@ -200,7 +200,7 @@ class RunRow:
             rho_upper={**self.rho_upper, **ends[1]},
         )
 
-    def told(self, spec: str) -> float | None:
+    def robustness_for_sampler(self, spec: str) -> float | None:
         """What a sampler learns of a formula: its robustness, or None where its sign is not known.
 
         Of a run that was stopped early it is the end of the interval that is nearer to zero. Its
@@ -250,7 +250,7 @@ class RunRow:
             wall_s=result.wall_s,
         )
 
-    def chosen(
+    def with_choice(
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
         refused: int = 0, drawn: bool | None = None,
     ) -> Self:

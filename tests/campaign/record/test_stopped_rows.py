@@ -47,7 +47,7 @@ def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
     answer = result(index, stopped=stopped, furthest=furthest)
     sim_s = answer.last_seq / 10
     made = RunRow.of_run(asked, answer, perception='truth', sim_s=sim_s, bag=asked.run_id)
-    return made.chosen(sampler='random', point={}, weight=1.0, retries=0)
+    return made.with_choice(sampler='random', point={}, weight=1.0, retries=0)
 
 
 def test_given_a_stopped_run_when_tabulated_then_it_has_an_interval_and_says_when(tmp_path: Path):
@@ -81,14 +81,14 @@ def test_given_a_stopped_run_then_nobody_claims_to_know_what_came_after():
 
 def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_zero():
     stopped = row(0, stopped=True)
-    assert stopped.told('phi_eventually') == -0.25
+    assert stopped.robustness_for_sampler('phi_eventually') == -0.25
     assert stopped.headline == (-math.inf, -0.25)
-    assert row(1, stopped=False).told('phi_eventually') == -3.0
-    assert stopped.told('unknown') is None
+    assert row(1, stopped=False).robustness_for_sampler('phi_eventually') == -3.0
+    assert stopped.robustness_for_sampler('unknown') is None
     open_ended = RunRow.from_json({**stopped.to_json(), 'rho_lower': {'a': 0.5, 'b': -1.0},
                                    'rho_upper': {'a': math.inf, 'b': 1.0}})
-    assert open_ended.told('a') == 0.5
-    assert open_ended.told('b') is None
+    assert open_ended.robustness_for_sampler('a') == 0.5
+    assert open_ended.robustness_for_sampler('b') is None
 
 
 def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told(tmp_path: Path):

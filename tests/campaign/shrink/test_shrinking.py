@@ -327,7 +327,7 @@ def test_given_a_run_on_a_nominal_scenario_then_there_is_nothing_to_shrink(tmp_p
 def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_path):
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     drive(options(path, out))
-    with pytest.raises(UsageError, match='has another nominal'):
+    with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
     with pytest.raises(UsageError, match='exists already'):
         options(path, out)
