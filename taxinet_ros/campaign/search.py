@@ -27,7 +27,12 @@ from taxinet_ros.campaign.record.book import (
     run_name,
     run_request,
 )
-from taxinet_ros.campaign.record.facts import FACTS_NAME, STACKS, campaign_facts
+from taxinet_ros.campaign.record.facts import (
+    FACTS_NAME,
+    STACKS,
+    campaign_facts,
+    extension_facts,
+)
 from taxinet_ros.campaign.record.resumption import (
     UNTOLD,
     EarlierRuns,
@@ -381,8 +386,10 @@ class Search:
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
         word = campaign.perception
+        facts = campaign_facts(campaign, self._source.program)
         return {
-            **campaign_facts(campaign, self._source.program),
+            **facts,
+            **extension_facts(facts, samplers=self.options.sampler),
             'first_runs': campaign.runs,
             'warnings': list(self.check.warnings),
             'perception_sha256': (
