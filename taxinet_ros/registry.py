@@ -277,7 +277,9 @@ def _declared(folders: tuple[str, ...]) -> dict[str, tuple[Extension, ...]]:
 
     found = {}
     for kind in SHIPPED:
-        entries = sorted(entry_points(group=f'{OURS}.{kind}'), key=lambda one: one.name)
+        entries = sorted(
+            entry_points(group=f'{OURS}.{kind}'), key=lambda one: (one.name, one.value)
+        )
         found[kind] = tuple(
             Extension(
                 kind=kind, name=entry.name, target=entry.value,

@@ -204,7 +204,8 @@ def check_requirement(name: str) -> None:
     """See that runs can be judged by a requirement.
 
     It is a formula that is read back as it is written, over signals that there are; runs of 30 s
-    are long enough for it; and its robustness is a number on traces of any course.
+    are long enough for it, and nothing is doubtful about it there; and its robustness is a number
+    on traces of any course.
 
     Raises:
         ContractError: it does not.
@@ -213,7 +214,8 @@ def check_requirement(name: str) -> None:
         spec = parse_spec(name)
         complain.unless(spec.name == name, f'is named {spec.name}')
         complain.unless(parse_formula(spec.text) == spec.formula, 'is not read back as written')
-        check_specs([spec], 30.0)
+        doubts = check_specs([spec], 30.0).warnings
+        complain.unless(not doubts, f'may not say what is meant: {"; ".join(doubts)}')
         stamps_ns = [seq * CONTROL_PERIOD_NS for seq in range(301)]
         for level in (0.0, 1.0, -1.0):
             trace = {one: [level] * len(stamps_ns) for one in signal_names(spec.formula)}

@@ -181,7 +181,7 @@ def test_given_the_crossing_when_photographed_then_centreline_and_edges_are_not_
 def test_given_equal_inputs_when_rendered_in_two_processes_then_the_bytes_are_equal() -> None:
     code = (
         'import hashlib, cv2; cv2.setNumThreads(1)\n'
-        'from tests.core.test_camera import golden_shots\n'
+        'from tests.core.camera.test_camera import golden_shots\n'
         'print(hashlib.sha256(b"".join(p.tobytes() for p in golden_shots())).hexdigest())\n'
     )
     other = subprocess.run(
