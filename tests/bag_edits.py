@@ -14,7 +14,7 @@ from taxinet_ros.bag.run.facts import read_run
 from taxinet_ros.bag.run.trace import read_trace
 from taxinet_ros.bag.writer import RUN_METADATA, BagWriter
 from taxinet_ros.core.types import TaxiCommand, quaternion
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 
 GOLDEN = Path(__file__).parents[1] / 'bags' / 'golden'
 SEEN = GOLDEN / 'taxinet-broken-clouds'
@@ -27,7 +27,7 @@ PERIOD_NS = 100_000_000
 def driven_here(folder: Path) -> Path:
     """The first steps of the golden run as this machine drives them, which rounds as it does."""
     commands = read_trace(SEEN)
-    world = World(read_run(SEEN).request.scenario, pictures=False)
+    world = SimulatedWorld(read_run(SEEN).request.scenario, pictures=False)
     states = []
     for seq in range(STEPS):
         states.append(world.observe().state)

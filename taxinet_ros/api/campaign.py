@@ -10,15 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.campaign.past_runs.counterexamples import scenario_of_row
-from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
-from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
+from taxinet_ros.campaign.past_runs import recorded_campaign
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
+from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
-from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +30,7 @@ class Counterexample:
     """
 
     row: RunRow
-    campaign: Campaign = field(repr=False)
+    campaign: RecordedCampaign = field(repr=False)
 
     @property
     def run_id(self) -> str:
@@ -59,28 +55,33 @@ class Counterexample:
         Raises:
             UsageError: the bag beside the campaign is of another run.
         """
-        return scenario_of_row(self.row, self.campaign.folder, self.campaign.facts)[0]
+        return self.campaign.scenario(self.row)[0]
 
     @property
     def bag(self) -> Path | None:
-        """Folder of its bag, where there is one."""
-        folder = self.campaign.folder / self.run_id
-        return folder if any(folder.glob('*.mcap')) else None
+        """Folder of its bag; None where there is none."""
+        return self.campaign.bag(self.row)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Campaign:
     """The runs of ``taxinet run``, ``falsify``, ``shrink`` or an arm of an experiment, read only.
 
     Attributes:
-        folder: the campaign's.
-        facts: what it is: program, seed, sampler, perception, requirements, version, machines.
+        recorded: all that the record tells.
     """
 
-    def __init__(self, folder: Path, content: LedgerContent) -> None:
-        """See :func:`open_campaign`."""
-        self.folder = folder
-        self.facts: Mapping[str, Any] = content.campaign
-        self._rows = content.rows
+    recorded: RecordedCampaign
+
+    @property
+    def folder(self) -> Path:
+        """The campaign's."""
+        return self.recorded.folder
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What it is: program, seed, sampler, perception, requirements, version, machines."""
+        return self.recorded.facts
 
     @cached_property
     def rows(self) -> pd.DataFrame:
@@ -90,14 +91,13 @@ class Campaign:
         scenario in human units, which the columns name (``heading_deg``, ``rain_percent``,
         ``time_of_day_h``), and the figures of the run.
         """
-        return table(self._rows, tuple(self.facts.get('specs', {})))
+        return self.recorded.table()
 
     @cached_property
     def counterexamples(self) -> tuple[Counterexample, ...]:
         """The runs that failed, by index."""
         return tuple(
-            Counterexample(row=row, campaign=self) for row in self._rows
-            if row.outcome is Outcome.FAIL
+            Counterexample(row=row, campaign=self.recorded) for row in self.recorded.counterexamples
         )
 
     @property
@@ -108,15 +108,11 @@ class Campaign:
         (``.why_not`` says why): it rests on the runs that the program drew, not on those that a
         sampler chose.
         """
-        planned = self.facts.get('first_runs', self.facts.get('runs'))
-        found = {
-            'failed': failure_rate(self._rows, planned),
-            'off_runway': off_runway_rate(self._rows, planned),
-        }
-        return {name: rate for name, rate in found.items() if rate is not None}
+        off = self.recorded.off_runway_rate
+        return {'failed': self.recorded.failure_rate} | ({'off_runway': off} if off else {})
 
     def __repr__(self) -> str:
-        return f'<Campaign {self.folder}: {len(self._rows)} runs>'
+        return f'<Campaign {self.folder}: {len(self.recorded.rows)} runs>'
 
 
 def open_campaign(path: str | os.PathLike[str]) -> Campaign:
@@ -128,8 +124,4 @@ def open_campaign(path: str | os.PathLike[str]) -> Campaign:
     Raises:
         UsageError: it is no campaign, or its ledger is damaged.
     """
-    folder = Path(path)
-    ledger = folder / LEDGER_NAME
-    if not ledger.is_file():
-        raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
-    return Campaign(folder, read_ledger(ledger))
+    return Campaign(recorded=recorded_campaign.open_campaign(Path(path)))

@@ -35,7 +35,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.trace import TRACE_UNITS, trace_columns, trace_signals
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class Run:
         return f'<Run {self.outcome}, {len(self.steps)} steps, rho {known}>'
 
     def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        world = World(self.scenario)
+        world = SimulatedWorld(self.scenario)
         for step in self.steps:
             now = world.observe(picture=wanted(step.observation.seq))
             if now.image is not None:
@@ -345,6 +345,7 @@ class _FunctionPerception(Perception):
 class _FunctionController(Controller):
     """A function of the caller's; what it raises comes through."""
 
+    word = IMPLEMENTATION
     fingerprint = ''
 
     def __init__(self, steer: Steer) -> None:

@@ -75,9 +75,10 @@ def falsify(
         participants=(),
     )
     with search:
-        for line in (*filter(None, [search.warning]), *search.check.warnings):
+        for line in (*filter(None, [search.book.warning]), *search.check.warnings):
             warnings.warn(line, stacklevel=2)
-        command = loop_worker_command(search.options.campaign, search.facts['controller_sha256'])
+        sha256 = search.book.facts['controller_sha256']
+        command = loop_worker_command(search.options.campaign, sha256)
         with WorkerPool(command, workers, options.out / 'logs') as pool:
             run_search(search, pool)
         write_learned(search)

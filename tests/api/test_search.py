@@ -39,7 +39,7 @@ def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
         budget_min=None,
     )
     with Search(options, PARTICIPANTS) as graphs:
-        command = worker_command(campaign_graph(campaign, graphs.facts['controller_sha256']))
+        command = worker_command(campaign_graph(campaign, graphs.book.facts['controller_sha256']))
         with WorkerPool(command, 1, campaign.out / 'logs') as pool:
             run_search(graphs, pool)
     assert exit_code(graphs.rows) in (0, 1)

@@ -18,8 +18,8 @@ from taxinet_ros.bag.run.facts import RecordedRun, free_account, read_run
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON, LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import Observation, World
-from taxinet_ros.errors import InfraError
+from taxinet_ros.core.world import KMWH, Observation, World, find_world
+from taxinet_ros.errors import InfraError, UsageError
 
 _ODOMETRY, _COMMAND = '/ground_truth/odom', '/taxi_command'
 
@@ -43,7 +43,7 @@ def observations(
     """
     recorded, commands = _states_and_commands(path)
     run = read_run(path)
-    world = World(run.request.scenario)
+    world = _world(path, run)
     held = _held(path, run, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
@@ -58,6 +58,24 @@ def observations(
             world.advance(command)
         except InfraError:  # The simulator broke here when it was recorded, too.
             return
+
+
+def _world(path: Path, run: RecordedRun) -> World:
+    """The run's world at its beginning.
+
+    Raises:
+        UsageError: a package brought it that is not installed, or is another one now.
+    """
+    try:
+        chosen = find_world(run.world or KMWH)
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+    if chosen.fingerprint != run.world_fingerprint:
+        raise UsageError(
+            f'{path}: world {run.world} is {chosen.fingerprint[:12]} now, it was '
+            f'{run.world_fingerprint[:12]}'
+        )
+    return chosen.make(run.request.scenario)
 
 
 def _held(
