@@ -10,8 +10,7 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import same_stack
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.tables import read_trace_table
+from taxinet_ros.bag.run.recording import open_recording
 
 GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
 SHORT = tx.Scenario(cross_track_m=2.0, duration_s=2.0)
@@ -36,7 +35,8 @@ class Blinking:
 
 @pytest.mark.parametrize('name', ['truth-nominal', 'taxinet-broken-clouds'])
 def test_given_a_run_that_the_graph_recorded_when_made_here_then_its_trace_is_the_same(name):
-    recorded, asked = read_trace_table(GOLDEN / name), read_run(GOLDEN / name)
+    recording = open_recording(GOLDEN / name)
+    recorded, asked = recording.trace, recording.run
     run = tx.run(asked.request.scenario, perception=asked.perception, specs=asked.request.specs)
     assert len(run.trace) == 121
     assert list(run.trace.columns) == list(recorded.columns)

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import taxinet_ros as tx
-from taxinet_ros.bag.run.tables import read_trace_table
-from taxinet_ros.bag.run.trace import read_images
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
@@ -67,7 +66,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
         assert len(run.trace) == STEPS
         for name, results in (('one', composed), ('many', processes)):
             bag = tmp_path / name / request.run_id
-            trace = read_trace_table(bag)
+            trace = open_recording(bag).trace
             assert list(trace.columns) == list(run.trace.columns)
             assert trace.attrs == run.trace.attrs
             for column in trace.columns:
@@ -80,7 +79,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
             assert list(result.rho.values()) == [interval.lower for interval in run.rho.values()]
             assert result.statistics == run.statistics
             assert result.last_seq == STEPS - 1
-            seen = [image for _, image in read_images(bag)]
+            seen = [frame.image for frame in open_recording(bag).frames(render=False)]
             assert len(seen) == STEPS
             for image, rendered in zip(seen, images, strict=True):
                 assert image.tobytes() == rendered.tobytes()
