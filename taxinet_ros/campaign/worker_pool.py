@@ -21,6 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -72,6 +73,10 @@ def result_from_json(values: Mapping[str, Any]) -> RunResult:
         **values,
         'outcome': Outcome(values['outcome']),
         'statistics': _statistics_from_json(values.get('statistics')),
+        'robustness': {
+            name: RobustnessInterval(*ends)
+            for name, ends in values.get('robustness', {}).items()
+        },
     })
 
 

@@ -21,7 +21,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import STEERING, SteeringGains
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
@@ -40,7 +40,7 @@ class JudgedRun:
         run_id, seed, scenario: as it was asked for.
         specs: formulas as text, the headline first.
         outcome: how it ended.
-        rho: robustness by the formula's name, as far as it is known.
+        robustness: by the formula's name.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
         controller, controller_fingerprint: the word of what steers, or what an unknown one said of
@@ -53,7 +53,7 @@ class JudgedRun:
     scenario: Scenario
     specs: tuple[str, ...]
     outcome: Outcome
-    rho: Mapping[str, float]
+    robustness: Mapping[str, RobustnessInterval]
     perception: str
     fingerprint: str
     gains: Mapping[str, float]
@@ -109,13 +109,15 @@ def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
     told = told or {}
     outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
     run = read_run(path)
-    rho: dict[str, float] = {}
+    robustness: dict[str, RobustnessInterval] = {}
     if outcome.judged:
         for _, _, verdict in decoded_messages(path, lambda topic: topic.endswith(_VERDICT)):
-            rho = {spec.spec: spec.rho_upper for spec in verdict.specs}
+            robustness = {
+                one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
+            }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
-        specs=run.request.specs, outcome=outcome, rho=rho,
+        specs=run.request.specs, outcome=outcome, robustness=robustness,
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
@@ -139,7 +141,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
     return JudgedRun(
         run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
-        outcome=row.outcome, rho=row.rho, perception=row.perception,
+        outcome=row.outcome, robustness=row.robustness, perception=row.perception,
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
@@ -183,7 +185,7 @@ def bag_differences(
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
-            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
+            f'rho of {name}': ((one.lower, one.upper), row.robustness.get(name))
             for name, one in told.judged.items()
         }
         pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}

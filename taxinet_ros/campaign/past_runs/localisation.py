@@ -39,7 +39,7 @@ from taxinet_ros.core.controller import (
 )
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import parse_assumptions, parse_spec
+from taxinet_ros.core.mtl import RobustnessInterval, parse_assumptions, parse_spec
 from taxinet_ros.core.outcome import StopOn
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
@@ -113,7 +113,7 @@ class Trial:
         passed: whether all formulas were satisfied; None where the run could not be judged.
         detail: why it could not.
         exact: whether its scene was known to the last bit, so that it must come out as recorded.
-        rho_lower, rho_upper: of the headline; equal unless the run was stopped before its end.
+        robustness: of the headline; exact unless the run was stopped before its end.
         max_cross_track_m, settle_time_s, left_runway: of the path, see
             :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
     """
@@ -123,24 +123,27 @@ class Trial:
     passed: bool | None
     detail: str = ''
     exact: bool = True
-    rho_lower: float | None = None
-    rho_upper: float | None = None
+    robustness: RobustnessInterval | None = None
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
     left_runway: bool | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; the inverse of :meth:`from_json`."""
-        return asdict(self)
+        values = asdict(self)
+        values['rho_lower'], values['rho_upper'] = values.pop('robustness') or (None, None)
+        return values
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """Read back what :meth:`to_json` gave.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            KeyError, TypeError: a field is missing or unknown.
         """
-        return cls(**values)
+        columns = dict(values)
+        ends = columns.pop('rho_lower'), columns.pop('rho_upper')
+        return cls(**columns, robustness=None if None in ends else RobustnessInterval(*ends))
 
 
 def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterator[Trial]:
@@ -209,11 +212,10 @@ def _judged(task: Task, judged: Judgement) -> Trial:
     stopped, statistics = judged.stopped_early, judged.statistics
     if not (judged.complete or stopped):
         return _unjudged(task, 'a sample could not be judged')
-    headline = judged.readings[0]
     settled = not stopped and not math.isnan(statistics.settle_time_s)
     return Trial(
         run_id=task.run_id, word=task.word, passed=judged.satisfied, exact=task.exact,
-        rho_lower=headline.lower, rho_upper=headline.upper,
+        robustness=judged.readings[0].interval,
         max_cross_track_m=statistics.max_cross_track_m,
         settle_time_s=statistics.settle_time_s if settled else None,
         # Nobody knows whether a run that was stopped would have left the runway later.

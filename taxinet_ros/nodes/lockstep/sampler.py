@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import plain_line
 from taxinet_ros.nodes import interface
@@ -310,11 +311,10 @@ def result_of(answer: Any) -> RunResult:
 
 
 def _judged(verdict: Verdict) -> dict[str, Any]:
-    stopped = verdict.stopped_early
     return {
-        'rho': {s.spec: s.rho_lower for s in verdict.specs if s.rho_lower == s.rho_upper},
-        'rho_lower': {s.spec: s.rho_lower for s in verdict.specs if stopped},
-        'rho_upper': {s.spec: s.rho_upper for s in verdict.specs if stopped},
-        'stopped_early': stopped,
+        'robustness': {
+            one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
+        },
+        'stopped_early': verdict.stopped_early,
         'statistics': statistics_of(verdict),
     }
