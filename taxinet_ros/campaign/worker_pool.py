@@ -166,10 +166,7 @@ class WorkerProcess:
     def bury(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
-        return RunResult(
-            outcome=Outcome.INFRA_ERROR, kind=kind, who='worker',
-            detail=detail or self._how_it_died(), last_seq=self.seq,
-        )
+        return RunResult.infra_error(kind, 'worker', detail or self._how_it_died(), self.seq)
 
     def hang_up(self) -> None:
         """Tell it that there is no more to do."""

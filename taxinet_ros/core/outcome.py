@@ -11,6 +11,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, Self
 
 from taxinet_ros.core.mtl import Reading, RobustnessInterval, exact_rho
 from taxinet_ros.core.run_statistics import RunStatistics
@@ -69,6 +70,29 @@ class Outcome(enum.StrEnum):
         return self in (Outcome.PASS, Outcome.FAIL)
 
 
+class Judged(Protocol):
+    """What a judge says of a run: a :class:`.judge.Judgement`, or the message made of one."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run reached its horizon and could be judged."""
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether it was ended before, because its verdict was in."""
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether every formula has robustness > 0."""
+
+
+def outcome_of(judgement: Judged) -> Outcome:
+    """PASS or FAIL; INFRA_ERROR where there was no whole, finite sequence of samples to judge."""
+    if not (judgement.complete or judgement.stopped_early):
+        return Outcome.INFRA_ERROR
+    return Outcome.PASS if judgement.satisfied else Outcome.FAIL
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunRequest:
     """One run that somebody asks for.
@@ -103,7 +127,7 @@ class RunResult:
 
     Attributes:
         outcome: one of the five.
-        kind, who: of an infrastructure error, else ''.
+        kind, who: of an infrastructure error, else ''; a :class:`~taxinet_ros.errors.InfraKind`.
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
         robustness: of each formula, by name, the headline first; where judged.
@@ -133,3 +157,10 @@ class RunResult:
     def rho(self) -> Mapping[str, float]:
         """Robustness by formula name, where it is known: not all is, of a run stopped early."""
         return exact_rho(self.robustness)
+
+    @classmethod
+    def infra_error(cls, kind: str, who: str, detail: str, last_seq: int) -> Self:
+        """The result of a run that a part of the bench broke."""
+        return cls(
+            outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=last_seq
+        )

@@ -37,7 +37,7 @@ from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.scenes.programs import SUFFIX
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
+from taxinet_ros.core.outcome import Outcome, StopOn, outcome_of, parse_stop_on
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
@@ -576,7 +576,7 @@ class Recorder(Participant):
         assert self._ended is not None
         assert self._verdict is not None
         verdict = deserialize_message(self._verdict, interface.VERDICT.type)
-        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
+        outcome = outcome_of(verdict)
         seq = stamp_of(verdict.header.stamp) // CONTROL_PERIOD_NS
         if (outcome, seq) != (self._ended.outcome, self._ended.seq):
             raise RuntimeError(

@@ -22,7 +22,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
@@ -455,14 +455,14 @@ class Simulator(Node):
             free.closed = free.pace.due(now_s)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
-        if not (verdict.complete or verdict.stopped_early):
+        outcome = outcome_of(verdict)
+        if not outcome.judged:
             detail = 'the monitor had no whole, finite sequence of samples to judge'
             self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
             return
         self._look_for_strangers(thorough=True)
         if run.ending is not None:
             return
-        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
         self._end(run, run.status(RunStatus.ENDED, outcome=outcome))
 
     # Endings ---------------------------------------------------------------------------------

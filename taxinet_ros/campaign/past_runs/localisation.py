@@ -40,7 +40,7 @@ from taxinet_ros.core.controller import (
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import RobustnessInterval, parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import StopOn
+from taxinet_ros.core.outcome import Outcome, StopOn, outcome_of
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -210,11 +210,12 @@ def make_trial(
 
 def _judged(task: Task, judged: Judgement) -> Trial:
     stopped, statistics = judged.stopped_early, judged.statistics
-    if not (judged.complete or stopped):
+    outcome = outcome_of(judged)
+    if not outcome.judged:
         return _unjudged(task, 'a sample could not be judged')
     settled = not stopped and not math.isnan(statistics.settle_time_s)
     return Trial(
-        run_id=task.run_id, word=task.word, passed=judged.satisfied, exact=task.exact,
+        run_id=task.run_id, word=task.word, passed=outcome is Outcome.PASS, exact=task.exact,
         robustness=judged.readings[0].interval,
         max_cross_track_m=statistics.max_cross_track_m,
         settle_time_s=statistics.settle_time_s if settled else None,

@@ -142,7 +142,7 @@ class ScenarioSampler(Node):
         self._obituaries.publish(death_notice(
             self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
         ))
-        self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
+        self._answer.set_result(RunResult.infra_error(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:
         """Leave the graph; every answer is already taken."""
@@ -219,7 +219,9 @@ class ScenarioSampler(Node):
         if answer.done():
             return
         if not handle.accepted:
-            answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
+            answer.set_result(
+                RunResult.infra_error('busy', interface.SIMULATOR, 'refused the run', 0)
+            )
             return
         self._goal = handle
         if self.interrupted:
@@ -240,7 +242,7 @@ class ScenarioSampler(Node):
             strangers.append(interface.SIMULATOR)
         if result.outcome is not Outcome.INFRA_ERROR and strangers:
             detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
-            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
+            result = RunResult.infra_error(INTRUDER, strangers[0], detail, result.last_seq)
         answer.set_result(result)
 
     def _on_feedback(self, message: Any) -> None:
@@ -280,12 +282,8 @@ class ScenarioSampler(Node):
         if len(names) > 1:
             others = [name for name in names if name != interface.SIMULATOR] or names
             detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
-            return _broken(INTRUDER, others[0], detail, 0)
-        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
-
-
-def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
-    return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
+            return RunResult.infra_error(INTRUDER, others[0], detail, 0)
+        return RunResult.infra_error('not_ready', interface.SIMULATOR, f'not found {within}', 0)
 
 
 def result_of(answer: Any) -> RunResult:
@@ -293,7 +291,7 @@ def result_of(answer: Any) -> RunResult:
     status, verdict = answer.status, answer.verdict
     if status.outcome not in list(Outcome):
         detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
-        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
+        return RunResult.infra_error(PROTOCOL, interface.SIMULATOR, detail, status.seq)
     outcome = Outcome(status.outcome)
     judged = outcome.judged
     return RunResult(
