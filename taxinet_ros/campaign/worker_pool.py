@@ -25,7 +25,7 @@ from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
 
 
@@ -314,7 +314,7 @@ class WorkerPool:
     def _listen(self, worker: WorkerProcess) -> Answer | None:
         messages = worker.read()
         if messages is None:
-            return self._lost(worker, 'died')
+            return self._lost(worker, InfraKind.DIED)
         results = [message['result'] for message in messages if 'result' in message]
         return self._answered(worker, results[0]) if results else None
 
@@ -333,7 +333,8 @@ class WorkerPool:
             worker for worker in self.workers
             if worker.request is not None and now - worker.silent_since > limit_s
         ]
-        return [self._lost(worker, 'timeout', f'silent for {limit_s:g} s') for worker in late]
+        detail = f'silent for {limit_s:g} s'
+        return [self._lost(worker, InfraKind.TIMEOUT, detail) for worker in late]
 
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request

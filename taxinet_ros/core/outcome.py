@@ -162,5 +162,5 @@ class RunResult:
     def infra_error(cls, kind: str, who: str, detail: str, last_seq: int) -> Self:
         """The result of a run that a part of the bench broke."""
         return cls(
-            outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=last_seq
+            outcome=Outcome.INFRA_ERROR, kind=str(kind), who=who, detail=detail, last_seq=last_seq
         )

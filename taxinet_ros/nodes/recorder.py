@@ -43,7 +43,7 @@ from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.world import last_step
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
@@ -51,8 +51,6 @@ from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import (
-    INTRUDER,
-    PROTOCOL,
     account_of,
     duplicate_node_error,
     lost_run_status,
@@ -370,7 +368,9 @@ class Recorder(Participant):
         if off_ns:
             what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is no control step'
             if topic.publishers != (interface.SIMULATOR,):
-                raise InfraError(PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
+                raise InfraError(
+                    InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}'
+                )
             raise RuntimeError(
                 f'{topic.name}: a message is {what}; does a second simulator publish?'
             )
@@ -459,7 +459,9 @@ class Recorder(Participant):
         if self._writer is None or status.run_id != self.run_id:
             return
         if Outcome(status.outcome).judged and not self._begun:
-            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended')
+            raise InfraError(
+                InfraKind.INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended'
+            )
         self._ended, self._ended_cdr = status, cdr
         self._finish_if_whole()
 

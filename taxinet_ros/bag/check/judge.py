@@ -32,7 +32,7 @@ from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
 
 
@@ -313,6 +313,8 @@ def judge_bags(
             for runs in answers:
                 yield from runs
         except BrokenProcessPool as error:
-            raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
+            raise InfraError(
+                InfraKind.DIED, 'judging worker', -1, 'see the messages above'
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)

@@ -54,7 +54,7 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import disk_error, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
@@ -170,7 +170,9 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
                 done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
                 yield from (future.result() for future in done)
         except BrokenProcessPool as error:
-            raise InfraError('died', 'trial worker', -1, 'see the messages above') from error
+            raise InfraError(
+                InfraKind.DIED, 'trial worker', -1, 'see the messages above'
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)
 
