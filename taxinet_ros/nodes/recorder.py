@@ -15,7 +15,7 @@ import functools
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -190,12 +190,7 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
         describe_topic(
             name=bag_name(topic),
             type_name=topic.type_name,
-            qos=offered_qos(
-                history=topic.qos.history.name.lower(),
-                depth=topic.qos.depth,
-                reliability=topic.qos.reliability.name.lower(),
-                durability=topic.qos.durability.name.lower(),
-            ),
+            qos=offered_qos(**asdict(topic.quality)),
         )
         for topic in _TOPICS
         if topic.recorded and (images or topic is not interface.IMAGE)
