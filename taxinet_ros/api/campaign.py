@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from taxinet_ros.campaign.past_runs import recorded_campaign
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -38,15 +38,14 @@ class Counterexample:
         return self.row.run_id
 
     @property
-    def rho(self) -> Mapping[str, tuple[float, float]]:
+    def rho(self) -> Mapping[str, RobustnessInterval]:
         """Least and greatest robustness by requirement, equal where it is known exactly."""
-        found = {name: self.row.interval(name) for name in (*self.row.rho, *self.row.rho_upper)}
-        return {name: interval for name, interval in found.items() if interval is not None}
+        return self.row.robustness
 
     @property
-    def headline(self) -> tuple[float, float]:
+    def headline(self) -> RobustnessInterval:
         """That of the first requirement."""
-        return self.row.headline or (math.nan, math.nan)
+        return next(iter(self.rho.values()))
 
     @cached_property
     def scenario(self) -> Scenario:

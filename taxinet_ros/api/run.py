@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,9 @@ from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import STEERING, Controller, SteeringGains, make_controller
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import offline
+from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.specs import Spec, parse_spec
-from taxinet_ros.core.outcome import Outcome, parse_stop_on
+from taxinet_ros.core.outcome import Outcome, outcome_of, parse_stop_on
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
     Perception,
@@ -47,13 +48,6 @@ Look = Callable[[Any], Any]
 ``needs_image = False`` is given the true :class:`TrackingError` instead."""
 Steer = Callable[[TrackingError], Any]
 """An estimate in; ``(steering_rad, speed_mps)`` or a :class:`TaxiCommand` out."""
-
-
-class RobustnessInterval(NamedTuple):
-    """Least and greatest robustness that a run may have, equal where it is known exactly."""
-
-    lower: float
-    upper: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -120,10 +114,8 @@ class Run:
         return self._driven_again(lambda now: True)
 
     def __repr__(self) -> str:
-        known = ', '.join(f'{name} {one.lower:+.3f}' if one.lower == one.upper else
-                          f'{name} {one.lower:+.3f} to {one.upper:+.3f}'
-                          for name, one in self.rho.items())
-        return f'<Run {self.outcome}, {len(self.steps)} steps, rho {known}>'
+        known = ', '.join(f'{name}: {interval.words()}' for name, interval in self.rho.items())
+        return f'<Run {self.outcome}, {len(self.steps)} steps, {known}>'
 
     def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
         world = SimulatedWorld(self.scenario)
@@ -190,15 +182,13 @@ def run(
         scenario, eyes, specs=asked, controller=_controller(controller),
         stop_on=parse_stop_on(stop_on), on_step=keep,
     )
-    if judgement.complete or judgement.stopped_early:
-        outcome = Outcome.PASS if judgement.satisfied else Outcome.FAIL
-    else:
-        outcome = Outcome.INFRA_ERROR
-    intervals = (RobustnessInterval(one.lower, one.upper) for one in judgement.readings)
     return Run(
         scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, specs=asked,
-        outcome=outcome,
-        rho=dict(zip((spec.name for spec in asked), intervals, strict=True)),
+        outcome=outcome_of(judgement),
+        rho={
+            spec.name: reading.interval
+            for spec, reading in zip(asked, judgement.readings, strict=True)
+        },
         stopped_early=judgement.stopped_early, statistics=judgement.statistics, steps=tuple(steps),
     )
 

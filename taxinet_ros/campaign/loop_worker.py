@@ -23,11 +23,11 @@ from taxinet_ros.campaign.worker_pool import encode_line, request_from_json, res
 from taxinet_ros.core.controller import Controller, SteeringGains, make_controller
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.core.outcome import RunRequest, RunResult, outcome_of
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.user_code import UserCodeError
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import die_with_parent
 
 _BEAT_S = 1.0
@@ -76,9 +76,7 @@ def run_in_loop(
         on_step(seq)
 
     def broken(kind: str, who: str, detail: str) -> RunResult:
-        return RunResult(
-            outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq,
-        )
+        return RunResult.infra_error(kind, who, detail, seq)
 
     try:
         judged = run_closed_loop(
@@ -87,19 +85,18 @@ def run_in_loop(
             on_step=count, timing=timing, draws=(request.seed, request.index),
         )
     except UserCodeError as error:
-        return broken('node_error', 'python', str(error))
+        return broken(InfraKind.NODE_ERROR, 'python', str(error))
     except InfraError as error:
         return broken(error.kind, error.who, error.detail)
-    stopped = judged.stopped_early
-    if not (judged.complete or stopped):
-        return broken('invalid_run', 'mtl_monitor', 'no whole, finite sequence of samples to judge')
-    readings = {spec.name: one for spec, one in zip(specs, judged.readings, strict=True)}
+    outcome = outcome_of(judged)
+    if not outcome.judged:
+        detail = 'no whole, finite sequence of samples to judge'
+        return broken(InfraKind.INVALID_RUN, 'mtl_monitor', detail)
+    readings = zip(specs, judged.readings, strict=True)
     return RunResult(
-        outcome=Outcome.PASS if judged.satisfied else Outcome.FAIL, last_seq=seq,
-        rho={name: one.lower for name, one in readings.items() if one.lower == one.upper},
-        rho_lower={name: one.lower for name, one in readings.items() if stopped},
-        rho_upper={name: one.upper for name, one in readings.items() if stopped},
-        stopped_early=stopped, statistics=judged.statistics,
+        outcome=outcome, last_seq=seq,
+        robustness={spec.name: reading.interval for spec, reading in readings},
+        stopped_early=judged.stopped_early, statistics=judged.statistics,
         perception=perception.word, fingerprint=perception.fingerprint, timing=timing.words,
         wall_s=time.monotonic() - begun_s,
     )

@@ -23,7 +23,7 @@ def keep_run(ledger: Ledger, index: int, run: tx.Run) -> None:
     )
     result = RunResult(
         outcome=run.outcome, last_seq=len(run.steps) - 1, statistics=run.statistics,
-        rho={name: interval.lower for name, interval in run.rho.items()}, wall_s=1.0,
+        robustness=run.rho, wall_s=1.0,
     )
     ledger.intent(index, request.run_id)
     ledger.result(RunRow.of_run(

@@ -19,7 +19,7 @@ EXAMPLES = {
     'perception_function.py': 'bright_paint: FAIL',
     'controller_function.py': 'own: PASS',
     'random_search.py': 'worst: Scenario(',
-    'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, rho phi_always -5.5',
+    'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
 WITHOUT_ROS = """
 import sys

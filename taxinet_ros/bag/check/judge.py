@@ -22,7 +22,7 @@ from taxinet_ros.bag.run.samples import RunSamples, run_samples, topics_of_signa
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
 
 
@@ -150,6 +150,8 @@ def judge_bags(
             for runs in answers:
                 yield from runs
         except BrokenProcessPool as error:
-            raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
+            raise InfraError(
+                InfraKind.DIED, 'judging worker', -1, 'see the messages above'
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)

@@ -19,9 +19,9 @@ from taxinet_ros.cli.bag.rerun import check_options
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import GroundTruth
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import campaign_graph
-from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 

@@ -17,10 +17,10 @@ from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
