@@ -28,7 +28,8 @@ from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS

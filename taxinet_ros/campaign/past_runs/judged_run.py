@@ -115,7 +115,7 @@ def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
             rho = {spec.spec: spec.rho_upper for spec in verdict.specs}
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
-        specs=run.request.specs, outcome=outcome, rho=rho,
+        specs=run.request.judging.specs, outcome=outcome, rho=rho,
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),

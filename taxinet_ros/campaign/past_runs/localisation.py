@@ -37,9 +37,8 @@ from taxinet_ros.core.controller import (
     make_controller,
 )
 from taxinet_ros.core.judge import Judgement
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import StopOn
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -65,21 +64,16 @@ class TrialSetup:
 
     Attributes:
         perception: word or file of the network.
-        specs: formulas as text, the headline first.
+        judging: what decides their verdicts.
         gains: steering gains that differ from the defaults.
         controller: word of what steers.
-        stop_on: what ends a run before its end.
-        bounds, rates: what is vouched for of the signals, as text.
         timing: when answers take effect, in words.
     """
 
     perception: str
-    specs: tuple[str, ...]
+    judging: Judging
     gains: Mapping[str, float]
     controller: str = STEERING
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
     timing: str = ''
 
 
@@ -194,9 +188,8 @@ def make_trial(
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
         judged = run_closed_loop(
-            task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
-            controller=controller, stop_on=bench.stop_on,
-            assumptions=parse_assumptions(bench.bounds, bench.rates),
+            task.scenario, perception, specs=bench.judging.parsed_specs, controller=controller,
+            stop_on=bench.judging.stop_on, assumptions=bench.judging.assumptions,
             timing=parse_timing(bench.timing), draws=task.seed,
         )
     except (InfraError, UserCodeError) as error:
@@ -289,7 +282,7 @@ def make_localize_options(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
             'failure is; localize a campaign with --latency'
         )
-    if not found.specs:
+    if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
@@ -323,12 +316,9 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
-        facts = options.campaign.facts
         bench = TrialSetup(
-            perception=options.perception, specs=options.campaign.specs,
+            perception=options.perception, judging=options.campaign.judging,
             gains=dict(options.campaign.gains), controller=options.controller,
-            stop_on=options.campaign.stop_on,
-            bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
             timing=options.campaign.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
@@ -402,7 +392,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
     facts = {
         **{name: campaign.facts.get(name) for name in names},
         **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
-        'stop_on': campaign.stop_on.value,
+        'stop_on': campaign.judging.stop_on.value,
         **({'timing': campaign.timing} if campaign.timing else {}),
         **({} if options.controller == STEERING else {
             'controller_sha256': campaign.facts.get('controller_sha256')

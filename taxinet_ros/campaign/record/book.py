@@ -35,8 +35,8 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
@@ -66,9 +66,8 @@ def run_request(
     """What run ``index`` of a campaign asks of the graph."""
     return RunRequest(
         run_id=run_name(options, index, attempt), index=index, program=_stem(options),
-        seed=options.seed, scenario=scenario, specs=options.specs,
-        participants=tuple(participants), stop_on=options.stop_on, bounds=options.bounds,
-        rates=options.rates,
+        seed=options.seed, scenario=scenario, judging=options.judging,
+        participants=tuple(participants),
     )
 
 
@@ -190,8 +189,7 @@ class CampaignBook:
                 if error is None:
                     self._write_due_facts()
                 self._check_in_place()
-                names = [parse_spec(text).name for text in self._options.specs]
-                write_tables(self.rows.values(), self._out, names)
+                write_tables(self.rows.values(), self._out, self._options.judging.names)
         except RecordError:
             if not isinstance(error, RecordError):  # else the first trouble is the one to tell
                 raise

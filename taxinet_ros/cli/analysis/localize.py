@@ -19,7 +19,6 @@ from taxinet_ros.analysis.fault_localisation import (
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -48,8 +47,8 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         )
     campaign = options.campaign
     found = localisation(
-        options.rows, trials, words=options.words, spec=parse_spec(campaign.specs[0]).name,
-        specs=len(campaign.specs), perception=Path(options.perception).name,
+        options.rows, trials, words=options.words, spec=campaign.judging.headline,
+        specs=len(campaign.judging.specs), perception=Path(options.perception).name,
         failed=len(campaign.counterexamples), runs=len(campaign.judged),
         chosen_by=campaign.sampler,
     )
