@@ -77,7 +77,7 @@ def run_again(
         processes: every node a process of its own.
 
     Returns:
-        Exit code: 0 the same run to the bit, 1 it went another way.
+        Exit code: 0 the same run to the bit, 1 they differ.
 
     Raises:
         UsageError: bad input.

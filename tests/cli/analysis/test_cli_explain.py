@@ -81,7 +81,7 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     code, out, err = taxinet(
         'explain', bags / 'original', '--dataset', dataset, '--frames', 1, '--out', 'x')
     assert (code, err) == (0, '')
-    assert 'All estimates came out as recorded, to the bit.' in out
+    assert 'All estimates are equal to the recorded ones, bit for bit.' in out
     assert 'out of distribution' in out
     assert out.rstrip().endswith('page: x/explain.html')
     found = json.loads((tmp_path / 'x' / 'explain.json').read_text())
@@ -116,7 +116,7 @@ def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags
     found = json.loads(out)
     assert code == 0
     assert (found['perception'], found['recorded_perception']) == ('original', 'truth')
-    assert 'The network in question did not drive this run: truth did.' in found['sentences']
+    assert 'This network did not drive the run: truth did.' in found['sentences']
     assert found['recomputed']['equal'] is False
     assert len(found['moments']) == 1
 
