@@ -21,8 +21,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraKind, UsageError
@@ -49,12 +50,14 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
     return RunRequest(**{
         **values,
         'scenario': Scenario(**values['scenario']),
-        'specs': tuple(values['specs']),
+        'judging': _judging_from_json(values['judging']),
         'participants': tuple(values['participants']),
-        'bounds': tuple(values['bounds']),
-        'rates': tuple(values['rates']),
-        'stop_on': StopOn(values['stop_on']),
     })
+
+
+def _judging_from_json(values: Mapping[str, Any]) -> Judging:
+    texts = {name: tuple(values[name]) for name in ('specs', 'bounds', 'rates')}
+    return Judging(**{**values, **texts, 'stop_on': StopOn(values['stop_on'])})
 
 
 def result_to_json(result: RunResult) -> dict[str, Any]:

@@ -28,7 +28,8 @@ from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -268,7 +269,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
-        warning = [search.warning] if search.warning else []
+        warning = [search.book.warning] if search.book.warning else []
         _say(
             node,
             [*warning, *heading_lines, *(line.plain for line in requirement_lines(search.check))],

@@ -52,6 +52,9 @@ class LedgerContent:
     incomplete: tuple[str, ...] = ()
 
 
+EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
+"""What one says to which nothing was written yet."""
+
 _IDENTITY = (
     'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
     'controller_sha256', 'specs',

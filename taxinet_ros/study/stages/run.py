@@ -13,7 +13,7 @@ import taxinet_ros
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import INTERRUPTED, interrupts
-from taxinet_ros.study.stages.log import StageLog, other_stack
+from taxinet_ros.study.stages.log import StageLog, stack_warning
 from taxinet_ros.study.stages.progress import (
     State,
     can_resume,
@@ -117,7 +117,7 @@ class StudyRun:
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        if warning := other_stack(self._log.records):
+        if warning := stack_warning(self._log.records):
             self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):
