@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import enum
 import math
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
@@ -32,8 +29,8 @@ from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.pool import process_pool
 
 
 class BagVerdict(enum.StrEnum):
@@ -303,16 +300,8 @@ def judge_bags(
         for path in paths:
             yield from judge_runs(path, specs, assumptions)
         return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
-        try:
-            with interrupts_blocked():
-                answers = pool.map(
-                    judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
-                )
-            for runs in answers:
-                yield from runs
-        except BrokenProcessPool as error:
-            raise InfraError('died', 'judging worker', -1, 'see the messages above') from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with process_pool(workers, 'judging worker') as pool:
+        for runs in pool.map(
+            judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
+        ):
+            yield from runs
