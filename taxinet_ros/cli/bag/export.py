@@ -11,8 +11,8 @@ from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import is_run_topic
 from taxinet_ros.bag.run.tables import read_tables, read_trace_table, titles
-from taxinet_ros.cli.bag.input import WHOLE, exit_code_of, one_run
-from taxinet_ros.errors import UsageError
+from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.errors import ExitCode, UsageError
 
 TABLES = ('csv', 'parquet')
 FILMS = ('mp4', 'gif')
@@ -32,7 +32,7 @@ def run_export(
         run: which run, where the bag holds several.
 
     Returns:
-        Exit code: 0, 3 the bag is damaged, 1 not readable, 4 no room.
+        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no room.
 
     Raises:
         UsageError: bad input, or a topic that is not in the bag.
@@ -88,7 +88,7 @@ def _one_table(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
     else:
         table = read_trace_table(bag)
     _save(table, out, kind)
-    return WHOLE
+    return ExitCode.OK
 
 
 def _tables(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -102,7 +102,7 @@ def _tables(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
         raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
     for name, table in tables.items():
         _save(table, out / f'{name.strip("/").replace("/", ".")}.{kind}', kind)
-    return WHOLE
+    return ExitCode.OK
 
 
 def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
@@ -121,4 +121,4 @@ def _film(bag: Path, out: Path, kind: str) -> int:
     frames = film_frames(bag)
     count = write_mp4(frames, out) if kind == 'mp4' else write_gif(frames, out, ACCENTS)
     print(f'film: {out} ({count} frames)')
-    return WHOLE
+    return ExitCode.OK

@@ -57,7 +57,7 @@ from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_word
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, UsageError
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.runner import campaign_graph
 from taxinet_ros.nodes.graph.worker import worker_command
@@ -168,7 +168,6 @@ def _worker_command(search: Search) -> list[str]:
     return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
 
 
-INTERRUPTED, BROKEN = 130, 4
 
 
 def run_experiment(
@@ -194,16 +193,17 @@ def run_experiment(
         search = _run_arm(options, console, first=number == 1)
         if search.interrupted and len(search.rows) < options.campaign.runs:
             console.print('interrupted; --resume goes on')
-            return INTERRUPTED
+            return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
             console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
-            return BROKEN
+            return ExitCode.INFRA
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
     known = [row for arm in rows.values() for row in arm]
     with print_rows_if_lost(console, known, shown=True):
         _report(experiment, rows, out, console, as_json=as_json)
-    return BROKEN if any(row.outcome is Outcome.INFRA_ERROR for row in known) else 0
+    broken = any(row.outcome is Outcome.INFRA_ERROR for row in known)
+    return ExitCode.INFRA if broken else ExitCode.OK
 
 
 def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
@@ -312,7 +312,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     _check_reproduced(options, found)
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
-    return 130 if found.state.end is End.NOT_YET else 0
+    return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:

@@ -27,7 +27,7 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import card_path, load_model
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import disk_error
 from taxinet_ros.files.journal import JournalOwner, open_journal
 from taxinet_ros.files.sealed_json import read_sealed
@@ -236,7 +236,7 @@ class Improvement:
             if done.decision.accepted:
                 self._incumbent = candidate_weights(number)
         _copy(self._out / self._incumbent, self._out / BEST)
-        return 0
+        return ExitCode.OK
 
     def _round(self, number: int) -> tuple[int, Round | None]:
         """One round, or the exit code of the stage that stopped it."""
