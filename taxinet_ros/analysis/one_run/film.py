@@ -22,13 +22,13 @@ from matplotlib.font_manager import findfont
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.run.facts import RunFacts, read_facts
 from taxinet_ros.bag.run.trace import Column, read_images, read_trace
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import make_atomically
 
 Picture = NDArray[np.uint8]
 FRAMES_PER_S = 10
@@ -48,9 +48,9 @@ def write_mp4(frames: Iterable[Picture], path: Path) -> int:
         Number of frames.
 
     Raises:
-        BagWriteError: it cannot be written.
+        OSError: it cannot be written.
     """
-    return write_whole(path, lambda draft: _encode(frames, draft))
+    return make_atomically(path, lambda draft: _encode(frames, draft))
 
 
 def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()) -> int:
@@ -65,9 +65,9 @@ def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()
         Number of frames.
 
     Raises:
-        BagWriteError: it cannot be written.
+        OSError: it cannot be written.
     """
-    return write_whole(path, lambda draft: _animate(_small(frames, accents), draft))
+    return make_atomically(path, lambda draft: _animate(_small(frames, accents), draft))
 
 
 def _encode(frames: Iterable[Picture], path: Path) -> int:

@@ -53,7 +53,7 @@ from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
 from taxinet_ros.errors import InfraError, UsageError
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import process_pool
 
@@ -323,7 +323,7 @@ def localize(
             timing=options.failed.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
-            _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
+            _append(journal, {'event': 'trial', 'trial': trial.to_json()})
             kept[trial.run_id, trial.word] = trial
             on_trial(len(kept))
         return kept
@@ -450,12 +450,9 @@ def _begin_sitting(
 ) -> None:
     """Put down what the trials from here on are about, and what they are made on."""
     made_on = dict(provenance())
-    _append(options, journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
+    _append(journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
 
 
-def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:
-    try:
-        journal.append(event)
-        journal.sync()
-    except OSError as error:
-        raise disk_error(options.out / TRIALS_NAME, error) from error
+def _append(journal: Journal, event: Mapping[str, Any]) -> None:
+    journal.append(event)
+    journal.sync()

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import is_run_topic
 from taxinet_ros.bag.run.tables import read_tables, read_trace_table, titles
 from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import make_atomically
 
 TABLES = ('csv', 'parquet')
 FILMS = ('mp4', 'gif')
@@ -109,9 +109,9 @@ def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
     if kind == 'csv':
         # A CSV file has no other place for units.
         titled = table.rename(columns=titles(table))
-        write_whole(path, lambda draft: titled.to_csv(draft, index=False))
+        make_atomically(path, lambda draft: titled.to_csv(draft, index=False))
     else:
-        write_whole(path, lambda draft: table.to_parquet(draft, index=False))
+        make_atomically(path, lambda draft: table.to_parquet(draft, index=False))
     print(f'table: {path} ({len(table)} rows, {len(table.columns)} columns)')
 
 

@@ -25,7 +25,6 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.experiment import (
     JSON_NAME,
@@ -58,6 +57,7 @@ from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.runner import campaign_graph
 from taxinet_ros.nodes.graph.worker import worker_command
@@ -251,7 +251,7 @@ def _report(
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
-    write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(pairs, lambda draft: frame.to_parquet(draft, index=False))
     # Two arms that change places would be sound campaigns, each with the other's name.
     write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [

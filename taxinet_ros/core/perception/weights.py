@@ -10,8 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.files.plain_values import load_json
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
@@ -246,8 +245,8 @@ def save_model(path: Path, data: bytes, card: ModelCard) -> None:
     """
     text = json.dumps(asdict(card), indent=2) + '\n'
     try:
-        _replace(card_path(path), text.encode())
-        _replace(path, data)
+        write_atomically(card_path(path), text)
+        write_atomically(path, data)
     except OSError as error:
         raise card_error(
             path, f'cannot be written ({error.strerror}); choose another folder'
@@ -319,18 +318,3 @@ def _check_arrays(
             )
         if not np.isfinite(array).all():
             raise card_error(path, f'array {name} has values that are not finite; train it again')
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Put a whole file in place at once, through one of another name in the same folder."""
-    descriptor, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
-    try:
-        with os.fdopen(descriptor, 'wb') as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)  # a temporary file is its owner's only
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
