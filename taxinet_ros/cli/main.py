@@ -144,11 +144,11 @@ def bench(
     pid: Annotated[
         int | None, typer.Option(min=1, help='soak: watch this process and its descendants instead')
     ] = None,
-    seed: Annotated[int, typer.Option(help='chaos: of all that happens')] = 0,
+    seed: Annotated[int, typer.Option(help='chaos: seed of all random choices')] = 0,
     trials: Annotated[int | None, typer.Option(min=1, help='chaos: how many trials')] = None,
     trial: Annotated[int | None, typer.Option(min=0, help='chaos: only this trial')] = None,
 ) -> None:
-    """Measure how long everything takes, on one core; or soak.
+    """Benchmark every part on one core; or run soak and chaos tests.
 
     Medians, with their spread, and ratios between them: the closed loop over ROS 2, composed and
     as processes, and without; what a control step is made of; bytes and memory.
@@ -211,7 +211,7 @@ def node(
 @app.callback(invoke_without_command=True)
 def _main(
     context: typer.Context,
-    version: Annotated[bool, typer.Option('--version', help='print the version and leave')] = False,
+    version: Annotated[bool, typer.Option('--version', help='print the version and exit')] = False,
 ) -> None:
     if version:
         print(f'taxinet {__version__}')

@@ -1,6 +1,6 @@
 """The one table of the graph: every topic's name, type, quality of service, and who speaks to whom.
 
-Recorder, readiness barrier, README and tests derive from it; no other line spells a topic's name.
+Recorder, readiness barrier, docs and tests derive from it; no other line spells a topic's name.
 """
 
 from __future__ import annotations
