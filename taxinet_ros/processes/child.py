@@ -28,7 +28,7 @@ SOFT: Ladder = ((signal.SIGTERM, 5.0),)
 """For processes that have nothing to lose."""
 IN_ORDER: Ladder = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0))
 """As a person would."""
-_LAST_GRACE_S = 10.0
+_LAST_GRACE_S = 60.0
 _LAST_BYTES = 4096
 
 
@@ -131,6 +131,11 @@ class ChildProcess:
         return self.process.pid
 
     @property
+    def code(self) -> int | None:
+        """Its exit code, negative for a signal; None as long as nobody has seen it ended."""
+        return self.process.returncode
+
+    @property
     def dead(self) -> bool:
         """Whether it has ended, by whatever."""
         return self.process.poll() is not None
@@ -161,11 +166,10 @@ class ChildProcess:
 
     def how_it_ended(self) -> str:
         """Its exit code or signal, and the last line of a log that says why."""
-        code = self.process.returncode
-        if code is None:
+        if self.code is None:
             return 'outlives SIGKILL'
-        last = self.last_line() if code > 0 else ''
-        return f'{exit_words(code)}: {last}' if last else exit_words(code)
+        last = self.last_line() if self.code > 0 else ''
+        return f'{exit_words(self.code)}: {last}' if last else exit_words(self.code)
 
     def last_line(self, but: str | None = None) -> str:
         """The last line in its log that does not begin with ``but``, or ''."""

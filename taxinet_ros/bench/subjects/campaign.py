@@ -67,7 +67,7 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
             stamps = _watch(process, out / LEDGER_NAME)
         finally:
             process.end()
-        if process.process.returncode not in VERDICTS or len(stamps) != RUNS:
+        if process.code not in VERDICTS or len(stamps) != RUNS:
             detail = f'{len(stamps)} of {RUNS} runs, {process.how_it_ended()}'
             raise InfraError('start', process.name, -1, detail)
     counted = RUNS - workers

@@ -98,7 +98,7 @@ def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
             on_disk()
             time.sleep(LOOK_S)
         whole = time.perf_counter_ns() - start
-        if process.process.returncode not in VERDICTS:
+        if process.code not in VERDICTS:
             raise InfraError('start', process.name, -1, process.how_it_ended())
     return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
 

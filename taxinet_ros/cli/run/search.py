@@ -159,7 +159,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if search.interrupted and len(search.rows) < options.campaign.runs:
-        return 130
+        return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 

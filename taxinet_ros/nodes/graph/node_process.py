@@ -111,7 +111,7 @@ class NodeProcess(ChildProcess):
     @property
     def refused(self) -> str:
         """What a node of ours said before it left for a mistake of the user's, or ''."""
-        if not self._ours or self.process.returncode != ExitCode.USAGE:
+        if not self._ours or self.code != ExitCode.USAGE:
             return ''
         return self.how_it_ended().split('error: ', 1)[-1]
 

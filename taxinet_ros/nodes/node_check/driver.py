@@ -633,7 +633,7 @@ class Stage:
         process.send(signal.Signals[name])
         self._until(lambda: process.dead, _ENDING_S)
         after_s: float | None = time.monotonic() - begun_s
-        if not process.dead or process.process.returncode == -signal.SIGKILL:
+        if not process.dead or process.code == -signal.SIGKILL:
             after_s = None
         process.end()
         with self._options.log.open('rb') as log:

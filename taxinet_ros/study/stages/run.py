@@ -56,7 +56,8 @@ def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
             asked.append(True)
             child.process.send_signal(signal.SIGINT)
             child.wait(_GRACE_S)
-    return child.process.returncode, bool(asked)
+    assert child.code is not None
+    return child.code, bool(asked)
 
 
 class StudyRun:

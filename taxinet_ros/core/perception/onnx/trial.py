@@ -90,8 +90,8 @@ def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
             said, _ = child.process.communicate(timeout=WALL_S)
         except subprocess.TimeoutExpired:
             raise file_error(files.path, f'was not tried within {WALL_S:g} s') from None
-    if child.process.returncode:
-        raise _lost(files.path, child.process.returncode)
+    if child.code:
+        raise _lost(files.path, child.code)
     answer = json.loads(said)
     if 'error' in answer:
         raise UsageError(answer['error'])
