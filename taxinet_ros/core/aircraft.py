@@ -14,7 +14,7 @@ from taxinet_ros.core.place.runway import KMWH_04, Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 
 
 class CapturedLog(jsbsim.FGLogger):
@@ -337,4 +337,4 @@ class Aircraft:
         )
 
     def _failure(self, detail: str) -> InfraError:
-        return InfraError('sim', 'simulator', self._step, detail)
+        return InfraError(InfraKind.SIM, 'simulator', self._step, detail)
