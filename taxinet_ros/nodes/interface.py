@@ -50,6 +50,10 @@ LOCKSTEP = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
+# The window counts frames. Of each frame there is one message per formula, and several nodes report
+# how far they are; in a free run nobody waits until an answer that was lost on its way, and is sent
+# again within a second, has reached everybody, and there are at most 1000 frames in that.
+_QUEUE = 4000
 # What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -84,12 +88,13 @@ class Topic:
     Attributes:
         name: relative name, so that a whole graph can be put into a namespace.
         type: message class.
-        qos: quality of service of both ends.
+        qos: quality of service of both ends, as bags tell it.
         publishers: names of the nodes that speak.
         subscribers: names of the nodes that must hear every message; the recorder is implied
             where ``recorded``.
         recorded: how many messages a run's bag holds, or None where the topic is not recorded.
         carries: one line for people.
+        queue: messages that may wait at either end, where those are more than the depth in ``qos``.
     """
 
     name: str
@@ -99,6 +104,17 @@ class Topic:
     subscribers: tuple[str, ...]
     recorded: str | None
     carries: str
+    queue: int = 0
+
+    @property
+    def end_qos(self) -> QoSProfile:
+        """What both ends are made with."""
+        if not self.queue:
+            return self.qos
+        return QoSProfile(
+            history=self.qos.history, depth=self.queue,
+            reliability=self.qos.reliability, durability=self.qos.durability,
+        )
 
     @property
     def type_name(self) -> str:
@@ -162,16 +178,19 @@ ESTIMATE = Topic(
     publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
     recorded=PER_STEP,
     carries="the perception's estimate for the frame that it names",
+    queue=_QUEUE,
 )
 COMMAND = Topic(
     name='taxi_command', type=TaxiCommand, qos=LOCKSTEP, publishers=(STEERING_CONTROLLER,),
     subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
     carries='steering angle and speed for the frame that it names',
+    queue=_QUEUE,
 )
 ROBUSTNESS = Topic(
     name='monitor/robustness', type=Robustness, qos=LOCKSTEP, publishers=(MTL_MONITOR,),
     subscribers=(), recorded=PER_SPEC,
     carries='robust satisfaction interval of one formula so far',
+    queue=_QUEUE,
 )
 VERDICT = Topic(
     name='monitor/verdict', type=Verdict, qos=LATCHED, publishers=(MTL_MONITOR,),
@@ -182,6 +201,7 @@ PROGRESS = Topic(
     name='lockstep/progress', type=NodeStatus, qos=LOCKSTEP, publishers=FOLLOWERS,
     subscribers=(SIMULATOR,), recorded=None,
     carries='how far monitor and recorder have come',
+    queue=_QUEUE,
 )
 RUN_STATUS = Topic(
     name='run_status', type=RunStatus, qos=LATCHED, publishers=(SIMULATOR,),
