@@ -11,5 +11,5 @@ for run in recording:  # a bag may hold several runs
     print(f'{len(trace)} control steps, |CTE| at most {trace["cte_m"].abs().max():.2f} m')
     found = run.judge('gentle=always(abs(steering) <= 20 deg)')
     print(f'gentle: {found.verdict}, rho {found.lower:+.3f} to {found.upper:+.3f}')
-    brightness = [frame.image.mean() for frame in run.frames(lambda seq: seq % 50 == 0)]
-    print('mean brightness every 5 s:', ', '.join(f'{value:.0f}' for value in brightness))
+    commands = run.table('taxi_command')
+    print(f'nose wheel at most {commands["steering_angle"].abs().max():.3f} rad')

@@ -20,11 +20,12 @@ from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import STEERING, Controller, SteeringGains, make_controller
+from taxinet_ros.core.judging import parse_stop_on
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import offline
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.specs import Spec, parse_spec
-from taxinet_ros.core.outcome import Outcome, outcome_of, parse_stop_on
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
     Perception,

@@ -48,7 +48,6 @@ from taxinet_ros.campaign.summary import (
     table_line,
 )
 from taxinet_ros.core.judge import SpecCheck
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
@@ -99,7 +98,7 @@ class Search:
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
         )
-        self._headline = parse_spec(self._campaign.specs[0]).name
+        self._headline = self._campaign.judging.headline
         self._points: dict[int, Point] = {}
         self._refused: dict[int, int] = {}
         self._earlier = EarlierRuns()

@@ -19,7 +19,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.registry import WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
@@ -203,4 +203,4 @@ class _PluginWorld(World):
             raise self._broken(str(self._extension.failure(error))) from error
 
     def _broken(self, detail: str) -> InfraError:
-        return InfraError('sim', 'simulator', self._seq, detail)
+        return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)

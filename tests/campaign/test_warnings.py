@@ -22,6 +22,7 @@ from taxinet_ros.campaign.summary import (
     row_line,
     scene_words,
 )
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
@@ -39,7 +40,7 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 def row(unusable: int, outcome: Outcome = Outcome.PASS, **changes: object) -> RunRow:
     request = RunRequest(
         run_id='run-3', index=3, program='nominal', seed=0, scenario=Scenario(**changes),  # type: ignore[arg-type]
-        specs=('phi_eventually',), participants=(),
+        judging=Judging(specs=('phi_eventually',)), participants=(),
     )
     result = RunResult(
         outcome=outcome, last_seq=300, robustness=exact_intervals({'phi_eventually': 1.0}),

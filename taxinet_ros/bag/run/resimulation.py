@@ -23,7 +23,6 @@ from taxinet_ros.core.world import KMWH, Observation, World, find_world
 from taxinet_ros.errors import InfraError, UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.facts import RecordedRun
     from taxinet_ros.bag.run.recording import Recording
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
@@ -32,9 +31,9 @@ class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
 
 def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
-    path, run = recording.path, recording.run
+    path = recording.path
     recorded, commands = _states_and_commands(recording)
-    world = _world(path, run)
+    world = _world(recording)
     held = _held(recording, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
@@ -51,12 +50,13 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
             return
 
 
-def _world(path: Path, run: RecordedRun) -> World:
+def _world(recording: Recording) -> World:
     """The run's world at its beginning.
 
     Raises:
         UsageError: a package brought it that is not installed, or is another one now.
     """
+    path, run = recording.path, recording.run
     try:
         chosen = find_world(run.world or KMWH)
     except UsageError as error:

@@ -15,7 +15,8 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
-from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
 
@@ -56,20 +57,15 @@ class RecordedCampaign:
         return tuple(row for row in self.rows if row.outcome is Outcome.FAIL)
 
     @property
-    def specs(self) -> tuple[str, ...]:
-        """The formulas as text, the headline first."""
-        return tuple(f'{name}={text}' for name, text in self.facts.get('specs', {}).items())
+    def judging(self) -> Judging:
+        """What decided the verdicts; its ``specs`` are empty where the ledger does not tell."""
+        return Judging.from_facts(self.facts)
 
     @property
     def gains(self) -> Mapping[str, float]:
         """Steering gains that differ from the defaults."""
         found: Mapping[str, float] = self.facts.get('gains', {})
         return found
-
-    @property
-    def stop_on(self) -> StopOn:
-        """What ended a run before its end."""
-        return parse_stop_on(self.facts.get('stop_on', ''))
 
     @property
     def timing(self) -> str:

@@ -35,13 +35,13 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
-from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.files.atomic import disk_words, draft_path
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -66,9 +66,8 @@ def run_request(
     """What run ``index`` of a campaign asks of the graph."""
     return RunRequest(
         run_id=run_name(options, index, attempt), index=index, program=_stem(options),
-        seed=options.seed, scenario=scenario, specs=options.specs,
-        participants=tuple(participants), stop_on=options.stop_on, bounds=options.bounds,
-        rates=options.rates,
+        seed=options.seed, scenario=scenario, judging=options.judging,
+        participants=tuple(participants),
     )
 
 
@@ -110,7 +109,7 @@ def rename_broken(folder: Path) -> None:
     folder.rename(aside)
 
 
-_NOT_OF_A_RUN = frozenset({FACTS_NAME, f'{FACTS_NAME}.tmp', LEDGER_NAME, 'logs'})
+_NOT_OF_A_RUN = frozenset({FACTS_NAME, draft_path(Path(FACTS_NAME)).name, LEDGER_NAME, 'logs'})
 """What may lie in a campaign's folder before its first run."""
 
 
@@ -190,8 +189,7 @@ class CampaignBook:
                 if error is None:
                     self._write_due_facts()
                 self._check_in_place()
-                names = [parse_spec(text).name for text in self._options.specs]
-                write_tables(self.rows.values(), self._out, names)
+                write_tables(self.rows.values(), self._out, self._options.judging.names)
         except RecordError:
             if not isinstance(error, RecordError):  # else the first trouble is the one to tell
                 raise

@@ -14,7 +14,6 @@ from taxinet_ros import __version__
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
@@ -50,7 +49,6 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
 
 def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[str, Any]:
     """All that runs depend on whose scenes come of ``scenes``, in plain values."""
-    specs = [parse_spec(text) for text in options.specs]
     return {
         'taxinet_ros_version': __version__,
         STACKS: this_stack_record(),
@@ -63,10 +61,7 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'overrides': dict(options.overrides),
         'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
-        'specs': {spec.name: str(spec.formula) for spec in specs},
-        'stop_on': options.stop_on,
-        'bounds': list(options.bounds),
-        'rates': list(options.rates),
+        **options.judging.facts(),
         'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,

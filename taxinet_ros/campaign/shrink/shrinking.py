@@ -360,9 +360,9 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
     words += controller_options(campaign.controller)
-    specs = [parse_spec(text) for text in campaign.specs]
-    if specs != [parse_spec(text) for text in DEFAULT_SPECS]:
-        words += [word for text in campaign.specs for word in ('--spec', text)]
+    specs = campaign.judging.parsed_specs
+    if specs != tuple(parse_spec(text) for text in DEFAULT_SPECS):
+        words += [word for text in campaign.judging.specs for word in ('--spec', text)]
     words += [word for name, value in campaign.gains.items()
               for word in ('--set', f'steering.{name}={value!r}')]
     return shlex.join([*words, *campaign.timing.options])

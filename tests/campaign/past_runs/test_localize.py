@@ -29,6 +29,7 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
 )
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
@@ -37,6 +38,7 @@ from taxinet_ros.errors import UsageError
 
 SPEC = 'phi_eventually'
 FORMULA = 'eventually[0:10](always(abs(cte) <= 1.5))'
+JUDGING = Judging(specs=(f'{SPEC}={FORMULA}',))
 WET = scenario_from_human({
     'cross_track': 5, 'heading': 20, 'distance': 600, 'clouds': 'stratus', 'rain': 90,
     'time_of_day': 8, 'duration': 12,
@@ -65,7 +67,7 @@ def failed_campaign(
     gains: Mapping[str, float] = LOCKED, **changes: Any,
 ) -> list[RunRow]:
     """Run scenes as they are, and write down the ledger of a campaign of them."""
-    bench = TrialSetup(perception=perception, specs=(f'{SPEC}={FORMULA}',), gains=gains)
+    bench = TrialSetup(perception=perception, judging=JUDGING, gains=gains)
     network = make_perception(perception)
     rows = []
     for index, scene in enumerate(scenes):
@@ -117,7 +119,7 @@ def test_given_a_nose_wheel_that_never_turns_then_the_truth_fails_too_and_the_la
     tmp_path,
 ):
     (row,) = failed_campaign(tmp_path / 'c', OFF[:1], perception='original')
-    bench = TrialSetup(perception='original', specs=(f'{SPEC}={FORMULA}',), gains=LOCKED)
+    bench = TrialSetup(perception='original', judging=JUDGING, gains=LOCKED)
     network = make_perception('original')
     trials = {
         word: make_trial(
@@ -224,7 +226,7 @@ def test_given_a_recorded_campaign_then_rows_rates_and_counterexamples_are_read_
     rate = found.failure_rate.rate
     assert rate is not None
     assert (rate.rate, rate.high) == (1.0, 1.0)
-    assert found.specs == (f'{SPEC}={FORMULA}',)
+    assert found.judging == JUDGING
     assert found.bag(rows[0]) is None
     assert found.scenario(rows[0]) == (OFF[0], False)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob('*')} == before

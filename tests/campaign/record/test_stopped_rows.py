@@ -20,8 +20,9 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -43,7 +44,7 @@ def result(index: int, *, stopped: bool, furthest: float = 4.0) -> RunResult:
 def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
     asked = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5, scenario=Scenario(),
-        specs=SPECS, participants=(), stop_on=StopOn.VIOLATED,
+        participants=(), judging=Judging(specs=SPECS, stop_on=StopOn.VIOLATED),
     )
     answer = result(index, stopped=stopped, furthest=furthest)
     sim_s = answer.last_seq / 10
@@ -106,8 +107,9 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
 
 
 def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_interval_do_too():
-    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(), specs=SPECS,
-                       participants=('a',), stop_on=StopOn.DECIDED)
+    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(),
+                       judging=Judging(specs=SPECS, stop_on=StopOn.DECIDED, rates=('cte=3',)),
+                       participants=('a',))
     assert request_from_json(request_to_json(asked)) == asked
     answer = result(0, stopped=True)
     assert result_from_json(result_to_json(answer)) == answer

@@ -9,6 +9,7 @@ import pytest
 
 import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
@@ -33,7 +34,7 @@ def requests() -> list[RunRequest]:
     return [
         RunRequest(
             run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            specs=SPECS, participants=PARTICIPANTS,
+            judging=Judging(specs=SPECS), participants=PARTICIPANTS,
         )
         for index, scene in enumerate(SCENES)
     ]
