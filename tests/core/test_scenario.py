@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.scenario import (
-    CLOUDS,
-    HUMAN_KEYS,
-    RAIN_CLOUDS,
-    Scenario,
-    scenario_from_human,
-)
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import CLOUDS, HUMAN_KEYS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 HUMAN = st.fixed_dictionaries({

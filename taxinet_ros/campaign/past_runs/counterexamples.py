@@ -14,7 +14,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
 
 
@@ -109,7 +109,6 @@ def scenario_of_row(
             return read_run(bag).request.scenario, True
         except BagError:
             pass  # a damaged bag says less than the ledger does
-    values = {key: getattr(row, key) for key in HUMAN_KEYS}
-    if None in values.values():
+    if None in row.scene.values():
         raise UsageError(f'{folder / row.run_id}: has neither a bag nor a scene in the ledger')
-    return scenario_from_human(values), False
+    return scenario_from_human(row.scene), False

@@ -17,13 +17,13 @@ from taxinet_msgs import msg as taxinet
 from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
-from taxinet_ros.bag.run.message_values import SCENARIO_FIELDS
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, plain_line
 from taxinet_ros.nodes import interface
@@ -47,7 +47,9 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """The message that asks for a run."""
-    values = {name: getattr(request.scenario, key) for key, name in SCENARIO_FIELDS.items()}
+    values = {
+        field.message: getattr(request.scenario, field.attribute) for field in SCENARIO_FIELDS
+    }
     return taxinet.Scenario(
         header=header(0),
         run_id=request.run_id,

@@ -22,13 +22,14 @@ from hypothesis import strategies as st
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import decoded_messages
-from taxinet_ros.bag.run.message_values import SCENARIO_FIELDS, scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.trace import read_images, read_trace
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
 STEPS = 4
 TOPICS = {topic.name: topic for topic in topics()}
@@ -219,7 +220,7 @@ def test_given_the_bag_package_when_imported_then_no_ros_comes_with_it() -> None
 
 def message(**changes):
     scene = Scenario()
-    values = {name: getattr(scene, key) for key, name in SCENARIO_FIELDS.items()} | changes
+    values = {field.message: getattr(scene, field.attribute) for field in SCENARIO_FIELDS} | changes
     return SimpleNamespace(**values)
 
 

@@ -19,7 +19,8 @@ from taxinet_ros.campaign.scenes.programs import (
     shipped_folder,
 )
 from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 N = 600

@@ -28,7 +28,8 @@ from taxinet_ros.core.camera.camera import (
 )
 from taxinet_ros.core.camera.light import ground_table, scenario_light, sun_direction, sun_position
 from taxinet_ros.core.place import runway
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import AircraftState
 
 Picture = NDArray[np.uint8]

@@ -18,7 +18,8 @@ from taxinet_ros.core.camera.light import (
     sun_direction,
     sun_position,
 )
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 LATITUDE_DEG = 47.2
