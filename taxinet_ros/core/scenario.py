@@ -26,7 +26,7 @@ class Scenario:
         distance_m: start distance past the threshold along the runway [m].
         heading_rad: start heading error [rad], nose left positive.
         clouds: one of ``scenario_fields.CLOUDS``.
-        rain: intensity as a fraction 0..1; more than 0 only under
+        rain_fraction: intensity, 0..1; more than 0 only under
             ``scenario_fields.RAIN_CLOUDS``.
         time_of_day_s: local standard time (UTC-8) after midnight [s].
         date: ISO date of the sun's position; near an equinox 6-18 h is daylight.
@@ -44,7 +44,7 @@ class Scenario:
     distance_m: float = 400.0
     heading_rad: float = 0.0
     clouds: str = 'clear'
-    rain: float = 0.0
+    rain_fraction: float = 0.0
     time_of_day_s: float = 12 * 3600.0
     date: str = '2020-03-20'
     shadows: bool = True
@@ -55,7 +55,7 @@ class Scenario:
     def __post_init__(self) -> None:
         for field in SCENARIO_FIELDS:
             field.check(getattr(self, field.attribute))
-        if self.rain > 0 and self.clouds not in RAIN_CLOUDS:
+        if self.rain_fraction > 0 and self.clouds not in RAIN_CLOUDS:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
         try:

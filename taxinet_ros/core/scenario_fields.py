@@ -1,10 +1,11 @@
 """The keys of a scenario, one row each: names, units, range, words, and what people call them.
 
 A key is what people type, in Scenic programs, after ``--set`` and in experiments. The attribute of
-:class:`~taxinet_ros.core.scenario.Scenario` is in SI units, the column of tables in the units that
-people read. Whatever else has a line for each key (scenario message, rows and tables of runs,
-features of an analysis, world model of the programs, pages of the documentation) is made from
-these rows, or is compared with them by ``tests/core/test_scenario_fields.py``.
+:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units, the
+column of tables in the units that people read. Whatever else has a line for each key (scenario
+message, rows and tables of runs, features of an analysis, world model of the programs, pages of
+the documentation) is made from these rows, or compared with them by
+``tests/core/test_scenario_fields.py``.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ class ScenarioField:
 
     Attributes:
         key: as people type it; also in ``scenario.json`` and in rows of the ledger.
-        attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, in SI units.
-        message: field of the message ``Scenario``, in SI units.
+        attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
+            SI units. Messages of before these names had units called it by the key.
         column: of tables of runs, in the units that people read.
         title: for people, without the unit.
         kind: of its values.
@@ -72,7 +73,6 @@ class ScenarioField:
 
     key: str
     attribute: str
-    message: str
     column: str
     title: str
     kind: Kind = Kind.NUMBER
@@ -167,50 +167,50 @@ def clock_words(hours: float) -> str:
 
 
 CROSS_TRACK = ScenarioField(
-    key='cross_track', attribute='cross_track_m', message='cross_track', column='cross_track_m',
+    key='cross_track', attribute='cross_track_m', column='cross_track_m',
     title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
     range_unit='m left of the centreline (on the runway)', plane='cross_track',
 )
 DISTANCE = ScenarioField(
-    key='distance', attribute='distance_m', message='distance', column='distance_m',
+    key='distance', attribute='distance_m', column='distance_m',
     title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
     range_unit='m past the threshold', plane='distance',
 )
 HEADING = ScenarioField(
-    key='heading', attribute='heading_rad', message='heading', column='heading_deg',
+    key='heading', attribute='heading_rad', column='heading_deg',
     title='start heading, nose left', unit='°', si=math.pi / 180, form='{:+.1f}',
     low=-math.pi / 2, high=math.pi / 2, range_unit='rad, nose left positive', plane='heading_deg',
 )
 SKY = ScenarioField(
-    key='clouds', attribute='clouds', message='clouds', column='clouds', title='clouds',
+    key='clouds', attribute='clouds', column='clouds', title='clouds',
     kind=Kind.WORD, words=CLOUDS,
 )
 RAIN = ScenarioField(
-    key='rain', attribute='rain', message='rain', column='rain_percent', title='rain', unit='%',
-    si=0.01, form='{:.0f}', low=0.0, high=1.0, range_unit='as a fraction',
+    key='rain', attribute='rain_fraction', column='rain_percent', title='rain', unit='%', si=0.01,
+    form='{:.0f}', low=0.0, high=1.0, range_unit='as a fraction',
 )
 TIME_OF_DAY = ScenarioField(
-    key='time_of_day', attribute='time_of_day_s', message='time_of_day', column='time_of_day_h',
+    key='time_of_day', attribute='time_of_day_s', column='time_of_day_h',
     title='time of day', unit='h', si=3600.0, low=0.0, high=86400.0,
     range_unit='s after local midnight',
 )
 DATE = ScenarioField(
-    key='date', attribute='date', message='date', column='date', title='date', kind=Kind.DATE,
+    key='date', attribute='date', column='date', title='date', kind=Kind.DATE,
 )
 SHADOWS = ScenarioField(
-    key='shadows', attribute='shadows', message='shadows', column='shadows',
+    key='shadows', attribute='shadows', column='shadows',
     title='shadow of the aircraft', kind=Kind.SWITCH,
 )
 CROSSING = ScenarioField(
-    key='crossing', attribute='crossing', message='crossing', column='crossing',
+    key='crossing', attribute='crossing', column='crossing',
     title='crossing runway', kind=Kind.SWITCH, absent=True,
 )
 AIRCRAFT_MODEL = ScenarioField(
-    key='aircraft', attribute='aircraft', message='aircraft', column='aircraft', title='aircraft',
+    key='aircraft', attribute='aircraft', column='aircraft', title='aircraft',
     kind=Kind.WORD, words=AIRCRAFT,
 )
 DURATION = ScenarioField(
-    key='duration', attribute='duration_s', message='duration', column='duration_s',
+    key='duration', attribute='duration_s', column='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, range_unit='s',
 )
 

@@ -40,7 +40,7 @@ def keys(field: ScenarioField) -> str:
 
 
 def test_given_the_rows_then_no_name_stands_for_two_keys():
-    for name in ('key', 'attribute', 'message', 'column', 'title'):
+    for name in ('key', 'attribute', 'column', 'title'):
         names = [getattr(field, name) for field in SCENARIO_FIELDS]
         assert len(set(names)) == len(names), name
     assert tuple(field.key for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
@@ -57,11 +57,11 @@ def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_n
 def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_its_words():
     lines = re.findall(r'^(\w+) (\w+) +# (.*)$', MESSAGE.read_text(encoding='utf-8'), re.MULTILINE)
     said = {name: (kind, comment) for kind, name, comment in lines}
-    assert [name for name in said if name in {field.message for field in SCENARIO_FIELDS}] == [
-        field.message for field in SCENARIO_FIELDS
+    assert [name for name in said if name in {field.attribute for field in SCENARIO_FIELDS}] == [
+        field.attribute for field in SCENARIO_FIELDS
     ]
     for field in SCENARIO_FIELDS:
-        kind, comment = said[field.message]
+        kind, comment = said[field.attribute]
         assert kind == field.message_type, field.key
         assert all(word in comment for word in field.words), field.key
         if field.kind is Kind.NUMBER:

@@ -238,7 +238,8 @@ def camera_sheet(scenes: Sequence[Sequence[Scenario]], path: Path) -> None:
 
 
 def _weather(scene: Scenario) -> str:
-    return f'{scene.clouds}\nrain {100 * scene.rain:.0f} %' if scene.rain else scene.clouds
+    rain = f'\nrain {100 * scene.rain_fraction:.0f} %' if scene.rain_fraction else ''
+    return f'{scene.clouds}{rain}'
 
 
 def pose_words(scene: Scenario) -> str:

@@ -31,8 +31,8 @@ def scenario_of(message: Any) -> Scenario:
 
 def _value(message: Any, field: ScenarioField) -> Any:
     if field.absent is not None:
-        return getattr(message, field.message, field.absent)
-    return getattr(message, field.message)
+        return getattr(message, field.attribute, field.absent)
+    return getattr(message, field.attribute)
 
 
 def assumptions_of(message: Any) -> Assumptions:

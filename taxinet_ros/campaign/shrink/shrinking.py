@@ -327,7 +327,7 @@ def make_report(shrinking: Shrinking) -> Report:
         scenario=space.scenario(state.at),
         original=shrinking.row(search.start), nominal=shrinking.row(search.origin),
         shrunk=shrinking.row(state.at),
-        dry=space.original.rain > 0 and space.nominal.clouds not in RAIN_CLOUDS,
+        dry=space.original.rain_fraction > 0 and space.nominal.clouds not in RAIN_CLOUDS,
     )
 
 

@@ -6,6 +6,7 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from typing import Any
 
@@ -23,7 +24,6 @@ from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, plain_line
 from taxinet_ros.nodes import interface
@@ -47,9 +47,6 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """The message that asks for a run."""
-    values = {
-        field.message: getattr(request.scenario, field.attribute) for field in SCENARIO_FIELDS
-    }
     return taxinet.Scenario(
         header=header(0),
         run_id=request.run_id,
@@ -61,7 +58,7 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
         bounds=list(request.bounds),
         rates=list(request.rates),
         participants=list(request.participants),
-        **values,
+        **dataclasses.asdict(request.scenario),
     )
 
 

@@ -5,6 +5,7 @@ Recordings from before the crossing could be taken away have it.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -29,7 +30,6 @@ from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
 STEPS = 4
 TOPICS = {topic.name: topic for topic in topics()}
@@ -220,8 +220,7 @@ def test_given_the_bag_package_when_imported_then_no_ros_comes_with_it() -> None
 
 def message(**changes):
     scene = Scenario()
-    values = {field.message: getattr(scene, field.attribute) for field in SCENARIO_FIELDS} | changes
-    return SimpleNamespace(**values)
+    return SimpleNamespace(**dataclasses.asdict(scene) | changes)
 
 
 def test_given_a_message_without_the_field_then_there_is_a_crossing():
