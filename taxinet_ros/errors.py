@@ -1,14 +1,46 @@
-"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's."""
+"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's.
+
+And the exit codes that commands and nodes end with.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import enum
+import signal
 import sys
+from enum import IntEnum, unique
 
 MAX_CHARACTERS = 2000
 """Of a message; somebody has to read it."""
 
 _WARNED: set[str] = set()
+
+
+@unique
+class ExitCode(IntEnum):
+    """What the end of a command, or of a node, says.
+
+    Attributes:
+        OK: every run satisfied its specifications; what was asked for is done, and whole.
+        VIOLATED: a run violated one; what was compared differs.
+        USAGE: bad input, :class:`UsageError`.
+        INCOMPLETE: the answer stands on part of the data, or there is too little for one.
+        INFRA: the test bench or the disk failed, :class:`InfraError` and :class:`RecordError`.
+        INTERRUPTED: by Ctrl-C; as shells say it, with 128 and the signal's number (POSIX.1-2024,
+            XCU section 2.8.2).
+        TERMINATED: likewise by SIGTERM.
+        UNREAD: nobody reads the output any more.
+    """
+
+    OK = 0
+    VIOLATED = 1
+    USAGE = 2
+    INCOMPLETE = 3
+    INFRA = 4
+    INTERRUPTED = 128 + signal.SIGINT
+    UNREAD = 128 + signal.SIGPIPE
+    TERMINATED = 128 + signal.SIGTERM
 
 
 def plain_line(text: str) -> str:
@@ -51,18 +83,43 @@ class RecordError(Exception):
         super().__init__(plain_line(message))
 
 
+class InfraKind(enum.StrEnum):
+    """How a part of the test bench failed. ``docs/faults.md`` and ``RunStatus.msg`` list them."""
+
+    NOT_READY = 'not_ready'
+    """A node was not there, or not ready, in time."""
+    TIMEOUT = 'timeout'
+    """A node or process was silent for too long."""
+    DIED = 'died'
+    """A process ended."""
+    NODE_ERROR = 'node_error'
+    """A node could not go on, and said why."""
+    PROTOCOL = 'protocol'
+    """A node gave an answer that cannot be one: it does not keep to the lockstep."""
+    SIM = 'sim'
+    """The simulator or JSBSim broke."""
+    BAG = 'bag'
+    """The run could not be recorded whole."""
+    INVALID_RUN = 'invalid_run'
+    """The monitor had no whole, finite sequence of samples."""
+    BUSY = 'busy'
+    """The simulator is at a run of somebody else."""
+    INTRUDER = 'intruder'
+    """Somebody who has no part in the run publishes on one of its topics."""
+
+
 class InfraError(Exception):
     """A part of the test bench failed, so the run has no verdict. CLI exit 4.
 
     Attributes:
-        kind: short machine-readable word, e.g. ``timeout``, ``died``, ``not_ready``, ``sim``.
+        kind: an :class:`InfraKind`, or the word that a simulator of somebody else's has for it.
         who: name of the node or part that failed.
         step: control step at which it happened, or -1 before the first.
     """
 
     def __init__(self, kind: str, who: str, step: int, detail: str) -> None:
         super().__init__(f'{kind}: {who}{f" at step {step}" if step >= 0 else ""}: {detail}')
-        self.kind = kind
+        self.kind = str(kind)
         self.who = who
         self.step = step
         self.detail = detail

@@ -29,13 +29,13 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
 from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario_fields import PAPER_FIELDS
+from taxinet_ros.files.atomic import make_atomically
 
 
 class Blame(enum.StrEnum):
@@ -157,7 +157,7 @@ def reproduced(row: RunRow, control: Trial) -> bool:
     """
     if control.passed is not False:
         return False
-    return not control.exact or (control.rho_lower, control.rho_upper) == row.headline
+    return not control.exact or control.robustness == row.headline
 
 
 def judge_case(row: RunRow, trials: Mapping[str, Trial]) -> Case:
@@ -228,7 +228,7 @@ def localisation_report(found: Localisation) -> Report:
         facts={
             'perception': found.perception, 'formula': found.spec,
             'failed runs': f'{found.failed} of {found.runs} judged',
-            'looked into': str(len(found.cases)),
+            'examined': str(len(found.cases)),
         },
         summary=sentences, sections=(localisation_section(found),),
     )
@@ -280,8 +280,8 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
     """Write the table of counterexamples as CSV and as Parquet."""
     frame = cases_frame(found)
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    write_whole(csv, lambda draft: frame.to_csv(draft, index=False))
-    write_whole(parquet, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(csv, lambda draft: frame.to_csv(draft, index=False))
+    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
     return csv, parquet
 
 # Sentences ---------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
 
 def _blame_words(found: Localisation) -> Iterator[str]:
     if not found.counted:
-        yield 'No counterexample came out as it was recorded, so nothing can be said.'
+        yield 'No counterexample was reproduced as recorded, so nothing can be said.'
         return
     if TRUTH not in found.words:
         return
@@ -344,7 +344,7 @@ def _other_words(found: Localisation) -> Iterator[str]:
 def _reservations(found: Localisation) -> Iterator[str]:
     count, failed = len(found.cases), found.failed
     if count < failed:
-        yield f'{count} of the {failed} failed runs were looked into, evenly spread over them.'
+        yield f'{count} of the {failed} failed runs were examined, evenly spread over them.'
     others = found.not_reproduced
     if others:
         names = ', '.join(case.row.run_id for case in others[:3])
@@ -473,7 +473,7 @@ def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
         trial, name = case.trials.get(word), word.replace('-', '_').replace(':', '_')
         values |= {
             f'passed_{name}': trial.passed if trial else None,
-            f'rho_{name}': trial.rho_lower if trial else None,
+            f'rho_{name}': trial.robustness.lower if trial and trial.robustness else None,
             f'max_cross_track_m_{name}': trial.max_cross_track_m if trial else None,
         }
     return values

@@ -136,23 +136,24 @@ BoundOption = Annotated[
     list[str] | None,
     typer.Option(
         '--bound', metavar='SIGNAL=LOW:HIGH',
-        help='you vouch that a signal stays there, e.g. cte=-25:25 [m]: intervals close earlier; '
-        'a run that breaks it goes on without; repeatable',
+        help='assume that a signal stays in this range, e.g. cte=-25:25 [m]: intervals close '
+        'earlier; dropped in a run that leaves the range; repeatable',
     ),
 ]
 RateOption = Annotated[
     list[str] | None,
     typer.Option(
         '--rate', metavar='SIGNAL=CHANGE',
-        help='you vouch that a signal changes no faster per second, e.g. cte=3; repeatable',
+        help='assume that a signal changes by no more than this per second, e.g. cte=3; '
+        'repeatable',
     ),
 ]
 LatencyOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar='NAME=LATENCY',
-        help='answers take effect so late: perception= or controller= SECONDS, uniform(LOW,HIGH) '
-        'or normal(MEAN,SD), drawn anew in each step; works as the next multiple of 0.1 s; '
+        help='delay after which answers take effect: perception= or controller= SECONDS, '
+        'uniform(LOW,HIGH) or normal(MEAN,SD), drawn in each step, rounded up to 0.1 s; '
         'repeatable',
     ),
 ]
@@ -160,8 +161,8 @@ FreeOption = Annotated[
     bool,
     typer.Option(
         '--free',
-        help='simulated time goes by the wall clock and waits for nobody; every node a process; '
-        'shows whether timing breaks the loop, and comes out another way each time',
+        help='simulated time follows the wall clock and waits for no node; every node a process; '
+        'shows whether timing breaks the loop; results are not reproducible',
     ),
 ]
 FactorOption = Annotated[
@@ -218,16 +219,16 @@ UntilOption = Annotated[
     ),
 ]
 BudgetOption = Annotated[
-    float | None, typer.Option(metavar='MINUTES', help='begin no run after so long')
+    float | None, typer.Option(metavar='MINUTES', help='start no new run after this time')
 ]
 FailedRunArgument = Annotated[
     Path, typer.Argument(metavar='RUN', help='a failed run: <campaign>/<run>, as its bag is named')
 ]
 OwnPerceptionOption = Annotated[
-    str | None, typer.Option('--perception', help="another one than the run's")
+    str | None, typer.Option('--perception', help="default: the run's own")
 ]
 OwnControllerOption = Annotated[
-    str | None, typer.Option('--controller', help="another one than the run's")
+    str | None, typer.Option('--controller', help="default: the run's own")
 ]
 OwnSpecOption = Annotated[
     list[str] | None,
@@ -243,7 +244,7 @@ NominalOption = Annotated[
         help='nominal value of a scenario key (time_of_day=12, shadows=off, …); repeatable',
     ),
 ]
-NeededRunsOption = Annotated[int, typer.Option(help='most runs that the search may rest on')]
+NeededRunsOption = Annotated[int, typer.Option(help='most runs of the search')]
 QuietOption = Annotated[bool, typer.Option('--quiet', help='print warnings and the summary only')]
 PicturesArgument = Annotated[
     str | None, typer.Argument(metavar='SCENARIO', help='program to render pictures of')

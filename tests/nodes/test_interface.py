@@ -1,4 +1,4 @@
-"""The table of topics is the graph: nodes, bags and README say the same."""
+"""The table of topics is the graph: nodes, bags and docs say the same."""
 
 from pathlib import Path
 
@@ -10,18 +10,18 @@ from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def readme_rows() -> dict[str, list[str]]:
-    """Cells of the README's topic table by topic name."""
+def documented_rows() -> dict[str, list[str]]:
+    """Cells of the topic table of docs/graph.md by topic name."""
     rows = {}
-    for line in (ROOT / 'README.md').read_text().splitlines():
+    for line in (ROOT / 'docs' / 'graph.md').read_text().splitlines():
         cells = [cell.strip().strip('`') for cell in line.strip('|').split('|')]
         if len(cells) == 6 and '/msg/' in cells[1]:
             rows[cells[0]] = cells
     return rows
 
 
-def test_given_the_readme_then_its_topic_table_is_the_codes():
-    rows = readme_rows()
+def test_given_the_docs_then_their_topic_table_is_the_codes():
+    rows = documented_rows()
     assert set(rows) == {topic.name for topic in interface.TOPICS}
     for topic in interface.TOPICS:
         latched = 'latched' if topic.qos is interface.LATCHED else 'lockstep'

@@ -7,11 +7,10 @@ several campaigns can be put together.
 from __future__ import annotations
 
 import math
-import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import (
@@ -26,7 +25,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import make_atomically, write_atomically
 
 if TYPE_CHECKING:  # A run need not wait for it before it begins.
     import pandas as pd
@@ -83,7 +82,7 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     import pandas as pd
 
     ordered = sorted(rows, key=lambda row: row.index)
-    judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
+    judged_by = (name for row in ordered for name in row.robustness)
     names = list(dict.fromkeys([*specs, *judged_by]))
     dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
     figures = list(dict.fromkeys(name for row in ordered for name in row.free))
@@ -113,8 +112,8 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     facts = read_facts(folder)
     frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    _replace(csv, lambda file: file.write(csv_text(frame).encode()))
-    _replace(parquet, lambda file: frame.to_parquet(file, index=False))
+    write_atomically(csv, csv_text(frame))
+    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
     if facts is not None:
         seal_facts(folder, facts, [csv, parquet])
 
@@ -297,7 +296,7 @@ def _line(
     point |= {f'{_FREE}{name}': row.free.get(name) for name in figures}
     rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
     for name in specs:
-        low, high = row.interval(name) or (None, None)
+        low, high = row.robustness.get(name) or (None, None)
         rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
     return {**values, **point, **rho}
 
@@ -305,17 +304,3 @@ def _line(
 def _spreadsheet_safe(word: Any) -> Any:
     """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
     return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word
-
-
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
-    temporary = path.with_name(f'{path.name}.tmp')
-    try:
-        with temporary.open('wb') as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise disk_error(path, error) from error

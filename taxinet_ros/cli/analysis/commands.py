@@ -23,7 +23,7 @@ def analyze(
     ],
     baseline: Annotated[
         list[Path] | None,
-        typer.Option(metavar='CAMPAIGN', help='another one to hold it against; repeatable'),
+        typer.Option(metavar='CAMPAIGN', help='another campaign to compare with; repeatable'),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help='folder to write; CAMPAIGN/analysis by default')
@@ -32,7 +32,7 @@ def analyze(
         str | None, typer.Option(metavar='NAME', help='formula to analyse, not the headline')
     ] = None,
     alpha: Annotated[
-        float, typer.Option(help='how often a cause may be named where there is none')
+        float, typer.Option(help='accepted probability of naming a false cause')
     ] = 0.05,
     viewers: Annotated[
         int, typer.Option(min=0, help='most failed runs that the page shows step by step')
@@ -56,7 +56,7 @@ def localize(
     campaign: CampaignArgument,
     runs: Annotated[
         int | None,
-        typer.Option(help='most failed runs to look into, evenly spread over all of them'),
+        typer.Option(help='examine at most so many failed runs, evenly spread over all'),
     ] = None,
     substitutions: Annotated[
         list[str] | None,
@@ -72,11 +72,11 @@ def localize(
         typer.Option(help='folder for table and page; what is done in it is not done again'),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(metavar='FILE', help='where the network of the runs is now')
+        str | None, typer.Option(metavar='FILE', help="the runs' network, where it has moved")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find whose fault failures are: network or controller.
+    """Find which part causes failures: network or controller.
 
     Runs a campaign's failed runs again with the truth in place of the network's estimate, of its
     heading error alone and of its cross-track error alone, and once as they were. Interrupted, the
@@ -99,16 +99,17 @@ def explain(
     run_id: RunOption = None,
     perception: Annotated[
         str | None,
-        typer.Option(
-            metavar='WORD|FILE', help='network to ask; the one that took part where not named'
-        ),
+        typer.Option(metavar='WORD|FILE', help='network to examine; default: the one of the run'),
     ] = None,
     dataset: Annotated[
         Path | None,
-        typer.Option(metavar='DIR', help='training images to hold the frames against'),
+        typer.Option(metavar='DIR', help='training images to compare the frames with'),
     ] = None,
     frames: Annotated[
-        int, typer.Option(min=1, max=20, help='most frames to look into: the worst, and the start')
+        int,
+        typer.Option(
+            min=1, max=20, help='examine at most so many frames: the worst, and the first'
+        ),
     ] = 4,
     out: Annotated[
         Path | None, typer.Option(help='folder for page and pictures; must be new')
@@ -118,15 +119,15 @@ def explain(
     """Find why the network failed in one run.
 
     Shows where its estimates are wrong, what it sees at the worst moments without shadow, crossing
-    or rain, under another sky and at another hour, which part of the picture it goes by, and the
-    training images that come nearest.
+    or rain, under another sky and at another hour, which part of the picture its estimate depends
+    on, and the nearest training images.
     """
     from taxinet_ros.cli.analysis.explain import ExplainOptions, run_explain
     from taxinet_ros.cli.bag.input import readable_run
 
     with readable_run(bag, run_id) as whole:
         code = run_explain(ExplainOptions(
-            bag=whole, perception=perception, dataset=dataset, frames=frames, out=out,
+            recording=whole, perception=perception, dataset=dataset, frames=frames, out=out,
             as_json=as_json,
         ))
     raise typer.Exit(code)
@@ -151,11 +152,11 @@ def doctor(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Check all that lies in a folder of results: is it what was written there?
+    """Check every file of a results folder against what was recorded of it.
 
-    Every line of every ledger, the tables against it, each bag against its row, each picture of a
-    dataset against its label, and what killed processes have left. Exit code: 0 all is sound, 3
-    something is not whole, 2 there is nothing to check.
+    Every line of every ledger, tables against the ledger, each bag against its row, each picture
+    of a dataset against its label, and leftovers of killed processes. Exit codes: 0 all is sound,
+    3 something is incomplete or damaged, 2 nothing to check.
     """
     from taxinet_ros.cli.bag.doctor import run_results_doctor
 
@@ -171,7 +172,9 @@ def gate(
     max_off_runway: Annotated[
         float | None, typer.Option(metavar='SHARE', help='largest share that leaves the runway')
     ] = None,
-    max_infra: Annotated[int, typer.Option(help='most runs that the bench broke')] = 0,
+    max_infra: Annotated[
+        int, typer.Option(help='accepted number of runs that ended in an infrastructure error')
+    ] = 0,
     confidence: Annotated[float, typer.Option(help='of each one-sided bound')] = 0.95,
     inconclusive: Annotated[
         str,
@@ -187,8 +190,8 @@ def gate(
     """Decide whether a campaign proves what is asked of it.
 
     PASS (exit code 0) only if the one-sided bound of each share clears its threshold, FAIL (1) if
-    the whole interval of one is beyond it, else INCONCLUSIVE (3) with how many runs more are needed
-    about. Runs that the bench broke are in no share and are counted apart.
+    the whole interval of one is beyond it, else INCONCLUSIVE (3) with about how many more runs are
+    needed. Runs that ended in an infrastructure error are excluded, and counted apart.
     """
     from taxinet_ros.analysis.gate import GateOptions
     from taxinet_ros.cli.analysis.gate import run_gate
@@ -233,7 +236,7 @@ def monitor(
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
     workers: Annotated[int, typer.Option(min=1, help='processes that judge; same results')] = 2,
 ) -> None:
-    """Judge recorded runs, by what judged them or by new requirements.
+    """Judge recorded runs by their own requirements or by new ones.
 
     Needs no ROS and no pictures. A bag of several runs, as ros2 bag record makes them, gets a
     verdict for each. A formula that judged a run gets the recorded robustness again,
@@ -265,9 +268,9 @@ def spec(
     ] = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> None:
-    """Say how requirements are understood, and warn of what they may not say.
+    """Show how requirements are parsed, and warn of likely mistakes.
 
-    Nothing is run. Exit codes: 0 they can be judged, whatever is warned of; 2 they cannot.
+    Nothing is run. Exit codes: 0 they can be judged, with or without warnings; 2 they cannot.
     """
     from taxinet_ros.cli.analysis.monitor import show_specs
 

@@ -16,13 +16,14 @@ from rich.console import Console
 from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
 from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
 from taxinet_ros.analysis.explain.report import explain_json, explain_report
-from taxinet_ros.bag.run.facts import RecordedRun, read_run
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 
@@ -48,7 +49,7 @@ class ExplainOptions:
         as_json: print the JSON in place of the summary.
     """
 
-    bag: Path
+    recording: Recording
     perception: str | None
     dataset: Path | None
     frames: int
@@ -67,7 +68,7 @@ def run_explain(options: ExplainOptions) -> int:
     """
     console = Console(highlight=False, stderr=options.as_json)
     with readable_bags():
-        run = read_run(options.bag)
+        run = options.recording.run
         word = _network(run, options.perception)
         out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
@@ -75,19 +76,19 @@ def run_explain(options: ExplainOptions) -> int:
         with stage_bars(console) as show:
             training = None if folder is None else _training(folder, show)
             found = explain(
-                options.bag, run, make_perception(word), frames=options.frames,
+                options.recording, make_perception(word), frames=options.frames,
                 training=training, on_progress=show,
             )
     _make(out)
     written = _write(found, out)
     if options.as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
-        return 0
+        return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
     for sentence in explain_sentences(found):
         console.print(sentence, soft_wrap=True, markup=False)
     console.print(f'page: {written}', soft_wrap=True, markup=False)
-    return 0
+    return ExitCode.OK
 
 
 def _network(run: RecordedRun, asked: str | None) -> str:

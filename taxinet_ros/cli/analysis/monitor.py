@@ -14,19 +14,12 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.judge import (
-    BagVerdict,
-    JudgedBag,
-    SpecVerdict,
-    judge_bags,
-    judge_spec,
-    signals_of_specs,
-)
+from taxinet_ros.bag.check.judge import JudgedBag, judge_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.recording import read_recording
-from taxinet_ros.bag.run.samples import read_run_samples
+from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict, judge_spec, signals_of_specs
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.campaign.options import check_assumptions, read_specs, split_settings
 from taxinet_ros.campaign.past_runs.added_requirements import (
     add_requirements,
@@ -42,7 +35,7 @@ from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def show_specs(
@@ -186,7 +179,6 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-VIOLATED, LOSSY = 1, 3
 _PICTURE = '.png'
 
 
@@ -272,7 +264,7 @@ def _judged(
 ) -> list[JudgedBag]:
     """Judge all of them, and print each as soon as it is known."""
     console = Console(highlight=False, stderr=as_json)
-    chosen = None if run is None else read_recording(bags[0]).choose(run).name
+    chosen = None if run is None else open_recording(bags[0]).choose(run).name
     judged: list[JudgedBag] = []
     places = BagPlaces()
     with stage_bars(console) as show:
@@ -324,7 +316,7 @@ class _RequirementNotes:
 def _gains(bag: Path) -> SteeringGains | None:
     """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
     try:
-        return SteeringGains(**read_run(bag).gains)
+        return SteeringGains(**open_recording(bag).run.gains)
     except (BagError, UsageError):
         return None
 
@@ -335,10 +327,10 @@ def _exit_code(bags: Iterable[JudgedBag]) -> int:
     # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
     # Nor does a topic that is missing unsay what others tell: damage leaves no verdict at all.
     if any(bag.run or bag.trouble for bag in violated):
-        return VIOLATED
+        return ExitCode.VIOLATED
     if not all(bag.sound for bag in judged):
-        return LOSSY
-    return VIOLATED if violated else 0
+        return ExitCode.INCOMPLETE
+    return ExitCode.VIOLATED if violated else ExitCode.OK
 
 
 def _check_plot(plot: Path, bags: Sequence[Path]) -> None:
@@ -363,7 +355,7 @@ def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     from taxinet_ros.analysis.one_run.robustness import JudgedSpec, robustness_picture
 
     specs = [one.spec for one in bag.verdicts]
-    runs = read_run_samples(bag.path, signals_of_specs(specs))
+    runs = run_samples(open_recording(bag.path), signals_of_specs(specs))
     samples = next(one for one in runs if one.run == bag.run)
     judged = []
     for spec in specs:

@@ -1,7 +1,7 @@
 """``taxinet bag``: look into the bags of runs, check, mend, compare, replay and export them.
 
-Exit codes: 0 the bag is whole, 3 something of it is lost or wrong, 1 nothing in it can be read,
-2 bad input, 4 no room for what was to be written.
+Exit codes: 0 the bag is whole, 2 bad input, or nothing in the bag can be
+read, 3 something of it is lost or wrong, 4 no room for what was to be written.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def render(
     ] = None,
     run_id: RunOption = None,
 ) -> None:
-    """Put the camera frames into a bag that was recorded without them.
+    """Add the camera frames to a bag that was recorded without them.
 
     Bit for bit those of the run: the recorded commands drive the aircraft again, and the recorded
     odometry proves that it went the same way. Under the same name the new bag has the very bytes
@@ -81,7 +81,7 @@ def replay(
 
     with readable_run(bag, run_id) as whole:
         options = ReplayOptions(
-            bag=whole, target=into, perception=perception, controller=controller, out=out,
+            recording=whole, target=into, perception=perception, controller=controller, out=out,
             tolerance_cte_m=tolerance_cte, tolerance_he_deg=tolerance_he,
         )
         code = run_replay(options)
@@ -90,7 +90,7 @@ def replay(
 
 def compare(
     bag: BagArgument,
-    other: Annotated[Path, typer.Argument(metavar='OTHER', help='the bag to hold against it')],
+    other: Annotated[Path, typer.Argument(metavar='OTHER', help='the bag to compare with')],
     tolerance: Annotated[
         float, typer.Option(help='how far floating-point numbers may be apart; 0: every bit counts')
     ] = 0.0,
@@ -104,7 +104,7 @@ def compare(
         typer.Option(metavar='RUN_ID', help='which run of OTHER, where that holds several'),
     ] = None,
 ) -> None:
-    """Say where two bags begin to differ: topic, step and field.
+    """Find where two bags begin to differ: topic, step and field.
 
     Names of runs are not compared. Exit code: 0 the same, 1 different, 2 bad input.
     """
@@ -116,7 +116,7 @@ def compare(
         readable_bags(), read_within_limits(bag, other), one_run(bag, run_id) as one,
         one_run(other, other_run) as two,
     ):
-        code = run_compare(one, two, tolerance=tolerance, skip=skip or ())
+        code = run_compare(one.path, two.path, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)
 
 
@@ -140,8 +140,8 @@ def golden(
 
 bag_app = typer.Typer(
     rich_markup_mode=None,
-    help='Look into the bags of runs, check, mend and export them. Exit codes: 0 the bag is '
-    'whole, 3 something of it is lost or wrong, 1 nothing in it can be read, 2 bad input, '
+    help='Inspect, check, repair and export bags. Exit codes: 0 the bag is '
+    'whole, 2 bad input, or nothing in the bag can be read, 3 something of it is lost or wrong, '
     '4 no room for what was to be written.',
 )
 RecordedBagArgument = Annotated[
@@ -158,7 +158,7 @@ def _bag(context: typer.Context) -> None:
 
 @bag_app.command()
 def info(bag: RecordedBagArgument, as_json: JsonOption = False) -> None:
-    """Tell what is in a bag: run, scene, outcome, robustness, topics."""
+    """Show what is in a bag: run, scene, outcome, robustness, topics."""
     from taxinet_ros.cli.bag.info import show_info
 
     with read_within_limits(bag):
@@ -193,7 +193,7 @@ def recover(
         Path, typer.Option(metavar='NEW', help='folder for the new bag, which must not exist')
     ],
 ) -> None:
-    """Write all that is sound of a damaged or unfinished bag into a new one.
+    """Write all sound messages of a damaged or unfinished bag into a new one.
 
     The bag itself is never touched.
     """

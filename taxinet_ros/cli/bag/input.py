@@ -12,37 +12,32 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated, BagWriteError
-from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.perception.perception import PERCEPTION, check_perception
 from taxinet_ros.core.provenance import Provenance, differences
-from taxinet_ros.errors import UsageError
-
-WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 2, 3, 4
-"""Exit codes. 1 is kept for verdicts and for recordings that differ."""
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
     """Do ``work`` on ``bag``; a typed error becomes one line and an exit code.
 
     Returns:
-        What ``work`` returned; or, after an error, :data:`LOSSY` where some of the bag could be
-        saved, :data:`UNREADABLE` where none could, :data:`NO_ROOM` where something could not be
-        written.
+        What ``work`` returned; or, after an error, INCOMPLETE where some of the bag could be saved,
+        USAGE where none could, INFRA where something could not be written.
     """
     try:
         return work()
     except BagWriteError as error:
-        return _complain(str(error), NO_ROOM)
+        return _complain(str(error), ExitCode.INFRA)
     except (BagTruncated, BagCorrupt) as error:
         save = f'save what is sound: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
-        return _complain(f'{error}; {save}', LOSSY)
+        return _complain(f'{error}; {save}', ExitCode.INCOMPLETE)
     except BagError as error:
-        return _complain(str(error), UNREADABLE)
+        return _complain(str(error), ExitCode.USAGE)
 
 
 def _complain(text: str, code: int) -> int:
@@ -60,7 +55,7 @@ def readable_bags() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def one_run(bag: Path, run: str | None) -> Iterator[Path]:
+def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
     """A bag of one run, as our recorder makes it: this one, or a copy of what it holds of a run.
 
     Args:
@@ -71,11 +66,11 @@ def one_run(bag: Path, run: str | None) -> Iterator[Path]:
         UsageError: it holds several runs and none is named, or none of that name.
         BagError: it cannot be read, or is damaged and not our recorder's.
     """
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     if recording.plain or not recording.runs:
         if run is not None:
             recording.choose(run)
-        yield bag
+        yield recording
         return
     chosen = recording.choose(run)
     if recording.damage:
@@ -83,19 +78,19 @@ def one_run(bag: Path, run: str | None) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
         folder = Path(scratch) / chosen.run_id
         write_runs(recording, {chosen.name: folder})
-        yield folder
+        yield open_recording(folder)
 
 
 @contextlib.contextmanager
-def readable_run(bag: Path, run: str | None) -> Iterator[Path]:
+def readable_run(bag: Path, run: str | None) -> Iterator[Recording]:
     """:func:`one_run` for commands that do the run once more, in which 1 is a difference.
 
     Raises:
         UsageError: it cannot be read, or it lies where its campaign has another run.
     """
     with readable_bags(), one_run(bag, run) as whole:
-        if whole == bag:
-            BagPlaces().check(bag, whole=read_info(bag).complete)
+        if whole.path == bag:
+            BagPlaces().check(whole, whole=whole.complete)
         yield whole
 
 

@@ -9,20 +9,19 @@ from rich.console import Console
 from rich.progress import track
 
 from taxinet_ros import __version__
-from taxinet_ros.bag.check.lockstep import PERIOD_NS, read_record, read_records, whole_steps
+from taxinet_ros.bag.check.lockstep import PERIOD_NS, run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.reader import read_info, unchecked_files
 from taxinet_ros.bag.rewrite.frames import missing_frames, restore_frames, restore_in_place
 from taxinet_ros.bag.rewrite.recovery import Recovery, recover
 from taxinet_ros.bag.rewrite.split import write_runs
-from taxinet_ros.bag.run.facts import read_all_facts, read_facts
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.campaign.options import check_new
-from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of, one_run
+from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def run_recover(bag: Path, out: Path) -> int:
@@ -57,19 +56,19 @@ def _recover(bag: Path, out: Path) -> int:
     lost = _lost(recovery)
     if lost:
         print(lost)
-    return LOSSY if lost else WHOLE
+    return ExitCode.INCOMPLETE if lost else ExitCode.OK
 
 
 def _steps(bag: Path) -> Iterator[str]:
     """How much the new bag holds of each run; nothing where it holds none of ours."""
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     if recording.plain:
-        told = [('', read_facts(bag), read_record(bag))]
+        told = [('', recording.facts, run_record(recording))]
     else:
-        facts = read_all_facts(recording)
+        records = run_records(recording)
         told = [
-            (f'{run.name}: ', facts[run.name], record)
-            for run, record in zip(recording.runs, read_records(recording), strict=True)
+            (f'{run.name}: ', one.facts, record)
+            for run, one, record in zip(recording.runs, recording, records, strict=True)
             if not run.absent
         ]
     for name, fact, record in told:
@@ -95,8 +94,8 @@ def run_split(bag: Path, out: Path) -> int:
     """Write the bags, and say what came of each run.
 
     Returns:
-        Exit code: 0 all of them are written, 3 some of the recording is damaged and not in them,
-        1 nothing can be read, 4 no room.
+        Exit code: 0 all of them are written, 2 nothing can be read, 3 some of the recording is
+        damaged and not in them, 4 no room.
 
     Raises:
         UsageError: ``out`` is in use, or what is recorded does not tell of a run what it was.
@@ -106,7 +105,7 @@ def run_split(bag: Path, out: Path) -> int:
 
 
 def _split(bag: Path, out: Path) -> int:
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     present = [run for run in recording.runs if not run.absent]
     if not present:
         raise recording.without_run()
@@ -120,7 +119,7 @@ def _split(bag: Path, out: Path) -> int:
         print(f'{run.words()} {run.outcome or "without its end"} {where}')
     for error in recording.damage:
         print(f'damage: {error}')
-    return LOSSY if recording.damage else WHOLE
+    return ExitCode.INCOMPLETE if recording.damage else ExitCode.OK
 
 
 _MIN_FREE_BYTES = 1_000_000_000
@@ -130,7 +129,7 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     """Render what is missing, in place or into a new bag, and print what came of it.
 
     Returns:
-        Exit code: 0 every frame is there, 1 the bag cannot be read or its frames not be had,
+        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames not be had,
         4 no room.
 
     Raises:
@@ -138,24 +137,24 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     """
     def work() -> int:
         with one_run(bag, run) as whole:
-            if whole != bag and out is None:
+            if whole.path != bag and out is None:
                 raise UsageError(f'{bag}: is not a bag of our recorder; name a new one with --out')
             return _render(whole, out)
 
     return exit_code_of(bag, work)
 
 
-def _render(bag: Path, out: Path | None) -> int:
+def _render(recording: Recording, out: Path | None) -> int:
     console = Console(highlight=False)
-    info = read_info(bag)
+    bag, info = recording.path, recording.info
     missing = missing_frames(info)
     if not missing and not info.trouble:
         frames = info.counts['/camera/image_raw']
         console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
-        return WHOLE
+        return ExitCode.OK
     steps = (
         restore_in_place(bag, _MIN_FREE_BYTES) if out is None
-        else restore_frames(bag, out, _MIN_FREE_BYTES)
+        else restore_frames(recording, out, _MIN_FREE_BYTES)
     )
     shown = track(
         steps, 'rendering', total=missing, console=console, transient=True,
@@ -175,4 +174,4 @@ def _render(bag: Path, out: Path | None) -> int:
             f'sees the same, taxinet bag replay {out or bag} --into perception tells',
             soft_wrap=True,
         )
-    return WHOLE
+    return ExitCode.OK

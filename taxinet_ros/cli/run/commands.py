@@ -79,7 +79,7 @@ def run(
 
     Every run ends in a bag of its own, and in a row of the campaign's table. With --from the run
     of a bag is run once more instead, and the two are compared: exit code 0 the same run to the
-    bit, 1 it went another way.
+    bit, 1 they differ.
     """
     from taxinet_ros.campaign.options import make_options
     from taxinet_ros.cli.run.campaign import run_campaign
@@ -189,7 +189,7 @@ def learned(
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar='FILE.png', help='picture to write')] = None,
 ) -> None:
-    """Put together what searches of several seeds have learned."""
+    """Combine what searches with several seeds have learned."""
     from taxinet_ros.cli.run.learned import show_learned
 
     show_learned(folders, within or (), out)

@@ -81,10 +81,10 @@ def improve(
         list[str] | None,
         typer.Option(metavar='PROGRAM=COUNT', help='further pictures; repeatable'),
     ] = None,
-    epochs: Annotated[int, typer.Option(help='times that every picture is seen')] = 8,
+    epochs: Annotated[int, typer.Option(help='passes over the training pictures')] = 8,
     learning_rate: Annotated[float, typer.Option(help='highest of the schedule')] = 1e-3,
     varied: VariedOption = False,
-    sampler: Annotated[str, typer.Option(help='how failures are looked for')] = 'ce',
+    sampler: Annotated[str, typer.Option(help='sampler of the searches for failures')] = 'ce',
     alpha: Annotated[
         float,
         typer.Option(help='probability of accepting a network that is no better, or worse by a '
@@ -96,7 +96,7 @@ def improve(
     place_margin: Annotated[
         float, typer.Option(help='the same of the scenes in a part of runway, day, pose or sky')
     ] = 0.05,
-    seed: Annotated[int, typer.Option(help='of everything random')] = 1,
+    seed: Annotated[int, typer.Option(help='seed of all random choices')] = 1,
     workers: Annotated[
         int, typer.Option(min=1, max=8, help='processes that work at once; same results')
     ] = 2,

@@ -50,9 +50,12 @@ def train(
     ] = None,
     varied: VariedOption = False,
     augment: Annotated[
-        bool, typer.Option('--augment', help='change exposure, focus, noise at every look')
+        bool,
+        typer.Option(
+            '--augment', help='change exposure, focus and noise each time a picture is used'
+        ),
     ] = False,
-    epochs: Annotated[int, typer.Option(help='times that every picture is seen')] = 20,
+    epochs: Annotated[int, typer.Option(help='passes over the training pictures')] = 20,
     batch: Annotated[int, typer.Option(help='pictures per step')] = 64,
     learning_rate: Annotated[float, typer.Option(help='highest of the schedule')] = 3e-3,
     patience: Annotated[
@@ -62,7 +65,7 @@ def train(
             'and most of the gain comes at the end of the schedule'
         ),
     ] = 0,
-    seed: Annotated[int, typer.Option(help='of everything random')] = 1,
+    seed: Annotated[int, typer.Option(help='seed of all random choices')] = 1,
     workers: Annotated[int, typer.Option(help='processes that render')] = 2,
     overwrite: Annotated[bool, typer.Option('--overwrite', help='replace what is there')] = False,
 ) -> None:
@@ -138,7 +141,7 @@ def evaluate(
 
 camera_app = typer.Typer(
     rich_markup_mode=None,
-    help='Look through the wing camera, compare its frames.',
+    help='Render camera frames, and compare them with labelled ones.',
 )
 SetOption = Annotated[
     list[str] | None,

@@ -9,18 +9,19 @@ import pytest
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.facts import free_account, read_run
-from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.bag.run.facts import free_account
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -65,7 +66,8 @@ STEPS = 101
 def request(**changes) -> RunRequest:
     return RunRequest(**{
         'run_id': 'free', 'index': 0, 'program': 'test', 'seed': 1,
-        'scenario': Scenario(cross_track_m=2.0, duration_s=10.0), 'specs': ('phi_eventually',),
+        'scenario': Scenario(cross_track_m=2.0, duration_s=10.0),
+        'judging': Judging(specs=('phi_eventually',)),
         'participants': PARTICIPANTS, **changes,
     })
 
@@ -103,7 +105,7 @@ def slow(mine, tmp_path_factory) -> tuple[RunResult, Path]:
 def test_r5_given_a_slow_perception_then_what_it_does_not_answer_is_counted(slow):
     result, bag = slow
     assert result.outcome.judged, result
-    assert result.timing == 'free real_time_factor=10' == read_run(bag).timing.words
+    assert result.timing == 'free real_time_factor=10' == open_recording(bag).run.timing.words
     figures, counts = result.free, read_info(bag).counts
     assert figures['frames'] == STEPS == counts['/ground_truth/odom']
     assert figures['unanswered'] == STEPS - counts['/taxi_command'] > 0
@@ -133,7 +135,7 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
     steps = next(check for check in checked.checks if check.name == 'steps')
     assert 'a free run: ' in steps.looked_at
     # Compares each state with the recorded one, to the bit.
-    assert len(list(observations(bag))) == STEPS
+    assert len(list(open_recording(bag).observations())) == STEPS
 
 
 def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slow, tmp_path):
@@ -150,7 +152,7 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
 
 def test_r5_given_a_free_run_when_run_again_then_it_is_free_again(slow, tmp_path):
     _, bag = slow
-    results = rerun([(read_run(bag), 'truth', 'steering')], tmp_path, images='none')
+    results = rerun([(open_recording(bag).run, 'truth', 'steering')], tmp_path, images='none')
     assert results['free'].timing == 'free real_time_factor=10'
     assert results['free'].free['frames'] == STEPS
 
@@ -174,7 +176,7 @@ def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and
 
 
 def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp_path):
-    asked = request(specs=('phi_always', 'phi_eventually', 'on_runway'))
+    asked = request(judging=Judging(specs=('phi_always', 'phi_eventually', 'on_runway')))
     result = run(composed_graph(options(tmp_path, 'truth', 'max')), asked)
     assert result.outcome.judged, result
     assert result.free['overruns'] == 0
@@ -182,7 +184,7 @@ def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp
 
 
 def test_r5_given_a_free_graph_then_a_rule_to_stop_is_refused(tmp_path):
-    asked = request(stop_on=StopOn.VIOLATED)
+    asked = request(judging=Judging(specs=('phi_eventually',), stop_on=StopOn.VIOLATED))
     result = run(composed_graph(options(tmp_path, 'truth', '1')), asked)
     assert (result.outcome, result.detail) == (
         Outcome.REJECTED,

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from network_samples import card_of, random_weights, save_sample
 
-from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.errors import UsageError
@@ -73,7 +73,8 @@ def campaign(folder: Path, failures: int) -> None:
             ledger.result(RunRow(
                 run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
                 outcome=Outcome.FAIL if failed else Outcome.PASS,
-                rho={'phi': -1.0 if failed else 1.0}, cross_track=0.0, distance=50.0 * index,
+                robustness=exact_intervals({'phi': -1.0 if failed else 1.0}),
+                cross_track=0.0, distance=50.0 * index,
                 heading=0.0, clouds='clear', rain=0.0, time_of_day=12.0, left_runway=False,
             ))
 
@@ -157,7 +158,7 @@ def test_f1_given_a_disk_that_was_full_while_the_start_was_copied_then_it_goes_o
             copy(source, target)
 
         full.setattr(shutil, 'copyfile', half)
-        with pytest.raises(BagWriteError, match='No space left'):
+        with pytest.raises(OSError, match='No space left'):
             go(options, out, Bench(out, {}))
     assert not (out / 'start.safetensors').exists(), 'nothing half-written'
     assert go(options, out, Bench(out, {}))[0] == 0
