@@ -64,7 +64,8 @@ def run_in_loop(
         failed, or where a sample could not be judged.
     """
     begun_s = time.monotonic()
-    judging, specs = request.judging, request.judging.parsed_specs
+    judging = request.judging
+    specs = judging.parsed_specs
     seq = -1
 
     def count(step: Step) -> None:
