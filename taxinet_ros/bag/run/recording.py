@@ -62,13 +62,6 @@ _HEAD_OF_A_PICTURE = 64
 """Its stamp is in the first bytes."""
 
 
-class Kept(NamedTuple):
-    """A message of a run: its topic without the namespace, and the message as stored."""
-
-    relative: str
-    stored: StoredMessage
-
-
 class _Within(NamedTuple):
     """Which run of a recording another one is."""
 
@@ -255,24 +248,32 @@ class Recording(Sequence['Recording']):
 
     # ---- its messages ------------------------------------------------------------------------
 
-    def messages(self, relative: Collection[str], *, strict: bool = False) -> Iterator[Kept]:
+    def messages(
+        self, relative: Collection[str], *, strict: bool = False
+    ) -> Iterator[tuple[str, StoredMessage]]:
         """Messages on some topics of a run, in the order of the recording; pictures cut short.
 
         Args:
             relative: names of the topics without a namespace, see :mod:`.topics`.
             strict: whether damage is an error, raised where it lies.
 
+        Yields:
+            The topic's relative name, and the message as stored.
+
         Raises:
             BagTruncated, BagCorrupt: it is damaged, and ``strict``; all before that was yielded.
         """
         damage = self._contents.damage[:1] if strict else []
         count = 0
-        for place, stored in enumerate(self._contents.messages):
-            if damage and damage[0][0] <= place:
-                break
-            topic = topic_parts(stored.topic.name)[0]
-            if topic in relative:
-                yield Kept(topic, stored)
+        names = {
+            topic.name: name for topic in self.topics
+            if (name := topic_parts(topic.name)[0]) in relative
+        }
+        messages = self._contents.messages
+        for stored in messages[:damage[0][0]] if damage else messages:
+            name = stored.topic.name
+            if name in names:
+                yield names[name], stored
                 count += 1
         for _, error in damage:
             text = str(error)
