@@ -205,10 +205,15 @@ class Recording(Sequence['Recording']):
             return self._of(self.runs.index(self.choose(key)))
         return self._of(range(len(self.runs))[key])
 
+    @cached_property
+    def _messages_by_run(self) -> Sequence[list[StoredMessage]]:
+        found: list[list[StoredMessage]] = [[] for _ in self.runs]
+        for number, stored in self.messages_of_runs():
+            found[number].append(stored)
+        return found
+
     def _of(self, number: int) -> Recording:
-        messages = [
-            stored for _, stored in self.messages_of_runs(lambda run, _: run == number)
-        ]
+        messages = self._messages_by_run[number]
         # Where in the bag it is damaged does not show among the messages of one run.
         damage = [(0, error) for error in self.damaged_places]
         contents = Contents(
@@ -295,7 +300,14 @@ class Recording(Sequence['Recording']):
         return messages_of_runs(messages, self._apart.owners, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
-        """Every sound message, whoever's, in the order of the recording; pictures take a pass."""
+        """Every sound message, whoever's, in the order of the recording; pictures take a pass.
+
+        Of one run out of several: as our recorder would have them.
+        """
+        if self._within is not None:
+            whole, number = self._within.whole, self._within.number
+            mine = whole.messages_of_runs(lambda run, _: run == number, whole=True)
+            return (stored for _, stored in mine)
         if all(_kept_bytes(name) == sys.maxsize for name, n in self.info.counts.items() if n):
             return iter(self._contents.messages)
         return stored_messages(self.path, on_damage=lambda error: None)
