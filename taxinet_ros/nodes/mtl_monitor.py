@@ -11,12 +11,12 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Timing, Verdict
 
-from taxinet_ros.bag.run.message_values import assumptions_of, scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
-from taxinet_ros.core.mtl import Reading, Spec, parse_spec
-from taxinet_ros.core.outcome import StopOn, parse_stop_on
+from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.world import last_step
@@ -62,16 +62,19 @@ class MtlMonitor(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""
-        self._specs = tuple(parse_spec(text) for text in scenario.specs)
+        judging = Judging.from_message(scenario)
+        self._specs = judging.parsed_specs
         self._last_seq = last_step(scenario_of(scenario))
-        self._stop_on = parse_stop_on(scenario.stop_on)
+        self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
-            assumptions_of(scenario),
+            judging.assumptions,
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
-        self._arrived = {interface.ODOMETRY.name: -1, interface.TRUTH.name: -1}
+        heard = interface.ODOMETRY, interface.TRUTH, interface.TIMING
+        self._arrived = {topic.name: -1 for topic in heard}
+        self._told_free = (-1, -1)
         self._judged = 0
         self._command = ROLLING_ON
         self._readings = ()
@@ -111,12 +114,14 @@ class MtlMonitor(Participant):
             for frame in frames:
                 for step, messages in self._steps.excuse(topic.name, frame):
                     self._judge_step(step, messages)
+        self._arrived[interface.TIMING.name] = timing.seq
         self._report_free()
 
     def _report_free(self) -> None:
-        if self._free:
-            arrived_ns = min(self._arrived.values()) * CONTROL_PERIOD_NS
-            self._progress.publish(self.progress(self._judged, max(arrived_ns, 0)))
+        now = self._judged, max(min(self._arrived.values()), 0)
+        if self._free and now != self._told_free:
+            self._told_free = now
+            self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth = (messages[topic.name][0] for topic in _INPUTS[:2])

@@ -7,11 +7,10 @@ several campaigns can be put together.
 from __future__ import annotations
 
 import math
-import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import (
@@ -24,9 +23,9 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import make_atomically, write_atomically
 
 if TYPE_CHECKING:  # A run need not wait for it before it begins.
     import pandas as pd
@@ -49,9 +48,7 @@ _BEFORE_POINT = {
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
-    'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
-    'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
-    'shadows': 'boolean', 'crossing': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
+    **{field.column: field.column_type for field in SCENARIO_FIELDS},
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
@@ -65,10 +62,7 @@ _AFTER_RHO = {
     'real_time_factor': 'float64',
 }
 
-_ATTRIBUTES = {
-    'cross_track_m': 'cross_track', 'distance_m': 'distance', 'heading_deg': 'heading',
-    'rain_percent': 'rain', 'time_of_day_h': 'time_of_day', 'duration_s': 'duration',
-}
+_ATTRIBUTES = {field.column: field.key for field in SCENARIO_FIELDS}
 """A row names these as people set them, without their units."""
 
 
@@ -118,8 +112,8 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     facts = read_facts(folder)
     frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    _replace(csv, lambda file: file.write(csv_text(frame).encode()))
-    _replace(parquet, lambda file: frame.to_parquet(file, index=False))
+    write_atomically(csv, csv_text(frame))
+    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
     if facts is not None:
         seal_facts(folder, facts, [csv, parquet])
 
@@ -228,7 +222,8 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     """
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
-    known = {'outcome': [*Outcome], 'clouds': ['', *CLOUDS], 'aircraft': ['', *AIRCRAFT]}
+    known = {field.column: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
+    known['outcome'] = [*Outcome]
     for name, words in known.items():
         if name in frame.columns:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')
@@ -309,17 +304,3 @@ def _line(
 def _spreadsheet_safe(word: Any) -> Any:
     """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
     return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word
-
-
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
-    temporary = path.with_name(f'{path.name}.tmp')
-    try:
-        with temporary.open('wb') as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise disk_error(path, error) from error

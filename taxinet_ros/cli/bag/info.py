@@ -23,10 +23,12 @@ from taxinet_ros.bag.run.facts import (
 )
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.provenance import words as stack_words
+from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import ExitCode
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
@@ -37,7 +39,7 @@ def show_info(bag: Path, *, as_json: bool) -> int:
     """Print what a bag holds.
 
     Returns:
-        Exit code: 0 whole, 3 unfinished or damaged, 1 not readable.
+        Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
 
     Raises:
         UsageError: there is nothing at ``bag``.
@@ -59,7 +61,7 @@ def _show(bag: Path, as_json: bool) -> int:
         console = Console(highlight=False)
         for label, text in [*lines, *_bag_lines(info, recording)]:
             console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
-    return WHOLE if info.complete else LOSSY
+    return ExitCode.OK if info.complete else ExitCode.INCOMPLETE
 
 
 def _run_lines(
@@ -130,12 +132,11 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 
 def scene_words(scene: Mapping[str, Any]) -> str:
     """A scenario, given in the units people read, in one line."""
-    minutes = round(scene['time_of_day'] * 60)
     rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
     return (
         f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
         f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
-        f'{minutes // 60:02d}:{minutes % 60:02d}, {scene["clouds"]}{rain}, '
+        f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
         f'{scene["duration"]:g} s'

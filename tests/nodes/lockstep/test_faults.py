@@ -8,6 +8,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -21,7 +22,7 @@ def request(run_id: str = 'run', duration: float = 60.0, **changes) -> RunReques
     values = {
         'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
         'scenario': scenario_from_human({'duration': duration}),
-        'specs': ('phi_eventually',), 'participants': PARTICIPANTS,
+        'judging': Judging(specs=('phi_eventually',)), 'participants': PARTICIPANTS,
     }
     return RunRequest(**{**values, **changes})
 
@@ -174,7 +175,7 @@ def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_re
 
     def broken(asked):
         message = original(asked)
-        message.cross_track = 99.0
+        message.cross_track_m = 99.0
         return message
 
     import taxinet_ros.nodes.scenario_sampler as sampler
