@@ -369,7 +369,7 @@ def _network(failed: FailedRuns, given: str | None) -> str:
     Raises:
         UsageError: it cannot be found, or is another one now.
     """
-    recorded = failed.rows[0].perception_fingerprint
+    recorded = failed.rows[0].fingerprint
     asked = str(failed.facts.get('perception', ''))
     word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
     mend = f'name the file that {failed.folder} was run with: --perception FILE'
@@ -412,7 +412,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **({} if options.controller == STEERING else {
             'controller_sha256': failed.facts.get('controller_sha256')
         }),
-        'perception_sha256': failed.rows[0].perception_fingerprint,
+        'perception_sha256': failed.rows[0].fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
 

@@ -22,7 +22,7 @@ from taxinet_ros.campaign.record.facts import (
     recorded_stacks,
     seal_facts,
 )
-from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
 from taxinet_ros.errors import UsageError, warn_once
@@ -68,8 +68,9 @@ _AFTER_RHO = {
 _ATTRIBUTES = {
     'cross_track_m': 'cross_track', 'distance_m': 'distance', 'heading_deg': 'heading',
     'rain_percent': 'rain', 'time_of_day_h': 'time_of_day', 'duration_s': 'duration',
+    **{column: name for name, column in ON_DISK.items()},
 }
-"""A row names these as people set them, without their units."""
+"""A row names these as people set them, without their units, and shorter."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:

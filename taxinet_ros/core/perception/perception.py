@@ -170,7 +170,7 @@ def _read_estimate(answer: Any) -> TrackingError | None:
 def _taxinet(word: str, model: Model) -> Perception:
     """A network of ours."""
     network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
-    return NetworkPerception(network, word=word, fingerprint=model.card.weights_sha256)
+    return NetworkPerception(network, word=word, fingerprint=model.fingerprint)
 
 
 def _onnx(path: Path) -> Perception:
@@ -227,7 +227,7 @@ def check_perception(word_or_file: str, *, graph: bool = False) -> str:
     path = _network_file(word_or_file)
     if path.suffix == ONNX_SUFFIX:
         return _onnx(path).fingerprint
-    return load_model(path).card.weights_sha256
+    return load_model(path).fingerprint
 
 
 def _network_file(text: str) -> Path:
