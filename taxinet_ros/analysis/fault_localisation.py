@@ -227,7 +227,7 @@ def localisation_report(found: Localisation) -> Report:
         facts={
             'perception': found.perception, 'formula': found.spec,
             'failed runs': f'{found.failed} of {found.runs} judged',
-            'looked into': str(len(found.cases)),
+            'examined': str(len(found.cases)),
         },
         summary=sentences, sections=(localisation_section(found),),
     )
@@ -288,7 +288,7 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
 
 def _blame_words(found: Localisation) -> Iterator[str]:
     if not found.counted:
-        yield 'No counterexample came out as it was recorded, so nothing can be said.'
+        yield 'No counterexample was reproduced as recorded, so nothing can be said.'
         return
     if TRUTH not in found.words:
         return
@@ -343,7 +343,7 @@ def _other_words(found: Localisation) -> Iterator[str]:
 def _reservations(found: Localisation) -> Iterator[str]:
     count, failed = len(found.cases), found.failed
     if count < failed:
-        yield f'{count} of the {failed} failed runs were looked into, evenly spread over them.'
+        yield f'{count} of the {failed} failed runs were examined, evenly spread over them.'
     others = found.not_reproduced
     if others:
         names = ', '.join(case.row.run_id for case in others[:3])

@@ -95,7 +95,7 @@ def test_given_that_all_pass_with_the_truth_then_the_network_is_to_blame():
     assert f'{100 * 0.025**0.25:.1f}–100.0 %): the network is to blame' in words
     assert '75 % (19–99 %) with a perfect heading error alone' in words
     assert 'only the heading error for 3, only the cross-track error for 0, and 1 need' in words
-    assert 'looked into' not in words
+    assert 'examined' not in words
 
 
 def test_given_that_some_fail_with_the_truth_then_law_and_network_share_the_blame():
@@ -118,7 +118,7 @@ def test_given_runs_that_are_not_as_recorded_then_they_are_named_and_in_no_share
 
 def test_given_a_biased_choice_a_sample_or_scenes_of_the_ledger_then_the_reader_is_told():
     words = said([(True, True, True)] * 2, chosen_by='ce', failed=50, exact=False)
-    assert '2 of the 50 failed runs were looked into' in words
+    assert '2 of the 50 failed runs were examined' in words
     assert 'chosen by ce' in words
     assert 'Of 2 there is no bag' in words
 

@@ -109,10 +109,12 @@ def cause_sentences(findings: Findings) -> tuple[str, ...]:
     if causes.why_not:
         return (f'{causes.why_not[0].upper()}{causes.why_not[1:]}.',)
     if not causes.found:
-        return (f'No cause found: the {findings.runs.rate().failures:,} failures lie among the '
-                f'runs as chance would have them (at a level of {findings.alpha:g}).',)
+        return (
+            f'No cause found: the {findings.runs.rate().failures:,} failures are spread among the '
+            f'runs as by chance (at a level of {findings.alpha:g}).',
+        )
     number, failures = len(causes.found), findings.runs.rate().failures
-    many = 'One cause holds' if number == 1 else f'{number} causes hold'
+    many = 'One cause contains' if number == 1 else f'{number} causes contain'
     some = f'{100 * causes.explained:.1f} %' if causes.explained < 0.9995 else 'all'
     return (
         f'{many} {some} of the {failures:,} failures; elsewhere {causes.rest.words()} of '
@@ -131,7 +133,7 @@ def cluster_sentence(clusters: Clusters) -> str:
     if clusters.compared < clusters.failures:
         some = f'{clusters.compared:,} of the {clusters.failures:,} failures, drawn at random,'
     return (
-        f'{some} were compared by the features that tell of failing. They '
+        f'{some} were compared by the features that predict failure. They '
         f'fall into {len(clusters.found)} groups that are {clear} apart (silhouette '
         f'{clusters.silhouette:.2f}; 1 is perfect, 0 none).'
     )
@@ -140,8 +142,8 @@ def cluster_sentence(clusters: Clusters) -> str:
 def _anytime(runs: CampaignRuns) -> str:
     if not runs.anytime:
         return ''
-    return (' As the number of runs was not settled beforehand, the intervals are those that hold '
-            'wherever a campaign stops.')
+    return (' As the number of runs was not fixed beforehand, the intervals are valid wherever a '
+            'campaign stops.')
 
 
 def _without_verdict(runs: CampaignRuns) -> tuple[str, ...]:
@@ -229,20 +231,21 @@ def _causes(findings: Findings, failures: pd.DataFrame) -> Section:
         sentences.append(f'The same in all runs, and so no cause: {", ".join(constant)}.')
     if findings.causes.candidates:
         sentences.append(
-            f'How they were found: {findings.causes.candidates:,} regions were compared: intervals '
-            'and kinds, slanted bands of two features, and pairs of conditions (which must tell '
-            f'{DISCOUNT - 1:.0%} more to be named), by the likelihood ratio of the failure rates '
-            'inside and outside. The most telling one is kept if so telling a one would be found '
-            f'somewhere in less than {findings.alpha:.0%} of cases without any cause'
+            f'Method: {findings.causes.candidates:,} regions were compared (intervals, categories, '
+            'slanted bands of two features, and pairs of conditions, which need a likelihood ratio '
+            f'{DISCOUNT - 1:.0%} larger) by the likelihood ratio of the failure rates inside and '
+            'outside. The best one is kept if one as good would be found anywhere in less than '
+            f'{findings.alpha:.0%} of cases without any cause'
             .replace('%', ' %'))
         how = (
-            '; the outcomes had a part in the choice of the scenes, so the runs were judged in '
-            'their order, each before the next was chosen. All shares are of the runs made: they '
-            'are no rates of the program, and have no intervals' if findings.causes.searched else
-            f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
-            'All intervals of causes hold for all regions together, and so for those picked'
+            '; outcomes influenced the choice of scenes, so the runs were judged in their order, '
+            'each before the next was chosen. All shares are of the runs made: they are no rates '
+            'of the program, and have no intervals'
+            if findings.causes.searched
+            else f' (by {SHUFFLES} shufflings of the outcomes, or a bound where that is smaller). '
+            'All intervals of causes hold for all regions at once, so also for those selected'
         )
-        sentences[-1] += how + '. Its runs are taken out, and the next is looked for.'
+        sentences[-1] += how + '. Its runs are removed, and the search is repeated.'
     if findings.causes.again:
         sentences.append(f'{findings.causes.again:,} runs repeat the very scene of another, and '
                          'do not count here.')

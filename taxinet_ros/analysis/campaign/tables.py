@@ -84,17 +84,17 @@ def causes_table(findings: Findings, failures: pd.DataFrame) -> Table:
         ))
     return Table(
         name='causes', title='Causes', rows=tuple(rows), run_id_column='worst_run',
-        caption='Each among the runs that the causes above it have left; "all" is the rate of all '
-        'runs in it. The regions were chosen for their rates, which are therefore too high as a '
-        'rule; the intervals are wide enough for that. "Holds" is the share of all failures in it, '
-        '"goes with it" that of all failures which would not be if it failed like all other runs: '
-        'neither depends on the other causes. "Adds" is what no cause above it holds.',
+        caption='Each among the runs that remain after the causes above it; "all" is the rate of '
+        'all runs in it. Regions are selected for their rates, so these are biased upwards; the '
+        'intervals allow for that. "Contains" is the share of all failures in it, "attributable" '
+        'the share of all failures that would not occur if it failed like all other runs: neither '
+        'depends on the other causes. "Adds" is what no cause above it contains.',
         columns=(
             Column(name='rank', title='#'), Column(name='cause', title='cause'), *_RATE,
             Column(name='elsewhere_percent', title='elsewhere [%]', decimals=1),
             Column(name='all_runs_percent', title='all [%]', decimals=1),
-            Column(name='share_percent', title='holds [%]', decimals=1),
-            Column(name='attributable_percent', title='goes with it [%]', decimals=1),
+            Column(name='share_percent', title='contains [%]', decimals=1),
+            Column(name='attributable_percent', title='attributable [%]', decimals=1),
             Column(name='attributable_low_percent', title='from [%]', decimals=1),
             Column(name='attributable_high_percent', title='to [%]', decimals=1),
             Column(name='added_percent', title='adds [%]', decimals=1),

@@ -245,15 +245,15 @@ class Cause:
     def sentence(self) -> str:
         """The cause for people."""
         words = self.region.words()
-        left = '' if self.rank == 1 else ' that are left'
+        remaining = '' if self.rank == 1 else 'remaining '
         share, low, high = (100 * part for part in self.attributable)
         known = '' if math.isnan(low) else f' ({low:.0f}–{high:.0f} %)'.replace('-', '−')
         attributable = f'{share:.0f} %{known}'.replace('-', '−')
         return (
-            f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} runs'
-            f'{left} fail, elsewhere {self.outside.words()} of {self.outside.runs:,}; it holds '
-            f'{_percent(self.share)} of all failures, and {attributable} of them go with it '
-            f'({self.p_words()})'
+            f'{words[0].upper()}{words[1:]}: {self.inside.words()} of {self.inside.runs:,} '
+            f'{remaining}runs fail, elsewhere {self.outside.words()} of {self.outside.runs:,}. It '
+            f'contains {_percent(self.share)} of all failures; {attributable} of all failures are '
+            f'attributable to it ({self.p_words()})'
         )
 
     def p_words(self) -> str:

@@ -33,6 +33,7 @@ from taxinet_ros.analysis.explain.track import (
 )
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError
 
@@ -46,8 +47,8 @@ class Insight:
 
     Attributes:
         moment: the moment.
-        occlusion: which part of its frame the network goes by.
-        parts: shares of the frame and of what the network goes by (0..1 each) that the aircraft's
+        occlusion: on which part of its frame the estimate depends.
+        parts: shares of the frame and of the effect on the estimate (0..1 each) that the aircraft's
             shadow and the crossing take up, by the factor's name; only what is in the frame.
         nearness: where it stands to the training images; None where none were given.
     """
@@ -101,14 +102,13 @@ class Explanation:
 
 
 def explain(
-    bag: Path, run: RecordedRun, perception: Perception, *, frames: int,
+    recording: Recording, perception: Perception, *, frames: int,
     training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
 ) -> Explanation:
     """Look into a run.
 
     Args:
-        bag: a run folder or an ``.mcap`` file.
-        run: what :func:`.recorded_run.read_run` says of it.
+        recording: of the run.
         perception: a network, which looks at frames.
         frames: most moments to look into, at least 1.
         training: images to hold the frames against.
@@ -121,8 +121,9 @@ def explain(
     def look(image: Frame) -> TrackingError:
         return perception.estimate(image, None)
 
-    track = read_track(bag, run, look, lambda done, all_: on_progress('frames', done, all_))
-    chosen = tuple(moments(bag, run, track, choose_rows(track, frames)))
+    bag, run = recording.path, recording.run
+    track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
+    chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:
         raise BagEmpty(f'{bag}: no camera frame of it can be looked into', path=bag)
     found: tuple[Effect, ...] = ()
@@ -182,7 +183,7 @@ def explain_sentences(found: Explanation) -> Iterator[str]:
     if found.run.controller:
         yield (
             f'Another controller than the steering law drove this run: {found.run.controller}. '
-            'What an estimate does is told as the law would follow it.'
+            'The effect of an estimate is computed with the steering law.'
         )
 
 
@@ -190,9 +191,9 @@ def moment_words(moment: Moment) -> str:
     """Where and when it was, what the network saw, and what that does."""
     where = f'{moment.t_s:.1f} s, {moment.x_m:,.0f} m past the threshold: '
     if not moment.estimate.usable:
-        return f'{where}truth {error_words(moment.truth)}; the network had no answer'
+        return f'{where}truth {error_words(moment.truth)}; the network gave no estimate'
     return (
-        f'{where}truth {error_words(moment.truth)}; seen {error_words(moment.estimate)}; '
+        f'{where}truth {error_words(moment.truth)}; estimate {error_words(moment.estimate)}; '
         f'{misled_words(moment.misled_rad)}'
     )
 
@@ -200,41 +201,41 @@ def moment_words(moment: Moment) -> str:
 def error_words(error: TrackingError) -> str:
     """A tracking error, as ``1.2 m left, nose 3° right``."""
     if not error.usable:
-        return 'no answer'
+        return 'no estimate'
     return f'{_side(error.cte_m, " m", 1)}, nose {_side(math.degrees(error.he_rad), "°", 0)}'
 
 
 def misled_words(misled_rad: float) -> str:
     """How far the steering law is misled."""
     if not math.isfinite(misled_rad):
-        return 'no answer, so the aircraft brakes'
+        return 'no estimate, so the aircraft brakes'
     degrees = math.degrees(misled_rad)
     if round(abs(degrees)) == 0:
-        return 'headed as the truth asks'
+        return 'steered as with the truth'
     # An aircraft that is thought to be, or to point, too far left is turned to the right.
-    return f'headed {abs(degrees):.0f}° too far {"right" if degrees > 0 else "left"}'
+    return f'steered {abs(degrees):.0f}° too far {"right" if degrees > 0 else "left"}'
 
 
 def attention_sentences(insight: Insight) -> Iterator[str]:
-    """What part of a frame the network goes by."""
+    """On which part of a frame the estimate depends."""
     region, share = insight.occlusion.region
     time = f'At {insight.moment.t_s:.1f} s'
     if share == 0:
-        yield f'{time} no patch of the picture changes the estimate.'
+        yield f'{time} covering a patch of the picture never changes the estimate.'
     else:
         yield (
-            f'{time} the network goes by the {region} of the picture most: '
-            f'{100 * share:.0f} % of what covering a patch changes is there '
-            '(a ninth would be 11 %).'
+            f'{time} the estimate depends most on the {region} of the picture: '
+            f'{100 * share:.0f} % of the change by covering patches is there '
+            '(11 % if all ninths counted alike).'
         )
     for name, (area, weight) in insight.parts.items():
         if area >= _NOT_IN_VIEW:
             yield (
-                f'{_capital(PARTS[name])} takes up {100 * area:.0f} % of that picture, and '
-                f'{100 * weight:.0f} % of what the network goes by.'
+                f'{_capital(PARTS[name])} covers {100 * area:.0f} % of that picture, and has '
+                f'{100 * weight:.0f} % of the effect on the estimate.'
             )
     if insight.occlusion.lost:
-        yield f'With {insight.occlusion.lost} of the patches covered the network had no answer.'
+        yield f'With {insight.occlusion.lost} of the patches covered there was no estimate.'
 
 
 def recomputed_sentence(found: Explanation) -> str:
@@ -242,11 +243,11 @@ def recomputed_sentence(found: Explanation) -> str:
     cte_m, he_rad = found.track.greatest_change
     if not found.own:
         who = found.run.perception or 'an unnamed perception'
-        return f'The network in question did not drive this run: {who} did.'
+        return f'This network did not drive the run: {who} did.'
     if cte_m == he_rad == 0:
-        return 'All estimates came out as recorded, to the bit.'
+        return 'All estimates are equal to the recorded ones, bit for bit.'
     if math.isinf(cte_m):
-        return 'Not every estimate that was recorded could be made again, or the other way round.'
+        return 'Some estimates exist only in the recording, or only when computed again.'
     return (
         f'The estimates differ from those recorded by up to {cte_m:.2g} m and '
         f'{math.degrees(he_rad):.2g}°.'
@@ -266,36 +267,36 @@ def effect_words(effect: Effect) -> str:
 def _cause(found: Explanation) -> Iterator[str]:
     track, worst = found.track, found.insights[found.worst].moment
     if not worst.estimate.usable:
-        yield 'The network had no answer to any of the frames that were looked into.'
+        yield 'The network gave no estimate for any of the examined frames.'
         return
     if abs(worst.misled_rad) < _HARDLY_RAD:
         yield (
             f'While the aircraft was on the runway, its network misled the steering law by '
-            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, hardly for '
-            'its network.'
+            f'{math.degrees(abs(worst.misled_rad)):.1f}° at most: if the run failed, the network '
+            'is hardly the cause.'
         )
         return
     if not found.effects:
         why = track.differs or 'a state is missing'
-        yield f'What of the scene causes the error cannot be told, for {why}.'
+        yield f'The cause within the scene cannot be determined: {why}.'
         return
     blamed = found.blamed
     if blamed is None:
         yield (
-            f'No change of the scene takes {100 * LEAST_SHARE:.0f} % of the error away: neither '
-            f'{_list([effect.factor.cause for effect in found.effects])}. What is left is the '
-            'pose, the ground and the network itself.'
+            f'No change of the scene removes {100 * LEAST_SHARE:.0f} % of the error: neither '
+            f'{_list([effect.factor.cause for effect in found.effects])}. There remain the pose, '
+            'the ground and the network itself.'
         )
         return
     yield (
-        f'{_capital(blamed.factor.cause)} makes the network err: in the same scene, '
+        f'{_capital(blamed.factor.cause)} causes the error: in the same scene, '
         f'{blamed.factor.words}, {100 * blamed.removed:.0f} % of the error in the '
-        f'{len(found.insights)} frames is gone.'
+        f'{len(found.insights)} frames disappears.'
     )
     outcome = blamed.outcomes[found.worst]
     yield (
-        f'At {worst.t_s:.1f} s it sees {error_words(outcome.estimate)} then, and '
-        f'{error_words(worst.estimate)} as it was; true is {error_words(worst.truth)}.'
+        f'At {worst.t_s:.1f} s the aircraft is {error_words(worst.truth)}. The network estimates '
+        f'{error_words(worst.estimate)}; {blamed.factor.words}, {error_words(outcome.estimate)}.'
     )
     yield from _others(found, blamed)
 
@@ -317,7 +318,7 @@ def _nearness(found: Explanation) -> Iterator[str]:
     worst = near[found.worst]
     name = found.training.images.name
     far = (
-        f'At the worst the nearest training image is {worst.by_picture[0].distance:.1f} grey '
+        f'At the worst frame the nearest training image is {worst.by_picture[0].distance:.1f} grey '
         f'levels away, farther than {100 * worst.farther_than:.1f} % of the images of data set '
         f'{name} are from their nearest other one (usual: {worst.usual:.1f})'
     )

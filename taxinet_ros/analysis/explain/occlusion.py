@@ -1,4 +1,4 @@
-"""Which part of a picture a network goes by: cover a patch, and see how the estimate changes.
+"""On which part of a picture an estimate depends: cover a patch, and see how it changes.
 
 Occlusion sensitivity (Zeiler and Fergus, Visualizing and understanding convolutional networks,
 ECCV 2014, section 4.2) asks nothing of the network but its answers. In place of their grey square

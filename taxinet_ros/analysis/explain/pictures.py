@@ -1,4 +1,4 @@
-"""Drawings of why a network failed: errors, frames in other scenes, maps of what it goes by.
+"""Drawings of why a network failed: errors, frames in other scenes, maps of what matters.
 
 In frames a solid line is where the centreline is, a dashed one where the network believes it to be.
 """
@@ -43,8 +43,7 @@ def error_picture(found: Explanation) -> Picture:
     return Picture(
         name='explain-errors', title='Estimates along the run',
         caption='Cross-track and heading error, true and estimated, left positive; and how far '
-                'the estimate leads the steering law astray. Vertical lines: the moments that '
-                'are looked into.',
+                'the estimate misleads the steering law. Vertical lines: the examined moments.',
         draw=partial(_draw_errors, found), size_in=(8.0, 6.0),
     )
 
@@ -52,27 +51,27 @@ def error_picture(found: Explanation) -> Picture:
 def factor_picture(found: Explanation) -> Picture:
     """How much of the error each factor takes away."""
     return Picture(
-        name='explain-factors', title='Which change takes the error away',
-        caption='Share of the error, over all moments looked into, that goes with one change of '
-                'the scene. Bars to the left: the error grows.',
+        name='explain-factors', title='Which change removes the error',
+        caption='Share of the error, over all examined moments, that one change of the scene '
+                'removes. Bars to the left: the error grows.',
         draw=partial(_draw_factors, found), size_in=(7.0, 0.9 + 0.34 * len(found.effects)),
     )
 
 
 def scene_picture(found: Explanation, number: int) -> Picture:
-    """The frame of one moment, as it was and in other scenes."""
+    """The frame of one moment, as recorded and in other scenes."""
     moment = found.insights[number].moment
     rows = math.ceil((1 + len(found.effects)) / _COLUMNS)
     return Picture(
         name=f'explain-scenes-{moment.seq:04d}', title=f'In other scenes, at {moment.t_s:.1f} s',
         caption=f'{moment_words(moment)}. Blue: where the centreline is; orange, dashed: where '
-                'the network believes it to be.',
+                'the network estimates it to be.',
         draw=partial(_draw_scenes, found, number), size_in=(9.0, 0.1 + 2.15 * rows),
     )
 
 
 def occlusion_picture(insight: Insight) -> Picture:
-    """What the network goes by, on the frame."""
+    """What the estimate depends on, drawn on the frame."""
     moment = insight.moment
     return Picture(
         name=f'explain-patches-{moment.seq:04d}', title=f'What matters, at {moment.t_s:.1f} s',
@@ -156,14 +155,14 @@ def _draw_factors(found: Explanation, figure: Figure, theme: Theme) -> None:
     axes.set_yticks(places, [effect.factor.words for effect in found.effects])
     axes.axvline(0, color=theme.ink, linewidth=0.9)
     axes.set_xlim(min(0.0, float(shown.min()) * 1.1), 112)
-    axes.set_xlabel('error that is gone [%]')
+    axes.set_xlabel('error removed [%]')
     style_axes(axes, grid='x')
 
 
 def _draw_scenes(found: Explanation, number: int, figure: Figure, theme: Theme) -> None:
     moment = found.insights[number].moment
     tiles: list[tuple[str, Frame, TrackingError, float]] = [
-        ('as it was', moment.image, moment.estimate, moment.misled_rad)]
+        ('as recorded', moment.image, moment.estimate, moment.misled_rad)]
     for effect in found.effects:
         outcome = effect.outcomes[number]
         words = effect.factor.words if outcome.changed else f'{effect.factor.words} (no change)'

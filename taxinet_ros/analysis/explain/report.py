@@ -75,10 +75,10 @@ def _sections(found: Explanation) -> Iterator[Section]:
         name='errors', heading='Along the run',
         sentences=(
             recomputed_sentence(found),
-            'Looked into are the moments at which the estimate misleads the steering law most '
-            'while the aircraft is on the runway, and the start. Misled by 10° means: the law '
-            'wants a heading 10° away from the one that the truth asks for; 4° are a metre of '
-            'cross-track error with the usual gains.',
+            'Examined are the moments where the estimate misleads the steering law most while '
+            'the aircraft is on the runway, and the start. Misled by 10° means: the law asks for '
+            'a heading 10° away from the one it would ask for with the truth; 4° correspond to a '
+            'metre of cross-track error with the default gains.',
             *(f'{moment_words(insight.moment)}.' for insight in insights),
         ),
         pictures=(error_picture(found),), tables=(_moment_table(found),),
@@ -87,9 +87,9 @@ def _sections(found: Explanation) -> Iterator[Section]:
         yield Section(
             name='scenes', heading='The same moments in other scenes',
             sentences=(
-                'Each change is made alone and nothing else changes, so what goes with it is '
-                'caused by it. This holds for the pictures; whether the whole run would have '
-                'passed, only a run tells.',
+                'Each change is made alone, so the difference is caused by it. This holds for '
+                'the pictures; whether the whole run would have passed, only another run can '
+                'tell.',
             ),
             pictures=(
                 factor_picture(found),
@@ -100,10 +100,10 @@ def _sections(found: Explanation) -> Iterator[Section]:
     elif found.track.differs:
         yield Section(
             name='scenes', heading='The same moments in other scenes',
-            sentences=(f'Not to be had: {found.track.differs}.',),
+            sentences=(f'Not available: {found.track.differs}.',),
         )
     yield Section(
-        name='attention', heading='What the network goes by',
+        name='attention', heading='What the estimate depends on',
         sentences=tuple(
             sentence for insight in insights for sentence in attention_sentences(insight)),
         pictures=tuple(occlusion_picture(insight) for insight in insights),
@@ -120,7 +120,7 @@ def _training_section(found: Explanation) -> Section:
     return Section(
         name='training', heading='The nearest training images',
         sentences=(
-            f'Held against {images.name}, {held}. The distance between pictures is the root '
+            f'Compared with {images.name}, {held}. The distance between pictures is the root '
             'mean square of their differences of grey levels (0..255), in the reduced picture '
             'that the networks here see. A frame is called out of distribution if it is farther '
             'from every image than 99 % of the images are from their nearest other one.',
@@ -144,7 +144,7 @@ def _facts(found: Explanation) -> dict[str, str]:
             f'{hour:02d}:{minute:02d}, {scene["clouds"]}, rain {scene["rain"]:.0f} %, start '
             f'{scene["distance"]:,.0f} m past the threshold'
         ),
-        'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were looked into',
+        'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were examined',
     }
 
 
@@ -169,7 +169,7 @@ def _factor_table(found: Explanation) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for number, insight in enumerate(found.insights):
         m = insight.moment
-        rows.append((m.t_s, 'as it was', *_cells(m, m.estimate, m.misled_rad), None, None))
+        rows.append((m.t_s, 'as recorded', *_cells(m, m.estimate, m.misled_rad), None, None))
         for effect in found.effects:
             outcome = effect.outcomes[number]
             rows.append((

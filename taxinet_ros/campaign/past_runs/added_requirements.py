@@ -7,6 +7,7 @@ from pathlib import Path
 
 from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import Ledger, LedgerContent, read_ledger
@@ -75,7 +76,7 @@ def add_requirements(
         content = read_ledger(folder / LEDGER_NAME)
         for row in content.rows:
             if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
-                check_same_run(row, content.campaign, bag.path)
+                check_same_run(row, content.campaign, open_recording(bag.path))
         counts = {}
         for spec in specs:
             intervals = {

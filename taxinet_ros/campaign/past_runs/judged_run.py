@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import decoded_messages, read_info
-from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains, read_facts, read_run
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
@@ -28,7 +27,6 @@ from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
-_VERDICT = '/monitor/verdict'
 _NO_FACTS: Mapping[str, Any] = {}
 
 
@@ -81,10 +79,11 @@ def find_run(path: Path) -> JudgedRun:
     facts = content.campaign if content else _NO_FACTS
     if any(whole.glob('*.mcap')):
         try:
+            recording = open_recording(path)
             for row in content.rows if content else ():
                 if row.bag == whole.name:
-                    check_same_run(row, facts, whole)
-            return _of_bag(path, facts)
+                    check_same_run(row, facts, recording)
+            return _of_bag(recording, facts)
         except BagError as error:
             raise UsageError(str(error)) from error
     rows = {row.run_id: row for row in content.rows} if content else {}
@@ -99,22 +98,21 @@ def _place(path: Path) -> Path:
     return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
 
 
-def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
-    told = read_info(path).metadata.get('taxinet_outcome')
-    if told is None and (recording := read_recording(path)).runs and not recording.plain:
+def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
+    path = recording.path
+    ending = recording.metadata.get('taxinet_outcome')
+    if ending is None and recording.runs and not recording.plain:
         raise UsageError(
             f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
             f'taxinet bag split {path} --out DIR'
         )
-    told = told or {}
-    outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
-    run = read_run(path)
+    outcome = Outcome((ending or {}).get('outcome', Outcome.INTERRUPTED))
+    run, told = recording.run, recording.facts
     robustness: dict[str, RobustnessInterval] = {}
-    if outcome.judged:
-        for _, _, verdict in decoded_messages(path, lambda topic: topic.endswith(_VERDICT)):
-            robustness = {
-                one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
-            }
+    if outcome.judged and told is not None:
+        robustness = {
+            name: RobustnessInterval(one.lower, one.upper) for name, one in told.judged.items()
+        }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
         specs=run.request.specs, outcome=outcome, robustness=robustness,
@@ -160,7 +158,7 @@ def _example(campaign: Path) -> str:
 
 
 def bag_differences(
-    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+    row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> list[str]:
     """In what a bag tells of another run than its row and campaign do.
 
@@ -175,7 +173,7 @@ def bag_differences(
     Raises:
         BagError, UsageError: it cannot be read.
     """
-    told = read_facts(bag)
+    told = bag.facts
     if told is None:
         return ['is of no run of ours']
     pairs: dict[str, tuple[Any, Any]] = {
@@ -267,7 +265,7 @@ def _short(value: Any) -> str:
 
 
 def check_same_run(
-    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+    row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> None:
     """See that a bag is that of a row, before what it holds is taken for the row's run.
 
@@ -283,8 +281,8 @@ def check_same_run(
     """
     for what in bag_differences(row, facts, bag, whole=whole):
         raise UsageError(
-            f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
-            f'campaign? taxinet doctor {bag.parent} checks all of them'
+            f'{bag.path}: is not the bag of its run: {what}; was the folder moved here from '
+            f'another campaign? taxinet doctor {bag.path.parent} checks all of them'
         )
 
 
@@ -295,32 +293,34 @@ class BagPlaces:
         """No record is read yet."""
         self._records: dict[Path, LedgerContent] = {}
 
-    def check(self, bag: Path, *, whole: bool = True) -> None:
+    def check(self, bag: Path | Recording, *, whole: bool = True) -> None:
         """See that a bag is that of the run whose place it has.
 
         Args:
-            bag: a run's folder or an ``.mcap`` file.
+            bag: a run's folder or an ``.mcap`` file, opened or only where it has such a place.
             whole: as of :func:`bag_differences`.
 
         Raises:
             UsageError: it is of another run.
             BagError: it cannot be read.
         """
-        folder = _place(bag.parent if bag.is_file() else bag)
+        path = bag if isinstance(bag, Path) else bag.path
+        folder = _place(path.parent if path.is_file() else path)
         ledger = folder.parent / LEDGER_NAME
         if not ledger.is_file():
             return
         if ledger not in self._records:
             self._records[ledger] = _record(ledger)
         record = self._records[ledger]
+        recording = open_recording(bag) if isinstance(bag, Path) else bag
         for row in record.rows:
             if row.bag == folder.name:
-                check_same_run(row, record.campaign, bag, whole=whole)
+                check_same_run(row, record.campaign, recording, whole=whole)
                 return
-        told = read_facts(bag)
+        told = recording.facts
         if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
             raise UsageError(
-                f'{bag}: is not the bag of its run: its run_id is {told.run_id}; '
+                f'{path}: is not the bag of its run: its run_id is {told.run_id}; '
                 f'taxinet doctor {folder.parent} checks all of them'
             )
 

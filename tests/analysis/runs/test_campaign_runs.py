@@ -102,7 +102,7 @@ def test_given_another_number_of_runs_than_planned_then_the_intervals_hold_at_an
         runs = read_runs(tmp_path)
         assert runs.anytime is anytime
         assert runs.rate()[2:5] == rate(failures, 60, anytime=anytime)
-        assert ('not settled beforehand' in rate_sentences(runs)[0]) is anytime
+        assert ('not fixed beforehand' in rate_sentences(runs)[0]) is anytime
 
 
 @given(st.integers(0, 40), st.integers(0, 40), st.integers(1, 40), st.integers(1, 40))

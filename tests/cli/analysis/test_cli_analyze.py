@@ -52,7 +52,7 @@ def test_given_a_campaign_when_analysed_then_the_screen_names_the_cause(folder):
     text = (folder / 'stdout').read_text()
     lines = text.splitlines()
     assert lines[0].startswith('120 runs of s_falsif with original: ')
-    assert lines[1].startswith('One cause holds all of the ')
+    assert lines[1].startswith('One cause contains all of the ')
     assert any(line.startswith('1  before 09:') for line in lines)
     assert 'original fails in ' in text
     assert lines[-1] == 'report: c/analysis/report.html'

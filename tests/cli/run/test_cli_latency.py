@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.resumption import read_earlier_runs
@@ -54,7 +54,7 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
     rows = read_table(folder / 's').set_index('run_id')
     assert len(rows) == len(set(rows['rho_near'])) == 3
     for name, row in rows.iterrows():
-        run = read_run(folder / 's' / str(name))
+        run = open_recording(folder / 's' / str(name)).run
         judged = run_closed_loop(
             run.request.scenario, GroundTruth(), specs=[parse_spec(run.request.specs[0])],
             timing=run.timing, draws=(run.request.seed, run.request.index),

@@ -9,7 +9,7 @@ import pytest
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import Assumptions, parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, StopOn
@@ -66,7 +66,7 @@ def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same
     assert repr(late.statistics) == repr(judgement.statistics), 'NaN where there is nothing'
 
     bag = tmp_path / 'one' / 'run-0'
-    trace = read_trace(bag)
+    trace = open_recording(bag).columns
     assert trace['cte_m'].tobytes() == np.array(
         [step.observation.state.tracking_error.cte_m for step in steps]
     ).tobytes()
