@@ -71,7 +71,7 @@ def made_up_table(name: str, failing: Callable[[pd.DataFrame], object]) -> pd.Da
     table.loc[3, [name for name in table.columns if name.startswith('rho')]] = np.nan
     return table.assign(
         settle_time_s=np.where(table['outcome'] == 'PASS', 6.0, np.nan), crossing=True,
-        cte_error_mean_abs_m=0.3, fingerprint='f' * 64,
+        cte_error_mean_abs_m=0.3, perception_fingerprint='f' * 64,
     )
 
 
