@@ -148,7 +148,7 @@ class Graph(Protocol):
     def interrupt(self) -> None:
         """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """Have :meth:`run` raise KeyboardInterrupt now; False where it does not run."""
 
 
@@ -233,9 +233,9 @@ class SampledGraph:
         if self._sampler is not None:
             self._sampler.interrupt()
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """See :class:`Graph`."""
-        return self._sampler is not None and self._sampler.give_up()
+        return self._sampler is not None and self._sampler.abort()
 
     def _watch(self, sampler: ScenarioSampler) -> None:
         for child in self.children:
@@ -243,7 +243,7 @@ class SampledGraph:
                 continue
             if child.refused:
                 raise UsageError(child.refused)
-            sampler.mourn(child.name, child.how_it_ended())
+            sampler.report_death(child.name, child.how_it_ended())
 
 
 @contextlib.contextmanager

@@ -477,10 +477,10 @@ class Stage:
         for seq in range(2):
             self._ask(run, Question(seq=seq, truth=self._truth(seq)))
         for kind, seq in (('twice', 1), ('late', 0)):
-            self._tease(run, Question(seq=seq, truth=self._truth(seq), kind=kind))
+            self._send_unexpected(run, Question(seq=seq, truth=self._truth(seq), kind=kind))
         if self._role.word == 'controller':
             question = Question(seq=2, truth=self._truth(2), kind='another run')
-            self._tease(run, question, run_id=f'{run.run_id}-other')
+            self._send_unexpected(run, question, run_id=f'{run.run_id}-other')
         self._ask(run, Question(seq=3, truth=self._truth(3)))
         self._finish()
 
@@ -497,7 +497,7 @@ class Stage:
                 run = self._begin('strange')
                 self._await_ready(run, _READY_FACTOR * self._options.patience_s)
                 question = Question(seq=0, truth=self._truth(0), kind=kind)
-                self._tease(run, question, image=_image(change, self._picture(0)))
+                self._send_unexpected(run, question, image=_image(change, self._picture(0)))
                 self._finish()
         run = self._begin('after')
         self._await_ready(run, _READY_FACTOR * self._options.patience_s)
@@ -523,11 +523,11 @@ class Stage:
         self._until(lambda: run.ready or run.errors or self._dead(), within_s)
         run.ready_s = time.monotonic() - begun_s
         if not run.ready:
-            self._give_up(run)
+            self._abandon(run)
         # As the simulator does.
         if not self._until(lambda: self._matched() or self._dead(), within_s):
             run.unmatched = tuple(self._unmatched())
-            self._give_up(run)
+            self._abandon(run)
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.RUNNING))
 
     def _ask_all(self, run: Run) -> None:
@@ -543,9 +543,9 @@ class Stage:
         )
         if not question.answers:
             question.missed = True
-            self._give_up(run)
+            self._abandon(run)
 
-    def _tease(
+    def _send_unexpected(
         self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
     ) -> None:
         """Send a message that need not be answered, and see, as long as an answer may take."""
@@ -559,9 +559,9 @@ class Stage:
         )
         self._until(lambda: run.errors or self._dead(), _MOMENT_S)
         if self._dead():
-            self._give_up(run)
+            self._abandon(run)
 
-    def _give_up(self, run: Run) -> None:
+    def _abandon(self, run: Run) -> None:
         run.given_up = not self._dead()
         if not run.given_up or run.errors:
             self._say(interface.RUN_STATUS, _run_status(run, RunStatus.ENDED))
