@@ -162,7 +162,7 @@ class WorkerProcess:
                 self.seq, self.silent_since = message['seq'], time.monotonic()
         return messages
 
-    def bury(self, kind: str, detail: str = '') -> RunResult:
+    def kill_and_report(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
         return RunResult.infra_error(
@@ -330,7 +330,7 @@ class WorkerPool:
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request
         assert request is not None
-        result = worker.bury(kind, detail)
+        result = worker.kill_and_report(kind, detail)
         self.workers.remove(worker)
         if self.interrupted:
             result = RunResult(outcome=Outcome.INTERRUPTED, last_seq=worker.seq)
