@@ -119,7 +119,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ('input.resize', 'lanczos',
      "input.resize: expected one of area, linear, cubic, nearest, got 'lanczos'"),
     ('input.crop', [0, 0, 361, 200], 'numbers, 0 to 360, got [0, 0, 361, 200]'),
-    ('input.crop', [0, 0, 360, 201], 'input.crop: is [0.0, 0.0, 360.0, 201.0]; write [left, top'),
+    ('input.crop', [0, 0, 360, 201], 'input.crop: expected [left, top, right, bottom] in whole pixels'),
     ('input.crop', [5, 0, 5, 200], 'left < right <= 360 and top < bottom <= 200'),
     ('input.crop', [0, 7, 5, 6], 'left < right <= 360 and top < bottom <= 200'),
     ('input.crop', [0, 0.5, 360, 200], 'in whole pixels'),
