@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import ExitCode, InfraError
+from taxinet_ros.errors import ExitCode, InfraError, InfraKind
 from taxinet_ros.processes.child import ChildProcess
 
 
@@ -60,9 +60,11 @@ def wait_for(process: ChildProcess, there: Callable[[], bool]) -> int:
     deadline = time.monotonic() + LIMIT_S
     while not there():
         if process.dead and not there():
-            raise InfraError('start', process.name, -1, process.how_it_ended())
+            raise InfraError(InfraKind.DIED, process.name, -1, process.how_it_ended())
         if time.monotonic() > deadline:
-            raise InfraError('start', process.name, -1, f'nothing to be seen after {LIMIT_S:g} s')
+            raise InfraError(
+                InfraKind.NOT_READY, process.name, -1, f'nothing to be seen after {LIMIT_S:g} s'
+            )
         time.sleep(LOOK_S)
     return time.perf_counter_ns()
 

@@ -41,6 +41,7 @@ from taxinet_ros.campaign.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
@@ -362,6 +363,6 @@ def _campaign(experiment: Experiment, arm: Arm, out: Path) -> CampaignOptions:
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
-        specs=experiment.specs, images='none',
+        judging=Judging(specs=experiment.specs), images='none',
         arms=tuple(one.name for one in experiment.arms),
     )

@@ -23,9 +23,16 @@ from pathlib import Path
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judge import SpecCheck, check_specs
-from taxinet_ros.core.mtl import SIGNALS, Assumptions, parse_assumptions, parse_formula, parse_spec
+from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
+from taxinet_ros.core.mtl import (
+    SHIPPED,
+    SIGNALS,
+    Assumptions,
+    parse_assumptions,
+    parse_formula,
+    parse_spec,
+)
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.outcome import StopOn, parse_stop_on
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import short_word
@@ -55,7 +62,11 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
             texts += _read(Path(word.strip()), predicates)
         else:
             spec = parse_spec(word, predicates)
-            texts.append(_written_out('--spec', spec.name, spec.text) if predicates else word)
+            # What a package calls by a name is to be read where it is not installed, too.
+            elsewhere = spec.name == word.strip() not in SHIPPED
+            texts.append(
+                _written_out('--spec', spec.name, spec.text) if predicates or elsewhere else word
+            )
     names = [parse_spec(text).name for text in texts]
     for name in names:
         if names.count(name) > 1:
@@ -110,6 +121,7 @@ def _check_name(where: str, name: str) -> None:
 
 
 DEFAULT_SPECS = ('phi_eventually',)
+DEFAULT_JUDGING = Judging(specs=DEFAULT_SPECS)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
 """Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
@@ -128,9 +140,7 @@ class CampaignOptions:
             :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
-        specs: formulas as text that needs no file; the first is the headline.
-        stop_on: what ends a run before its end.
-        bounds, rates: what is vouched for of the signals, as text.
+        judging: what decides the verdicts.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
         images: whose camera frames go into the bags, of :data:`IMAGES`.
@@ -150,10 +160,7 @@ class CampaignOptions:
     out: Path
     overrides: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
-    specs: tuple[str, ...] = DEFAULT_SPECS
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
+    judging: Judging = DEFAULT_JUDGING
     processes: bool = False
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
@@ -172,7 +179,7 @@ class CampaignOptions:
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
-        found = check_specs([parse_spec(text) for text in self.specs], duration_s, gains)
+        found = check_specs(self.judging.parsed_specs, duration_s, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
@@ -216,15 +223,14 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
-    chosen = read_specs(specs) or DEFAULT_SPECS
-    rule = parse_stop_on(stop_on)
+    judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
         raise UsageError('--processes: no effect with --free, whose nodes are processes anyway')
-    if timing.free and rule is not StopOn.NEVER:
-        raise UsageError(f'--stop-on {rule}: not with --free, where nobody waits for the monitor')
-    bounds, rates = tuple(bounds), tuple(rates)
-    check_assumptions(bounds, rates)
+    if timing.free and judging.stop_on is not StopOn.NEVER:
+        raise UsageError(
+            f'--stop-on {judging.stop_on}: not with --free, where nobody waits for the monitor'
+        )
     if perception:
         check_perception(perception, graph=True)
     if images not in IMAGES:
@@ -239,10 +245,26 @@ def make_options(
         check_new(out)
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
-        overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
-        rates=rates, processes=processes or timing.free, images=images,
-        controller=controller, timing=timing,
+        overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
+        images=images, controller=controller, timing=timing,
     )
+
+
+def make_judging(
+    specs: Iterable[str], stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
+    rates: Iterable[str] = (),
+) -> Judging:
+    """Check what a person typed of how runs are to be judged; as :func:`make_options`.
+
+    Raises:
+        UsageError: one line that names the option.
+    """
+    judging = Judging(
+        specs=read_specs(specs) or DEFAULT_SPECS, stop_on=parse_stop_on(stop_on),
+        bounds=tuple(bounds), rates=tuple(rates),
+    )
+    check_assumptions(judging.bounds, judging.rates)
+    return judging
 
 
 def check_timing(

@@ -20,11 +20,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
-from taxinet_ros.processes.child import ChildProcess, open_pipe
+from taxinet_ros.errors import InfraKind, UsageError
+from taxinet_ros.processes.child import (
+    ChildProcess,
+    open_pipe,
+)
 
 
 def encode_line(message: Mapping[str, Any]) -> bytes:
@@ -47,12 +52,14 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
     return RunRequest(**{
         **values,
         'scenario': Scenario(**values['scenario']),
-        'specs': tuple(values['specs']),
+        'judging': _judging_from_json(values['judging']),
         'participants': tuple(values['participants']),
-        'bounds': tuple(values['bounds']),
-        'rates': tuple(values['rates']),
-        'stop_on': StopOn(values['stop_on']),
     })
+
+
+def _judging_from_json(values: Mapping[str, Any]) -> Judging:
+    texts = {name: tuple(values[name]) for name in ('specs', 'bounds', 'rates')}
+    return Judging(**{**values, **texts, 'stop_on': StopOn(values['stop_on'])})
 
 
 def result_to_json(result: RunResult) -> dict[str, Any]:
@@ -71,6 +78,10 @@ def result_from_json(values: Mapping[str, Any]) -> RunResult:
         **values,
         'outcome': Outcome(values['outcome']),
         'statistics': _statistics_from_json(values.get('statistics')),
+        'robustness': {
+            name: RobustnessInterval(*ends)
+            for name, ends in values.get('robustness', {}).items()
+        },
     })
 
 
@@ -154,9 +165,8 @@ class WorkerProcess:
     def bury(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
-        return RunResult(
-            outcome=Outcome.INFRA_ERROR, kind=kind, who='worker',
-            detail=detail or self._child.how_it_ended(), last_seq=self.seq,
+        return RunResult.infra_error(
+            kind, 'worker', detail or self._child.how_it_ended(), self.seq
         )
 
     def hang_up(self) -> None:
@@ -295,7 +305,7 @@ class WorkerPool:
     def _listen(self, worker: WorkerProcess) -> Answer | None:
         messages = worker.read()
         if messages is None:
-            return self._lost(worker, 'died')
+            return self._lost(worker, InfraKind.DIED)
         results = [message['result'] for message in messages if 'result' in message]
         return self._answered(worker, results[0]) if results else None
 
@@ -314,7 +324,8 @@ class WorkerPool:
             worker for worker in self.workers
             if worker.request is not None and now - worker.silent_since > limit_s
         ]
-        return [self._lost(worker, 'timeout', f'silent for {limit_s:g} s') for worker in late]
+        detail = f'silent for {limit_s:g} s'
+        return [self._lost(worker, InfraKind.TIMEOUT, detail) for worker in late]
 
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request

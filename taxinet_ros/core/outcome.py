@@ -1,57 +1,19 @@
-"""How a run may end: the rule that stops it early, and its outcome, exactly one of five.
+"""How a run is asked for, and how it may end: with an outcome, exactly one of five.
 
-Only the first two outcomes carry a robustness. A run may end before its horizon as soon as what it
-was run for is decided. Robust satisfaction intervals make that sound: once an interval leaves zero
-behind, no completion of the run brings it back (Deshmukh et al., Formal Methods in System Design
-51, 2017).
+Only the first two outcomes carry a robustness.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol, Self
 
-from taxinet_ros.core.mtl import Reading
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
-
-
-class StopOn(enum.StrEnum):
-    """What ends a run early."""
-
-    NEVER = 'never'
-    VIOLATED = 'violated'
-    """The first formula, the headline, can no longer have robustness > 0: the run has failed."""
-    DECIDED = 'decided'
-    """Every formula is decided: robustness > 0 is certain, or out of reach."""
-
-
-def parse_stop_on(word: str) -> StopOn:
-    """The rule of this name; '' is never, as in recordings from before there was a choice.
-
-    Raises:
-        UsageError: there is none by that name.
-    """
-    try:
-        return StopOn(word or StopOn.NEVER)
-    except ValueError:
-        raise UsageError(f'--stop-on {word}: unknown; known: {", ".join(StopOn)}') from None
-
-
-def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
-    """Whether a run ends at the sample of these readings, though its horizon is not reached.
-
-    A run with an unusable sample is never stopped: it has no verdict, early or late.
-    """
-    if any(reading.final or not reading.valid or reading.unclear for reading in readings):
-        return False
-    if stop_on is StopOn.VIOLATED:
-        return readings[0].upper <= 0
-    if stop_on is StopOn.DECIDED:
-        return all(reading.upper <= 0 or reading.lower > 0 for reading in readings)
-    return False
 
 
 class Outcome(enum.StrEnum):
@@ -69,6 +31,29 @@ class Outcome(enum.StrEnum):
         return self in (Outcome.PASS, Outcome.FAIL)
 
 
+class Judged(Protocol):
+    """What a judge says of a run: a :class:`.judge.Judgement`, or the message made of one."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run reached its horizon and could be judged."""
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether it was ended before, because its verdict was in."""
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether every formula has robustness > 0."""
+
+
+def outcome_of(judgement: Judged) -> Outcome:
+    """PASS or FAIL; INFRA_ERROR where there was no whole, finite sequence of samples to judge."""
+    if not (judgement.complete or judgement.stopped_early):
+        return Outcome.INFRA_ERROR
+    return Outcome.PASS if judgement.satisfied else Outcome.FAIL
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunRequest:
     """One run that somebody asks for.
@@ -79,10 +64,8 @@ class RunRequest:
         program: Scenic program that the scenario was drawn from, or ''.
         seed: seed of the campaign.
         scenario: initial condition and environment.
-        specs: formulas to judge by, as text.
+        judging: what decides its verdict.
         participants: node names that take part in the lockstep.
-        stop_on: what ends the run before its end.
-        bounds, rates: what is vouched for of the signals, as text (:mod:`.mtl.assumptions`).
     """
 
     run_id: str
@@ -90,11 +73,8 @@ class RunRequest:
     program: str
     seed: int
     scenario: Scenario
-    specs: tuple[str, ...]
+    judging: Judging
     participants: tuple[str, ...]
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,13 +83,11 @@ class RunResult:
 
     Attributes:
         outcome: one of the five.
-        kind, who: of an infrastructure error, else ''.
+        kind, who: of an infrastructure error, else ''; a :class:`~taxinet_ros.errors.InfraKind`.
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
-        rho: robustness by formula name, where judged; of a run that was stopped early, those that
-            are known exactly.
-        rho_lower, rho_upper: ends of the interval by formula name; of a run that was stopped early.
-        stopped_early: whether it was, see :mod:`.stop_on`.
+        robustness: of each formula, by name, the headline first; where judged.
+        stopped_early: whether it was, see :mod:`.judging`.
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
         timing: when its answers took effect, in the words of :mod:`.timing`.
@@ -122,9 +100,7 @@ class RunResult:
     who: str = ''
     detail: str = ''
     last_seq: int = -1
-    rho: Mapping[str, float] = field(default_factory=dict)
-    rho_lower: Mapping[str, float] = field(default_factory=dict)
-    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    robustness: Mapping[str, RobustnessInterval] = field(default_factory=dict)
     stopped_early: bool = False
     statistics: RunStatistics | None = None
     perception: str = ''
@@ -132,3 +108,15 @@ class RunResult:
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
+
+    @property
+    def rho(self) -> Mapping[str, float]:
+        """Robustness by formula name, where it is known: not all is, of a run stopped early."""
+        return exact_rho(self.robustness)
+
+    @classmethod
+    def infra_error(cls, kind: str, who: str, detail: str, last_seq: int) -> Self:
+        """The result of a run that a part of the bench broke."""
+        return cls(
+            outcome=Outcome.INFRA_ERROR, kind=str(kind), who=who, detail=detail, last_seq=last_seq
+        )

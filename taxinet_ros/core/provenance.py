@@ -13,12 +13,13 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from taxinet_ros import __version__
+from taxinet_ros.registry import plugins
 
 Provenance = Mapping[str, str]
 """Facts by name, as :func:`provenance` gives them."""
@@ -35,7 +36,7 @@ of a result depends, on the last those of a bag's bytes."""
 
 NAMES = (
     'processor', 'machine', 'processor_features', 'pixels', 'numpy_features', 'blas', 'environment',
-    'libc', 'python', *LIBRARIES, 'taxinet_ros', COMMIT,
+    'libc', 'python', *LIBRARIES, 'plugins', 'taxinet_ros', COMMIT,
 )
 """All facts that a record may have, in its order."""
 
@@ -59,8 +60,9 @@ def provenance() -> Provenance:
         ``processor_features`` (those that matter here), ``pixels``, ``numpy_features``, ``blas``
         (what our own compiled code, numpy and its BLAS make use of), ``environment`` (variables
         that hold them back), ``libc``, ``python``, each of :data:`LIBRARIES` that is installed,
-        ``taxinet_ros`` (version) and ``commit``, which ends with ``+changes`` where the checkout's
-        code has been edited since.
+        ``plugins`` (packages that add extensions, with their versions), ``taxinet_ros`` (version)
+        and ``commit``, which ends with ``+changes`` where the checkout's code has been edited
+        since.
     """
     facts = {
         'processor': processor(),
@@ -71,6 +73,7 @@ def provenance() -> Provenance:
         'libc': ' '.join(platform.libc_ver()).strip(),
         'python': platform.python_version(),
         **library_versions(),
+        'plugins': plugins(),
         'taxinet_ros': __version__,
         COMMIT: _commit(Path(__file__).parents[2]),
     }
@@ -99,6 +102,20 @@ def differences(*records: Provenance) -> str:
             told.setdefault(name, {})[_short(value)] = None
     return ', '.join(f'{name} {" | ".join(values)}' for name, values in told.items()
                      if len(values) > 1)
+
+
+def begun_elsewhere(before: Sequence[Provenance], now: Provenance, what: str) -> str:
+    """One line where records of before are of another machine or version than now; else ''.
+
+    Args:
+        before: the records; an empty one is of a sitting of which nothing is known.
+        now: the record of this process.
+        what: was made on them, for the line: ``all the runs so far``.
+    """
+    if not all(before):
+        return f'nothing tells on which machine and versions {what} were made'
+    found = differences(*before, now)
+    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
 
 
 def words(facts: Provenance) -> str:

@@ -28,8 +28,9 @@ from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
-from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import ExitCode, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
@@ -267,7 +268,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
-        warning = [search.warning] if search.warning else []
+        warning = [search.book.warning] if search.book.warning else []
         _say(
             node,
             [*warning, *heading_lines, *(line.plain for line in requirement_lines(search.check))],
@@ -322,13 +323,13 @@ class _Answers:
 
 
 def _trouble(result: RunResult, node: StandaloneSampler) -> str:
-    if result.kind == 'busy':
+    if result.kind == InfraKind.BUSY:
         # The simulator may have been found before the sampler that it works for.
         return _RIVAL if node.rivals() else (
             'the simulator is busy with a run of somebody else; wait for its end, or give each '
             'graph its own ROS_DOMAIN_ID'
         )
-    if result.kind != 'not_ready':
+    if result.kind != InfraKind.NOT_READY:
         return ''
     if result.who == interface.SIMULATOR:
         return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from taxinet_ros.core.perception.perception import Perception, make_perception
-from taxinet_ros.core.perception.weights import SHIPPED
+from taxinet_ros.core.perception.perception import Perception, make_perception, perception_names
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.perception import PerceptionNode
@@ -13,7 +12,8 @@ from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, 
 _OPTIONS = (
     Parameter(
         name='weights', default='taxinet',
-        takes=f'{", ".join(SHIPPED)}; a .safetensors or .onnx file; or FILE.py:NAME',
+        takes=f'{", ".join(name for name in perception_names() if name != "truth")}; a '
+        '.safetensors or .onnx file; or FILE.py:NAME',
         description='the network: a shipped one or a file; or a function',
     ),
 )

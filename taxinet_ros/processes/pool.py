@@ -16,7 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
 
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 
 _T = TypeVar('_T')
 _P = ParamSpec('_P')
@@ -58,7 +58,7 @@ def process_pool(
         try:
             yield pool
         except BrokenProcessPool as error:
-            raise InfraError('died', name, -1, 'see the messages above') from error
+            raise InfraError(InfraKind.DIED, name, -1, 'see the messages above') from error
         finally:
             pool.shutdown(cancel_futures=True)
 

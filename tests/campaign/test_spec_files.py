@@ -62,7 +62,7 @@ def test_given_a_file_when_a_campaign_is_asked_for_then_its_first_formula_is_the
         program='nominal', runs=1, seed=0, perception='truth', settings=(), out=None,
         specs=[write(FILE)], processes=False,
     )
-    assert [parse_spec(text).name for text in options.specs] == ['reach', 'gentle', 'both']
+    assert list(options.judging.names) == ['reach', 'gentle', 'both']
 
 
 @pytest.mark.parametrize(('text', 'complaint'), [

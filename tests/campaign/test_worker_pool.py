@@ -19,6 +19,8 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
+from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -30,7 +32,7 @@ COMMAND = (sys.executable, str(Path(__file__).with_name('fake_worker.py')))
 def request(word: str, index: int = 0) -> RunRequest:
     return RunRequest(
         run_id=f'run-{index}', index=index, program=word, seed=1, scenario=Scenario(rain=0.0),
-        specs=('f',), participants=(),
+        judging=Judging(specs=('f',)), participants=(),
     )
 
 
@@ -55,12 +57,14 @@ def answers(crew: WorkerPool, number: int) -> list[Answer]:
 
 def test_given_runs_then_they_travel_whole(tmp_path):
     asked = RunRequest(
-        run_id='r', index=3, program='p', seed=2**60, specs=('a', 'b'), participants=('c',),
+        run_id='r', index=3, program='p', seed=2**60, participants=('c',),
+        judging=Judging(specs=('a', 'b'), stop_on=StopOn.DECIDED, bounds=('d',), rates=('e',)),
         scenario=Scenario(cross_track_m=0.1 + 0.2, clouds='stratus', rain=1 / 3),
     )
     statistics = RunStatistics(max_cross_track_m=31.5, he_error=ErrorStatistics(mean=-1 / 3))
     answer = RunResult(
-        outcome=Outcome.FAIL, rho={'f': -1 / 3}, last_seq=4, statistics=statistics,
+        outcome=Outcome.FAIL, robustness=exact_intervals({'f': -1 / 3}),
+        last_seq=4, statistics=statistics,
     )
     assert request_from_json(json.loads(encode_line(request_to_json(asked)))) == asked
     back = result_from_json(json.loads(encode_line(result_to_json(answer))))

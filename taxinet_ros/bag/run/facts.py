@@ -25,7 +25,8 @@ from taxinet_ros.bag.run.topics import (
 )
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.outcome import RunRequest, parse_stop_on
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.provenance import NAMES, Provenance
@@ -45,6 +46,8 @@ class RecordedRun:
         gains: steering gains that differed from the law's defaults.
         controller: what another controller than the steering law said of itself; '' for the law.
         controller_fingerprint: the sha256 that it told, or ''.
+        world, world_fingerprint: name of the world that a package brought, and its sha256; '' for
+            the simulated one.
         timing: when its answers took effect.
     """
 
@@ -54,6 +57,8 @@ class RecordedRun:
     gains: Mapping[str, float]
     controller: str = ''
     controller_fingerprint: str = ''
+    world: str = ''
+    world_fingerprint: str = ''
     timing: Timing = AT_ONCE
 
 
@@ -88,6 +93,8 @@ def recorded_run(recording: Recording) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
+            world=world.detail if world and world.fingerprint else '',
+            world_fingerprint=world.fingerprint if world else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error
@@ -126,11 +133,8 @@ def _request(message: Any) -> RunRequest:
         raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,
-        seed=int(message.seed), scenario=scenario_of(message), specs=tuple(message.specs),
-        participants=tuple(message.participants),
-        # Bags from before there was a choice lack these.
-        stop_on=parse_stop_on(getattr(message, 'stop_on', '')),
-        bounds=tuple(getattr(message, 'bounds', ())), rates=tuple(getattr(message, 'rates', ())),
+        seed=int(message.seed), scenario=scenario_of(message),
+        judging=Judging.from_message(message), participants=tuple(message.participants),
     )
 
 

@@ -13,7 +13,7 @@ from taxinet_ros.bench.measure import Subject
 from taxinet_ros.bench.processes import TAXINET, VERDICTS, Amounts
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.processes.child import ChildProcess, package_environment
 
 WORKERS = (1, 2)
@@ -69,7 +69,7 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
             process.end()
         if process.code not in VERDICTS or len(stamps) != RUNS:
             detail = f'{len(stamps)} of {RUNS} runs, {process.how_it_ended()}'
-            raise InfraError('start', process.name, -1, detail)
+            raise InfraError(InfraKind.DIED, process.name, -1, detail)
     counted = RUNS - workers
     return {part_name(workers): (stamps[-1] - stamps[workers - 1]) // counted}
 
@@ -85,6 +85,8 @@ def _watch(process: ChildProcess, ledger: Path) -> list[int]:
             results = ledger.read_bytes().count(b'"event":"result"')
             stamps += [time.perf_counter_ns()] * (results - len(stamps))
         if time.monotonic() > deadline:
-            raise InfraError('timeout', process.name, -1, f'not done after {_LIMIT_S:g} s')
+            raise InfraError(
+                InfraKind.TIMEOUT, process.name, -1, f'not done after {_LIMIT_S:g} s'
+            )
         time.sleep(_LOOK_S)
     return stamps

@@ -28,7 +28,7 @@ from taxinet_ros.bench.processes import (
     peak_memory,
     wait_for,
 )
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface, steering_controller
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.processes.child import ChildProcess, module_command, package_environment
@@ -99,7 +99,7 @@ def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
             time.sleep(LOOK_S)
         whole = time.perf_counter_ns() - start
         if process.code not in VERDICTS:
-            raise InfraError('start', process.name, -1, process.how_it_ended())
+            raise InfraError(InfraKind.DIED, process.name, -1, process.how_it_ended())
     return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
 
 

@@ -20,7 +20,7 @@ from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import STEERING, SteeringGains
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
@@ -38,7 +38,7 @@ class JudgedRun:
         run_id, seed, scenario: as it was asked for.
         specs: formulas as text, the headline first.
         outcome: how it ended.
-        rho: robustness by the formula's name, as far as it is known.
+        robustness: by the formula's name.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
         controller, controller_fingerprint: the word of what steers, or what an unknown one said of
@@ -51,7 +51,7 @@ class JudgedRun:
     scenario: Scenario
     specs: tuple[str, ...]
     outcome: Outcome
-    rho: Mapping[str, float]
+    robustness: Mapping[str, RobustnessInterval]
     perception: str
     fingerprint: str
     gains: Mapping[str, float]
@@ -108,12 +108,14 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
         )
     outcome = Outcome((ending or {}).get('outcome', Outcome.INTERRUPTED))
     run, told = recording.run, recording.facts
-    rho: dict[str, float] = {}
+    robustness: dict[str, RobustnessInterval] = {}
     if outcome.judged and told is not None:
-        rho = {name: one.upper for name, one in told.judged.items()}
+        robustness = {
+            name: RobustnessInterval(one.lower, one.upper) for name, one in told.judged.items()
+        }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
-        specs=run.request.specs, outcome=outcome, rho=rho,
+        specs=run.request.judging.specs, outcome=outcome, robustness=robustness,
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
@@ -137,7 +139,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
     return JudgedRun(
         run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
-        outcome=row.outcome, rho=row.rho, perception=row.perception,
+        outcome=row.outcome, robustness=row.robustness, perception=row.perception,
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
@@ -181,7 +183,7 @@ def bag_differences(
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
-            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
+            f'rho of {name}': ((one.lower, one.upper), row.robustness.get(name))
             for name, one in told.judged.items()
         }
         pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}

@@ -21,10 +21,9 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.counterexamples import (
-    FailedRuns,
-    failed_runs,
-    scenario_of_row,
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_failed_campaign,
     spread_evenly,
 )
 from taxinet_ros.campaign.record.row import RunRow
@@ -36,9 +35,10 @@ from taxinet_ros.core.controller import (
     make_controller,
 )
 from taxinet_ros.core.judge import Judgement
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import StopOn
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -64,21 +64,16 @@ class TrialSetup:
 
     Attributes:
         perception: word or file of the network.
-        specs: formulas as text, the headline first.
+        judging: what decides their verdicts.
         gains: steering gains that differ from the defaults.
         controller: word of what steers.
-        stop_on: what ends a run before its end.
-        bounds, rates: what is vouched for of the signals, as text.
         timing: when answers take effect, in words.
     """
 
     perception: str
-    specs: tuple[str, ...]
+    judging: Judging
     gains: Mapping[str, float]
     controller: str = STEERING
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
     timing: str = ''
 
 
@@ -111,7 +106,7 @@ class Trial:
         passed: whether all formulas were satisfied; None where the run could not be judged.
         detail: why it could not.
         exact: whether its scene was known to the last bit, so that it must come out as recorded.
-        rho_lower, rho_upper: of the headline; equal unless the run was stopped before its end.
+        robustness: of the headline; exact unless the run was stopped before its end.
         max_cross_track_m, settle_time_s, left_runway: of the path, see
             :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
     """
@@ -121,24 +116,27 @@ class Trial:
     passed: bool | None
     detail: str = ''
     exact: bool = True
-    rho_lower: float | None = None
-    rho_upper: float | None = None
+    robustness: RobustnessInterval | None = None
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
     left_runway: bool | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; the inverse of :meth:`from_json`."""
-        return asdict(self)
+        values = asdict(self)
+        values['rho_lower'], values['rho_upper'] = values.pop('robustness') or (None, None)
+        return values
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """Read back what :meth:`to_json` gave.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            KeyError, TypeError: a field is missing or unknown.
         """
-        return cls(**values)
+        columns = dict(values)
+        ends = columns.pop('rho_lower'), columns.pop('rho_upper')
+        return cls(**columns, robustness=None if None in ends else RobustnessInterval(*ends))
 
 
 def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterator[Trial]:
@@ -185,9 +183,8 @@ def make_trial(
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
         judged = run_closed_loop(
-            task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
-            controller=controller, stop_on=bench.stop_on,
-            assumptions=parse_assumptions(bench.bounds, bench.rates),
+            task.scenario, perception, specs=bench.judging.parsed_specs, controller=controller,
+            stop_on=bench.judging.stop_on, assumptions=bench.judging.assumptions,
             timing=parse_timing(bench.timing), draws=task.seed,
         )
     except (InfraError, UserCodeError) as error:
@@ -197,13 +194,13 @@ def make_trial(
 
 def _judged(task: Task, judged: Judgement) -> Trial:
     stopped, statistics = judged.stopped_early, judged.statistics
-    if not (judged.complete or stopped):
+    outcome = outcome_of(judged)
+    if not outcome.judged:
         return _unjudged(task, 'a sample could not be judged')
-    headline = judged.readings[0]
     settled = not stopped and not math.isnan(statistics.settle_time_s)
     return Trial(
-        run_id=task.run_id, word=task.word, passed=judged.satisfied, exact=task.exact,
-        rho_lower=headline.lower, rho_upper=headline.upper,
+        run_id=task.run_id, word=task.word, passed=outcome is Outcome.PASS, exact=task.exact,
+        robustness=judged.readings[0].interval,
         max_cross_track_m=statistics.max_cross_track_m,
         settle_time_s=statistics.settle_time_s if settled else None,
         # Nobody knows whether a run that was stopped would have left the runway later.
@@ -229,7 +226,7 @@ class LocalizeOptions:
     """What is to be found out.
 
     Attributes:
-        failed: the campaign's failed runs.
+        campaign: whose failed runs are looked into.
         rows: those of them to look into.
         words: of the substitutions, the control first.
         perception: word or file of the network.
@@ -238,7 +235,7 @@ class LocalizeOptions:
         out: folder.
     """
 
-    failed: FailedRuns
+    campaign: RecordedCampaign
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
@@ -274,18 +271,18 @@ def make_localize_options(
     if runs is not None and runs < 1:
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
     chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
-    failed = failed_runs(campaign)
-    if is_free(failed.timing):
+    found = open_failed_campaign(campaign)
+    if is_free(found.timing):
         raise UsageError(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
             'failure is; localize a campaign with --latency'
         )
-    if not failed.specs:
+    if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(
-        failed=failed, rows=spread_evenly(failed.rows, runs),
+        campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
-        perception=_network(failed, perception), controller=_controller(failed), workers=workers,
+        perception=_network(found, perception), controller=_controller(found), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
     )
 
@@ -314,13 +311,10 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
-        facts = options.failed.facts
         bench = TrialSetup(
-            perception=options.perception, specs=options.failed.specs,
-            gains=dict(options.failed.gains), controller=options.controller,
-            stop_on=options.failed.stop_on,
-            bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
-            timing=options.failed.timing,
+            perception=options.perception, judging=options.campaign.judging,
+            gains=dict(options.campaign.gains), controller=options.controller,
+            timing=options.campaign.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
             _append(journal, {'event': 'trial', 'trial': trial.to_json()})
@@ -338,7 +332,7 @@ def _tasks(
         missing = [word for word in options.words if (row.run_id, word) not in done]
         if not missing:
             continue
-        scenario, exact = scenario_of_row(row, options.failed.folder, options.failed.facts)
+        scenario, exact = options.campaign.scenario(row)
         for word in missing:
             if interrupted():
                 return
@@ -348,16 +342,17 @@ def _tasks(
             )
 
 
-def _network(failed: FailedRuns, given: str | None) -> str:
+def _network(campaign: RecordedCampaign, given: str | None) -> str:
     """The network that the campaign was run with.
 
     Raises:
         UsageError: it cannot be found, or is another one now.
     """
-    recorded = failed.rows[0].perception_fingerprint
-    asked = str(failed.facts.get('perception', ''))
-    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
-    mend = f'name the file that {failed.folder} was run with: --perception FILE'
+    first = campaign.counterexamples[0]
+    recorded = first.perception_fingerprint
+    asked = str(campaign.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
+    mend = f'name the file that {campaign.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)
     except UsageError as error:
@@ -369,15 +364,15 @@ def _network(failed: FailedRuns, given: str | None) -> str:
     return str(word)
 
 
-def _controller(failed: FailedRuns) -> str:
+def _controller(campaign: RecordedCampaign) -> str:
     """What steered in the campaign.
 
     Raises:
         UsageError: it cannot be called here, or is another one now.
     """
-    word = str(failed.facts.get('controller', STEERING))
-    found = check_controller(word, failed.gains)
-    if found != (before := failed.facts.get('controller_sha256', '')):
+    word = str(campaign.facts.get('controller', STEERING))
+    found = check_controller(word, campaign.gains)
+    if found != (before := campaign.facts.get('controller_sha256', '')):
         raise UsageError(
             f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
             'back as it was'
@@ -387,17 +382,17 @@ def _controller(failed: FailedRuns) -> str:
 
 def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
-    failed = options.failed
+    campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
     facts = {
-        **{name: failed.facts.get(name) for name in names},
-        **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
-        'stop_on': failed.stop_on.value,
-        **({'timing': failed.timing} if failed.timing else {}),
+        **{name: campaign.facts.get(name) for name in names},
+        **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
+        'stop_on': campaign.judging.stop_on.value,
+        **({'timing': campaign.timing} if campaign.timing else {}),
         **({} if options.controller == STEERING else {
-            'controller_sha256': failed.facts.get('controller_sha256')
+            'controller_sha256': campaign.facts.get('controller_sha256')
         }),
-        'perception_sha256': failed.rows[0].perception_fingerprint,
+        'perception_sha256': campaign.counterexamples[0].perception_fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
 

@@ -28,7 +28,7 @@ from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 from taxinet_ros.core.world import last_step
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.processes.child import (
     ChildProcess,
@@ -340,7 +340,8 @@ class SceneSource:
         self._stop()
         program = _shown(self.program)
         if -status in _FROM_OUTSIDE:
-            return InfraError('died', f'the Scenic process of {program}', -1, exit_words(status))
+            how = exit_words(status)
+            return InfraError(InfraKind.DIED, f'the Scenic process of {program}', -1, how)
         if status < 0:
             how = f'was ended by {signal_name(-status)}'
         else:

@@ -22,7 +22,6 @@ from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.runway import CROSSING_X_M
@@ -210,7 +209,7 @@ class ShrinkOptions:
     @property
     def headline(self) -> str:
         """Name of the formula that has to stay violated."""
-        return parse_spec(self.campaign.specs[0]).name
+        return self.campaign.judging.headline
 
 
 def make_shrink_options(
@@ -266,11 +265,11 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
         raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
     if other_specs:
         return
-    rho = run.rho.get(run.headline, 0.0)
-    if rho > 0:
+    interval = run.robustness.get(run.headline)
+    if interval is not None and interval.satisfied:
         raise UsageError(
-            f'{path}: satisfied {run.headline} with rho {rho:+.2f}; name a run that failed, or '
-            'with --spec what it failed'
+            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
+            'failed, or with --spec what it failed'
         )
 
 

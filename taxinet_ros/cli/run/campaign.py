@@ -22,9 +22,9 @@ from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import GroundTruth
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes.names import PARTICIPANTS
 from taxinet_ros.processes.interrupts import interrupts
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             print_rows_if_lost(progress.console, campaign.rows, shown=True),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.give_up),
         ):
-            graphs.check(campaign.controller_sha256)
+            graphs.check(campaign.book.facts['controller_sha256'])
             lines = [campaign_heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in requirement_lines(campaign.check):

@@ -131,30 +131,16 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     """
     check_workers(options.workers)
     console = Console(highlight=False)
-    live = console.is_terminal and not quiet
-
-    def show(row: RunRow) -> None:
-        # A terminal has the bar for what goes as it should.
-        if not quiet and (not live or not row.outcome.judged):
-            console.print(row_line(row), soft_wrap=True)
-
-    search = Search(options, PARTICIPANTS, show)
-    with print_rows_if_lost(console, search.rows, shown=not (quiet or live)), search:
-        if search.warning:
-            console.print(search.warning, soft_wrap=True, markup=False)
+    with _open_search(options, console, quiet=quiet) as search:
+        if search.book.warning:
+            console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
             lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
-        with (
-            interrupts(search.interrupt),
-            search_view(console, search, shown=live),
-            WorkerPool(
-                _worker_command(search), options.workers, options.campaign.out / 'logs'
-            ) as crew,
-        ):
-            run_search(search, crew)
+        with search_view(console, search, shown=console.is_terminal and not quiet):
+            _run_on_workers(search)
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
@@ -163,9 +149,32 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     return exit_code(search.rows)
 
 
-def _worker_command(search: Search) -> list[str]:
-    campaign = search.options.campaign
-    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
+@contextlib.contextmanager
+def _open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
+    """An open search that prints its rows as they come, or all where its record is lost."""
+    shown = not (quiet or console.is_terminal)
+    search = Search(options, PARTICIPANTS, lambda row: _print_row(row, console, quiet=quiet))
+    with print_rows_if_lost(console, search.rows, shown=shown), search:
+        yield search
+
+
+def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
+    # A terminal has the bar for what goes as it should.
+    if not quiet and not (console.is_terminal and row.outcome.judged):
+        console.print(row_line(row), soft_wrap=True)
+
+
+def _run_on_workers(search: Search | Shrinking) -> None:
+    """Have worker processes make the runs that an open search asks for; Ctrl-C ends it in order."""
+    options = search.options
+    graph = campaign_graph(options.campaign, search.book.facts['controller_sha256'])
+    with (
+        interrupts(search.interrupt),
+        WorkerPool(
+            worker_command(graph), options.workers, options.campaign.out / 'logs'
+        ) as pool,
+    ):
+        run_search(search, pool)
 
 
 
@@ -211,27 +220,13 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
 
     The first one says how the requirements are understood, for they are the same in all.
     """
-    live = console.is_terminal
-
-    def show(row: RunRow) -> None:
-        # A terminal has the bar for what goes as it should.
-        if not live or not row.outcome.judged:
-            console.print(row_line(row), soft_wrap=True)
-
-    search = Search(options, PARTICIPANTS, show)
-    with print_rows_if_lost(console, search.rows, shown=not live), search:
+    with _open_search(options, console, quiet=False) as search:
         for line in requirement_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in (*search.notes, *filter(None, [search.warning])):
+        for note in (*search.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
-        with (
-            interrupts(search.interrupt),
-            search_view(console, search, shown=live),
-            WorkerPool(
-                _arm_worker_command(search), options.workers, options.campaign.out / 'logs'
-            ) as crew,
-        ):
-            run_search(search, crew)
+        with search_view(console, search, shown=console.is_terminal):
+            _run_on_workers(search)
     return search
 
 
@@ -267,11 +262,6 @@ def _report(
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
 
 
-def _arm_worker_command(search: Search) -> list[str]:
-    campaign = search.options.campaign
-    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
-
-
 def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     """Shrink it, write down what came of it, and print that.
 
@@ -294,19 +284,11 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         shrinking = Shrinking(options, PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
         with print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking:
-            if shrinking.warning:
-                console.print(shrinking.warning, soft_wrap=True, markup=False)
+            if shrinking.book.warning:
+                console.print(shrinking.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            with (
-                interrupts(shrinking.interrupt),
-                WorkerPool(
-                    _shrink_worker_command(shrinking),
-                    options.workers,
-                    options.campaign.out / 'logs',
-                ) as crew,
-            ):
-                run_search(shrinking, crew)
+            _run_on_workers(shrinking)
     found = make_report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)
@@ -341,17 +323,13 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
         return
     assert found.original is not None
     name = options.headline
-    before = f', it had {options.run.rho[name]:+.2f}' if name in options.run.rho else ''
+    interval = options.run.robustness.get(name)
+    before = f', it had {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
         f'{options.run.run_id}: not reproduced: run again, {name} has rho '
         f'{found.original.rho[name]:+.2f}{before}; recorded by another version, or with another '
         'perception or other gains?'
     )
-
-
-def _shrink_worker_command(shrinking: Shrinking) -> list[str]:
-    campaign = shrinking.options.campaign
-    return worker_command(campaign_graph(campaign, shrinking.controller_sha256))
 
 
 @contextlib.contextmanager
@@ -366,9 +344,7 @@ def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow]
         task = progress.add_task('', total=None)
 
         def show(row: RunRow) -> None:
-            # A terminal has the bar for what goes as it should.
-            if not quiet and (not live or not row.outcome.judged):
-                progress.console.print(row_line(row), soft_wrap=True)
+            _print_row(row, progress.console, quiet=quiet)
             progress.update(task, advance=1, description=f'{row.outcome} {scene_words(row)}')
 
         yield show

@@ -34,7 +34,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
@@ -112,7 +112,7 @@ class Player(Node):
             elif self._ready:
                 self._next()
         if time.monotonic() - self._heard_at > ANSWER_TIMEOUT_S:
-            kind = 'not_ready' if self._seq < 0 else 'timeout'
+            kind = InfraKind.NOT_READY if self._seq < 0 else InfraKind.TIMEOUT
             self._fail(kind, f'silent for {ANSWER_TIMEOUT_S:g} s')
 
     def _found(self) -> bool:
@@ -127,7 +127,7 @@ class Player(Node):
         if status.state == NodeStatus.READY:
             self._ready, self._heard_at = True, time.monotonic()
         elif status.state == NodeStatus.ERROR:
-            self._fail('node_error', status.detail)
+            self._fail(InfraKind.NODE_ERROR, status.detail)
 
     def _on_answer(self, topic: str, message: Any) -> None:
         for seq, messages in self._collector.add(topic, message.seq, message):
@@ -201,7 +201,7 @@ def replay(
         gains=run.gains if controller == STEERING else {},
     )
     kind, parameters = options.nodes()[target]
-    per_step = len(request.specs) if answer.recorded == interface.PER_SPEC else 1
+    per_step = len(request.judging.specs) if answer.recorded == interface.PER_SPEC else 1
     with _spinning() as (executor, context, add):
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         add(kind(context=context, parameter_overrides=overrides))

@@ -16,18 +16,18 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import check_specs
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import LateCommands
-from taxinet_ros.core.mtl import parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
+from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
-from taxinet_ros.core.world import World
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.core.world import SimulatedWorld, WorldMaker
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
-from taxinet_ros.nodes.messages.convert import PROTOCOL, header, one_line
+from taxinet_ros.nodes.messages.convert import header, one_line
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.names import check_participants
 
@@ -45,10 +45,10 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
     """
     if answer.seq > seq:
         detail = f'answered frame {answer.seq}, which is not out yet'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
     if answer.stamp_ns != answer.seq * CONTROL_PERIOD_NS:
         detail = f'its answer to frame {answer.seq} is stamped {answer.stamp_ns / 1e9:g} s'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
 
 
 def check_command(command: TaxiCommand, who: str, seq: int) -> None:
@@ -59,7 +59,7 @@ def check_command(command: TaxiCommand, who: str, seq: int) -> None:
     """
     if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
         detail = f'commanded {command.steering_rad:g} rad at {command.speed_mps:g} m/s'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
 
 
 FREE_TICK_S = 0.001
@@ -90,13 +90,16 @@ def chosen_timing(timing: Timing, *, lockstep: bool, factor: float) -> Timing:
 class ActiveRun:
     """The world, the lockstep's bookkeeping and the answer that a goal's client waits for."""
 
-    def __init__(self, goal: Any, executor: Any, timing: Timing) -> None:
+    def __init__(
+        self, goal: Any, executor: Any, timing: Timing, make_world: WorldMaker = SimulatedWorld
+    ) -> None:
         """Build the world that the goal's scenario describes.
 
         Args:
             goal: of the action.
             executor: of the node.
             timing: when answers take effect.
+            make_world: makes the world.
 
         Raises:
             UsageError: the scenario has a value out of range, no name that a folder can have, an
@@ -114,12 +117,13 @@ class ActiveRun:
             raise UsageError(f'run_id {self.run_id!r}: use letters, digits, _, - and . only')
         if not message.specs:
             raise UsageError('specs: a run needs a formula to be judged by')
-        parse_assumptions(message.bounds, message.rates)
+        judging = Judging.from_message(message)
+        _ = judging.assumptions  # refused if they are none
         scenario = scenario_of(message)
-        check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
-        self.world = World(scenario)
+        check_specs(judging.parsed_specs, scenario.duration_s)
+        self.world = make_world(scenario)
         self.commands = LateCommands(timing, message.seed, message.index)
-        may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
+        may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(
                 f'stop_on {message.stop_on}: not in a free run, where nobody waits for the monitor'
@@ -174,7 +178,7 @@ class ActiveRun:
 def not_begun(run_id: str, error: Exception) -> RunStatus:
     """How a run ends whose world could not be built: the scenario's fault, or the bench's."""
     status = RunStatus(
-        run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind='sim',
+        run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=InfraKind.SIM,
         who=interface.SIMULATOR, detail=one_line(error),
     )
     if isinstance(error, UsageError):

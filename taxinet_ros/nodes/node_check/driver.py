@@ -31,6 +31,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TrackingError
@@ -519,7 +520,8 @@ class Stage:
         self._record.runs.append(run)
         self._say(interface.SCENARIO, scenario_message(RunRequest(
             run_id=run_id, index=len(self._record.runs) - 1, program='check-node', seed=0,
-            scenario=_SCENE, specs=('phi_always',), participants=tuple(participants),
+            scenario=_SCENE, judging=Judging(specs=('phi_always',)),
+            participants=tuple(participants),
         )))
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.PREPARING))
         return run

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros import __version__
-from taxinet_ros.core.provenance import Provenance, differences, known, provenance
+from taxinet_ros.core.provenance import Provenance, begun_elsewhere, known, provenance
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import JournalOwner, damaged_line, open_journal, read_journal
 
@@ -90,13 +90,10 @@ class StageLog(JournalOwner):
         self.records.setdefault(stage, StageRecord()).take(line)
 
 
-def other_stack(records: Mapping[str, StageRecord]) -> str:
+def stack_warning(records: Mapping[str, StageRecord]) -> str:
     """One line where a stage was begun on another machine or version than this; else ''."""
     before = [stack for record in records.values() for stack in record.stacks]
-    if not all(before):
-        return 'nothing tells on which machine and versions all the stages so far were made'
-    found = differences(*before, provenance())
-    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
+    return begun_elsewhere(before, provenance(), 'all the stages so far')
 
 
 def read_records(out: Path) -> dict[str, StageRecord]:

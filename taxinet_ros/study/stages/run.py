@@ -11,7 +11,7 @@ from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.processes.child import ChildProcess, exit_words, package_environment
 from taxinet_ros.processes.interrupts import interrupts
-from taxinet_ros.study.stages.log import StageLog, other_stack
+from taxinet_ros.study.stages.log import StageLog, stack_warning
 from taxinet_ros.study.stages.progress import (
     State,
     can_resume,
@@ -95,7 +95,7 @@ class StudyRun:
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        if warning := other_stack(self._log.records):
+        if warning := stack_warning(self._log.records):
             self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):

@@ -20,7 +20,9 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -30,24 +32,24 @@ SPECS = ('phi_eventually', 'near')
 
 def result(index: int, *, stopped: bool, furthest: float = 4.0) -> RunResult:
     given = {
-        'rho': {'near': -0.5}, 'rho_lower': {'phi_eventually': -math.inf, 'near': -0.5},
-        'rho_upper': {'phi_eventually': -0.25, 'near': -0.5},
-    } if stopped else {'rho': {'phi_eventually': -3.0, 'near': -3.5}}
+        'phi_eventually': RobustnessInterval(-math.inf, -0.25),
+        'near': RobustnessInterval.exactly(-0.5),
+    } if stopped else exact_intervals({'phi_eventually': -3.0, 'near': -3.5})
     return RunResult(
         outcome=Outcome.FAIL, last_seq=101 if stopped else 300, wall_s=1.0, stopped_early=stopped,
-        statistics=RunStatistics(max_cross_track_m=furthest, settle_time_s=1.0), **given,
+        statistics=RunStatistics(max_cross_track_m=furthest, settle_time_s=1.0), robustness=given,
     )
 
 
 def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
     asked = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5, scenario=Scenario(),
-        specs=SPECS, participants=(), stop_on=StopOn.VIOLATED,
+        participants=(), judging=Judging(specs=SPECS, stop_on=StopOn.VIOLATED),
     )
     answer = result(index, stopped=stopped, furthest=furthest)
     sim_s = answer.last_seq / 10
     made = RunRow.of_run(asked, answer, perception='truth', sim_s=sim_s, bag=asked.run_id)
-    return made.chosen(sampler='random', point={}, weight=1.0, retries=0)
+    return made.with_choice(sampler='random', point={}, weight=1.0, retries=0)
 
 
 def test_given_a_stopped_run_when_tabulated_then_it_has_an_interval_and_says_when(tmp_path: Path):
@@ -81,14 +83,14 @@ def test_given_a_stopped_run_then_nobody_claims_to_know_what_came_after():
 
 def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_zero():
     stopped = row(0, stopped=True)
-    assert stopped.told('phi_eventually') == -0.25
+    assert stopped.robustness_for_sampler('phi_eventually') == -0.25
     assert stopped.headline == (-math.inf, -0.25)
-    assert row(1, stopped=False).told('phi_eventually') == -3.0
-    assert stopped.told('unknown') is None
+    assert row(1, stopped=False).robustness_for_sampler('phi_eventually') == -3.0
+    assert stopped.robustness_for_sampler('unknown') is None
     open_ended = RunRow.from_json({**stopped.to_json(), 'rho_lower': {'a': 0.5, 'b': -1.0},
                                    'rho_upper': {'a': math.inf, 'b': 1.0}})
-    assert open_ended.told('a') == 0.5
-    assert open_ended.told('b') is None
+    assert open_ended.robustness_for_sampler('a') == 0.5
+    assert open_ended.robustness_for_sampler('b') is None
 
 
 def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told(tmp_path: Path):
@@ -105,8 +107,9 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
 
 
 def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_interval_do_too():
-    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(), specs=SPECS,
-                       participants=('a',), stop_on=StopOn.DECIDED)
+    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(),
+                       judging=Judging(specs=SPECS, stop_on=StopOn.DECIDED, rates=('cte=3',)),
+                       participants=('a',))
     assert request_from_json(request_to_json(asked)) == asked
     answer = result(0, stopped=True)
     assert result_from_json(result_to_json(answer)) == answer
@@ -122,16 +125,18 @@ def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_i
     with Ledger(path) as ledger:
         for index, stopped in enumerate((True, False)):
             ledger.result(row(index, stopped=stopped))
-        ledger.requirement('late', 'always(cte < 1)', {0: (-1.0, 2.0), 1: (0.5, 0.5)})
+        ledger.requirement('late', 'always(cte < 1)', {
+            0: RobustnessInterval(-1.0, 2.0), 1: RobustnessInterval.exactly(0.5),
+        })
         ledger.result(row(2, stopped=False))
     content = read_ledger(path)
     assert content.added == {'late': 'always(cte < 1)'}
     first, second, third = content.rows
-    assert first.interval('late') == (-1.0, 2.0)
+    assert first.robustness['late'] == (-1.0, 2.0)
     assert first.headline == (-math.inf, -0.25), 'the headline stays the first'
     assert second.rho['late'] == 0.5
     assert second.headline == (-3.0, -3.0)
-    assert third.interval('late') is None, 'it was run afterwards'
+    assert 'late' not in third.robustness, 'it was run afterwards'
     frame = table(content.rows, SPECS)
     assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9]
     assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9]

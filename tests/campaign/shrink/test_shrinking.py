@@ -34,6 +34,8 @@ from taxinet_ros.campaign.shrink.shrinking import (
     result_lines,
     run_command,
 )
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -54,7 +56,8 @@ def judged(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
     rho = max(0.305 - scenario.rain, (scenario.distance_m - 705) / 1000)
     outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
     return RunResult(
-        outcome=outcome, last_seq=10, rho={NAME: rho} if outcome.judged else {},
+        outcome=outcome, last_seq=10,
+        robustness=exact_intervals({NAME: rho} if outcome.judged else {}),
         kind='' if outcome.judged else 'test', who='' if outcome.judged else 'simulator',
         statistics=RunStatistics(max_cross_track_m=2.0) if outcome.judged else None,
     )
@@ -64,7 +67,7 @@ def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     """A campaign with one run and no bag; the path of the run."""
     folder.mkdir()
     request = RunRequest(run_id='p-s7-00000', index=0, program='p', seed=7, scenario=scenario,
-                         specs=(NAME,), participants=())
+                         judging=Judging(specs=(NAME,)), participants=())
     result = judged(request, changes.pop('outcome', None))
     row = RunRow.of_run(request, result, perception='truth', sim_s=1.0).to_json()
     with Ledger(folder / LEDGER_NAME) as ledger:
@@ -216,7 +219,7 @@ def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
         lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
-            outcome=Outcome.PASS, rho={NAME: 0.5}, last_seq=10,
+            outcome=Outcome.PASS, robustness=exact_intervals({NAME: 0.5}), last_seq=10,
             statistics=RunStatistics(max_cross_track_m=1.0),
         ),
     )
@@ -254,7 +257,8 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
         scenario = request.scenario
         rho = min(0.305 - scenario.rain, 1.0 if scenario.distance_m > 705 else -0.1)
         return RunResult(
-            outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={NAME: rho}, last_seq=10,
+            outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
+            robustness=exact_intervals({NAME: rho}), last_seq=10,
             statistics=RunStatistics(max_cross_track_m=1.0),
         )
 
@@ -327,7 +331,7 @@ def test_given_a_run_on_a_nominal_scenario_then_there_is_nothing_to_shrink(tmp_p
 def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_path):
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     drive(options(path, out))
-    with pytest.raises(UsageError, match='has another nominal'):
+    with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
     with pytest.raises(UsageError, match='exists already'):
         options(path, out)

@@ -10,6 +10,7 @@ import pytest
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.portions import (
@@ -39,7 +40,8 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
             ledger.result(RunRow(
                 run_id=name, index=index, program='s', seed=told.seed, perception='original',
                 perception_fingerprint=told.nodes['perception'].fingerprint,
-                outcome=Outcome.FAIL if failed else Outcome.PASS, rho=rho, steps=told.steps,
+                outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
+                steps=told.steps,
                 **told.scene,
             ))
     if bags:
