@@ -215,7 +215,7 @@ class WorkerPool:
         """Nothing is started before the first :meth:`give`.
 
         Args:
-            command: what starts a worker, see :class:`.worker_process.WorkerProcess`.
+            command: what starts a worker, see :class:`WorkerProcess`.
             size: most workers.
             logs: folder for what they print.
             silence_s: how long a run may get nowhere [s of wall clock].
