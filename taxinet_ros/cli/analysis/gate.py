@@ -66,8 +66,8 @@ def _record_notes(content: LedgerContent) -> Iterator[str]:
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
-    if content.unasked:
-        yield f'run {ranges(content.unasked)}: has a result, but nothing says that it was begun'
+    if content.never_begun:
+        yield f'run {ranges(content.never_begun)}: has a result, but nothing says that it was begun'
     for timing in sorted({row.timing for row in content.rows if row.timing}):
         again = ', so their verdicts need not come again' if is_free(timing) else ''
         yield f'timing of the runs: {timing}{again}'
