@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import enum
 import sys
 
 MAX_CHARACTERS = 2000
@@ -51,18 +52,43 @@ class RecordError(Exception):
         super().__init__(plain_line(message))
 
 
+class InfraKind(enum.StrEnum):
+    """How a part of the test bench failed. ``docs/faults.md`` and ``RunStatus.msg`` list them."""
+
+    NOT_READY = 'not_ready'
+    """A node was not there, or not ready, in time."""
+    TIMEOUT = 'timeout'
+    """A node or process was silent for too long."""
+    DIED = 'died'
+    """A process ended."""
+    NODE_ERROR = 'node_error'
+    """A node could not go on, and said why."""
+    PROTOCOL = 'protocol'
+    """A node gave an answer that cannot be one: it does not keep to the lockstep."""
+    SIM = 'sim'
+    """The simulator or JSBSim broke."""
+    BAG = 'bag'
+    """The run could not be recorded whole."""
+    INVALID_RUN = 'invalid_run'
+    """The monitor had no whole, finite sequence of samples."""
+    BUSY = 'busy'
+    """The simulator is at a run of somebody else."""
+    INTRUDER = 'intruder'
+    """Somebody who has no part in the run publishes on one of its topics."""
+
+
 class InfraError(Exception):
     """A part of the test bench failed, so the run has no verdict. CLI exit 4.
 
     Attributes:
-        kind: short machine-readable word, e.g. ``timeout``, ``died``, ``not_ready``, ``sim``.
+        kind: an :class:`InfraKind`, or the word that a simulator of somebody else's has for it.
         who: name of the node or part that failed.
         step: control step at which it happened, or -1 before the first.
     """
 
     def __init__(self, kind: str, who: str, step: int, detail: str) -> None:
         super().__init__(f'{kind}: {who}{f" at step {step}" if step >= 0 else ""}: {detail}')
-        self.kind = kind
+        self.kind = str(kind)
         self.who = who
         self.step = step
         self.detail = detail

@@ -10,8 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.reader import StoredMessage, read_attachment, read_info, stored_messages
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.writer import RUN_METADATA, BagWriter
 from taxinet_ros.core.types import TaxiCommand, quaternion
 from taxinet_ros.core.world import World
@@ -26,8 +25,8 @@ PERIOD_NS = 100_000_000
 
 def driven_here(folder: Path) -> Path:
     """The first steps of the golden run as this machine drives them, which rounds as it does."""
-    commands = read_trace(SEEN)
-    world = World(read_run(SEEN).request.scenario, pictures=False)
+    commands = open_recording(SEEN).columns
+    world = World(open_recording(SEEN).run.request.scenario, pictures=False)
     states = []
     for seq in range(STEPS):
         states.append(world.observe().state)

@@ -156,7 +156,7 @@ def reproduced(row: RunRow, control: Trial) -> bool:
     """
     if control.passed is not False:
         return False
-    return not control.exact or (control.rho_lower, control.rho_upper) == row.headline
+    return not control.exact or control.robustness == row.headline
 
 
 def judge_case(row: RunRow, trials: Mapping[str, Trial]) -> Case:
@@ -473,7 +473,7 @@ def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
         trial, name = case.trials.get(word), word.replace('-', '_').replace(':', '_')
         values |= {
             f'passed_{name}': trial.passed if trial else None,
-            f'rho_{name}': trial.rho_lower if trial else None,
+            f'rho_{name}': trial.robustness.lower if trial and trial.robustness else None,
             f'max_cross_track_m_{name}': trial.max_cross_track_m if trial else None,
         }
     return values

@@ -415,11 +415,9 @@ def _add_run(
 
 
 def _rho_words(row: RunRow) -> str:
-    names = dict.fromkeys((*row.rho_upper, *row.rho))
-    ends = {name: row.interval(name) for name in names}
     return ', '.join(
         f'{name}: rho {low:+.3f}' if low == high else f'{name}: rho {low:+.3f} to {high:+.3f}'
-        for name, (low, high) in ((name, end) for name, end in ends.items() if end)
+        for name, (low, high) in row.robustness.items()
     )
 
 

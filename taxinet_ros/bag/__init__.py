@@ -2,14 +2,12 @@
 
 The traces of a run as a table, on any machine with Python::
 
-    from pathlib import Path
+    from taxinet_ros.bag import open_recording
 
-    from taxinet_ros.bag import read_table, read_trace_table
-
-    run = Path('bags/campaign/s_falsif-s0-00000')
-    trace = read_trace_table(run)            # a row per control step
+    run = open_recording('bags/campaign/s_falsif-s0-00000')
+    trace = run.trace                        # a row per control step
     print(trace['cte_m'].abs().max(), trace.attrs['units']['cte_m'])
-    odom = read_table(run, 'ground_truth/odom')
+    odom = run.table('ground_truth/odom')
     odom.plot('t_s', 'pose.pose.position.y')
 
 Of a run that was not finished these raise :class:`BagTruncated`, one line that says what to do;
@@ -32,9 +30,7 @@ if TYPE_CHECKING:
         BagWriteError,
     )
     from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
-    from taxinet_ros.bag.run.facts import read_facts
-    from taxinet_ros.bag.run.tables import read_table, read_tables, read_trace_table
-    from taxinet_ros.bag.run.trace import read_images, read_trace
+    from taxinet_ros.bag.run.recording import Recording, open_recording
 
 __all__ = [
     'BagCorrupt',
@@ -43,16 +39,12 @@ __all__ = [
     'BagForeign',
     'BagTruncated',
     'BagWriteError',
+    'Recording',
     'check_bag',
+    'open_recording',
     'read_attachment',
-    'read_facts',
-    'read_images',
     'read_info',
     'read_messages',
-    'read_table',
-    'read_tables',
-    'read_trace',
-    'read_trace_table',
 ]
 
 _HOME = {
@@ -61,10 +53,8 @@ _HOME = {
         'errors',
     ),
     **dict.fromkeys(('read_attachment', 'read_info', 'read_messages'), 'reader'),
-    **dict.fromkeys(('read_table', 'read_tables', 'read_trace_table'), 'run.tables'),
-    **dict.fromkeys(('read_images', 'read_trace'), 'run.trace'),
+    **dict.fromkeys(('Recording', 'open_recording'), 'run.recording'),
     'check_bag': 'check.doctor',
-    'read_facts': 'run.facts',
 }
 
 

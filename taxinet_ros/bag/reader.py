@@ -1,8 +1,8 @@
 """Messages and the table of contents of a bag, ours or another ROS 2 recorder's.
 
-:func:`sound_messages` reads some topics of a sound file several times as fast as a scan, for
-those who go through thousands of bags. It holds every checksum and count against the data all
-the same; where one fails, the scan tells which, and what can be saved.
+:func:`read_contents` reads a bag in one pass: its table of contents, and the messages that are
+wanted. A sound file is read a few times as fast as a scan does it, and every checksum and count is
+held against the data all the same; where one fails, the scan tells which, and what can be saved.
 """
 
 from __future__ import annotations
@@ -11,18 +11,35 @@ import struct
 import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Header,
+    Message,
+    Metadata,
+    Schema,
+)
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, compressed, storage_files
-from taxinet_ros.bag.storage.records import HEAD, MAGIC, ReadBudget, open_chunk, parse_record
-from taxinet_ros.bag.storage.scan import OnDamage, scan, unchecked
+from taxinet_ros.bag.storage.records import (
+    HEAD,
+    MAGIC,
+    ReadBudget,
+    check_message_index,
+    open_chunk,
+    parse_record,
+)
+from taxinet_ros.bag.storage.scan import PROFILE, OnDamage, scan, unchecked
 from taxinet_ros.bag.storage.summary import check_summary
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
@@ -33,6 +50,14 @@ _TROUBLES_TOLD = 3
 """Places that one line names; a damaged disk may have made hundreds."""
 Wanted = Callable[[str], bool]
 """Whether the topic of this name is to be read."""
+KeptBytes = Callable[[str], int]
+"""How much of each message on the topic of this name is to be kept [bytes]."""
+_MOST_AT_ONCE_BYTES = 1 << 28
+"""A larger file is scanned piece by piece, not read into memory."""
+_IN_SOUND_FILES = frozenset({
+    Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
+    Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
+})
 
 
 class RawMessage(NamedTuple):
@@ -141,33 +166,11 @@ def read_info(path: Path, on_damage: OnDamage | None = None) -> BagInfo:
     Raises:
         BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
     """
-    contents = _Contents()
-    trouble: list[str] = []
-
-    def note_damage(error: BagError) -> None:
-        trouble.append(str(error))
-        if on_damage is not None:
+    contents = read_contents(path, lambda topic: 0)
+    if on_damage is not None:
+        for _, error in contents.damage:
             on_damage(error)
-
-    for file in storage_files(path):
-        infos = _Topics()
-        for record in scan(file, note_damage):
-            infos.note(record)
-            contents.note(record, infos)
-    trouble += _folder_trouble(path, sum(contents.counts.values()))
-    return BagInfo(
-        path=path,
-        topics=tuple(contents.topics.values()),
-        counts=contents.counts,
-        start_ns=contents.start_ns or 0,
-        end_ns=contents.end_ns,
-        metadata=contents.metadata,
-        attachments=tuple(contents.attachments),
-        complete=not trouble,
-        trouble='; '.join(trouble[:_TROUBLES_TOLD]) + _more(len(trouble) - _TROUBLES_TOLD),
-        back_ns=contents.back_ns,
-        unchecked=unchecked_files(path),
-    )
+    return contents.info
 
 
 def unchecked_files(path: Path) -> str:
@@ -232,34 +235,123 @@ class _Topics:
 
 
 @dataclass
-class _Contents:
-    """What :func:`read_info` gathers."""
+class Contents:
+    """What one pass over a bag has found.
 
+    Attributes:
+        path: as given.
+        topics: by name, in the order of the file.
+        counts: sound messages by topic name, zeros included.
+        metadata: metadata records by name; of several by one name, the last.
+        attachments: names of the files that were put into the bag.
+        messages: those that were wanted, in the order of the recording.
+        damage: what could not be read, each behind how many of ``messages``.
+        checked: it is one file, and every byte of it stands under a checksum that holds.
+    """
+
+    path: Path
     topics: dict[str, TopicInfo] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[str] = field(default_factory=list)
-    start_ns: int | None = None
-    end_ns: int = 0
-    back_ns: int = 0
-    latest_ns: int = 0
+    messages: list[StoredMessage] = field(default_factory=list)
+    damage: list[tuple[int, BagError]] = field(default_factory=list)
+    checked: bool = False
+    _start_ns: int | None = None
+    _end_ns: int = 0
+    _back_ns: int = 0
+    _latest_ns: int = 0
 
-    def note(self, record: object, infos: _Topics) -> None:
-        """Take in a record."""
-        if isinstance(record, Channel):
-            self.topics.setdefault(record.topic, infos.by_channel[record.id])
-            self.counts.setdefault(record.topic, 0)
-        elif isinstance(record, Message):
-            self.counts[infos.by_channel[record.channel_id].name] += 1
-            stamp = record.log_time
-            self.start_ns = stamp if self.start_ns is None else min(self.start_ns, stamp)
-            self.end_ns = max(self.end_ns, stamp)
-            self.back_ns = max(self.back_ns, self.latest_ns - stamp)
-            self.latest_ns = stamp
+    @cached_property
+    def info(self) -> BagInfo:
+        """The table of contents, held against ``metadata.yaml`` where it is a folder."""
+        trouble = [str(error) for _, error in self.damage]
+        trouble += _folder_trouble(self.path, sum(self.counts.values()))
+        return BagInfo(
+            path=self.path,
+            topics=tuple(self.topics.values()),
+            counts=self.counts,
+            start_ns=self._start_ns or 0,
+            end_ns=self._end_ns,
+            metadata=self.metadata,
+            attachments=tuple(self.attachments),
+            complete=not trouble,
+            trouble='; '.join(trouble[:_TROUBLES_TOLD]) + _more(len(trouble) - _TROUBLES_TOLD),
+            back_ns=self._back_ns,
+            unchecked='' if self.checked else unchecked_files(self.path),
+        )
+
+    def note(self, record: object, kept_bytes: KeptBytes) -> None:
+        """Take in a topic, a message, a metadata record or an attachment."""
+        if isinstance(record, StoredMessage):
+            name, stamp_ns = record.topic.name, record.stamp_ns
+            self.counts[name] += 1
+            if self._start_ns is None or stamp_ns < self._start_ns:
+                self._start_ns = stamp_ns
+            self._end_ns = max(self._end_ns, stamp_ns)
+            self._back_ns = max(self._back_ns, self._latest_ns - stamp_ns)
+            self._latest_ns = stamp_ns
+            if size := kept_bytes(name):
+                short = len(record.cdr) > size
+                self.messages.append(record._replace(cdr=record.cdr[:size]) if short else record)
+        elif isinstance(record, TopicInfo):
+            self.topics.setdefault(record.name, record)
+            self.counts.setdefault(record.name, 0)
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):
             self.attachments.append(record.name)
+
+
+def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
+    """Read a bag in one pass; damage is told in the result, not raised.
+
+    Args:
+        path: a bag's folder or an ``.mcap`` file.
+        kept_bytes: how much of each message of a topic to keep [bytes]; of 0, none of them.
+
+    Raises:
+        BagEmpty, BagForeign, UsageError: as :func:`read_messages`.
+    """
+    files = storage_files(path)
+    if len(files) == 1 and files[0].stat().st_size <= _MOST_AT_ONCE_BYTES:
+        contents = Contents(path, checked=True)
+        try:
+            for record in _SoundFile(files[0].read_bytes()).records():
+                contents.note(record, kept_bytes)
+        except (OSError, BagError, struct.error, LookupError, UnicodeDecodeError):
+            pass  # The scan tells what is wrong, and reads on behind it.
+        else:
+            return contents
+    contents = Contents(path)
+
+    def note_damage(error: BagError) -> None:
+        contents.damage.append((len(contents.messages), error))
+
+    for file in files:
+        for record in _scanned(file, kept_bytes, note_damage):
+            contents.note(record, kept_bytes)
+    return contents
+
+
+def _scanned(
+    file: Path, kept_bytes: KeptBytes, on_damage: OnDamage | None
+) -> Iterator[TopicInfo | StoredMessage | Metadata | Attachment]:
+    """What a scan finds in a file, messages with their topics."""
+    infos = _Topics()
+    for record in scan(file, on_damage):
+        infos.note(record)
+        if isinstance(record, Message):
+            info = infos.by_channel[record.channel_id]
+            if kept_bytes(info.name):
+                if record.data.startswith(_ZSTD):
+                    raise BagForeign(compressed(file, 'message'), path=file)
+                infos.check_cdr(record.channel_id, file)
+            yield StoredMessage(info, record.log_time, record.data)
+        elif isinstance(record, Channel):
+            yield infos.by_channel[record.id]
+        elif isinstance(record, Metadata | Attachment):
+            yield record
 
 
 def _more(count: int) -> str:
@@ -290,70 +382,77 @@ class DecodedMessage(NamedTuple):
 
 def decoded_messages(path: Path, wanted: Wanted | None = None) -> Iterator[DecodedMessage]:
     """Yield the decoded messages of a bag; errors as ``reader.read_messages``."""
-    for count, (topic, stamp_ns, cdr) in enumerate(stored_messages(path, wanted)):
-        try:
-            message = decode(topic, cdr)
-        except BagError as error:
-            text = f'{path}: at {stamp_ns} ns: {error}; {count} sound messages before'
-            raise type(error)(text, path=path, recovered=count) from error
-        yield DecodedMessage(topic.name, stamp_ns, message)
+    for count, stored in enumerate(stored_messages(path, wanted)):
+        message = decode_of(path, stored, count)
+        yield DecodedMessage(stored.topic.name, stored.stamp_ns, message)
+
+
+def decode_of(path: Path, stored: StoredMessage, count: int) -> Any:
+    """A message of the bag at ``path``, decoded; ``count`` sound ones were read before it.
+
+    Raises:
+        BagCorrupt, BagForeign: it is not what its topic says.
+    """
+    try:
+        return decode(stored.topic, stored.cdr)
+    except BagError as error:
+        text = f'{path}: at {stored.stamp_ns} ns: {error}; {count} sound messages before'
+        raise type(error)(text, path=path, recovered=count) from error
 
 
 _MESSAGE = struct.Struct('<HIQQ')
 
 
-def sound_messages(path: Path, wanted: Wanted) -> Iterator[StoredMessage]:
-    """Yield wanted messages of a file, in its order.
-
-    Args:
-        path: an ``.mcap`` file.
-        wanted: whether the topic of this name is to be read; asked for every message, so that it
-            may depend on those before.
-
-    Yields:
-        Messages, of topics without quality of service and type hash. Only once all have come are
-        they known to be sound.
-
-    Raises:
-        BagCorrupt: the file is not sound through and through, or not of the kind that
-            :mod:`.writer` writes.
-    """
-    try:
-        yield from _SoundFile(path.read_bytes()).messages(wanted)
-    except (OSError, BagError, struct.error, LookupError, UnicodeDecodeError) as error:
-        raise BagCorrupt(f'{path}: {error}', path=path) from error
-
-
 class _SoundFile:
-    """One pass over a file in memory; whatever is unusual raises."""
+    """One pass over a file in memory; whatever is unusual raises.
+
+    Only once all records have come are they known to be sound.
+    """
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        self._schemas: dict[int, Schema] = {}
-        self._topics: dict[int, TopicInfo] = {}
+        self._infos = _Topics()
         self._count = 0
         self._work = ReadBudget(len(data))
+        self._chunks: set[bytes] = set()
 
-    def messages(self, wanted: Wanted) -> Iterator[StoredMessage]:
+    def records(self) -> Iterator[TopicInfo | StoredMessage | Metadata | Attachment]:
         data, offset = self._data, len(MAGIC)
         if not data.startswith(MAGIC):
             raise BagCorrupt('not an MCAP file')
         while True:
             opcode, length = HEAD.unpack_from(data, offset)
             body = data[offset + HEAD.size:offset + HEAD.size + length]
-            if opcode == Opcode.MESSAGE or len(body) != length:
-                raise BagCorrupt('message outside the chunks, or a torn record')
-            record = None if opcode == Opcode.MESSAGE_INDEX else parse_record(opcode, body)
-            if isinstance(record, Chunk):
-                yield from self._chunk_messages(open_chunk(record, self._work), wanted)
-            elif isinstance(record, DataEnd):
-                self._finish(record, offset, offset + HEAD.size + length)
-                return
-            elif isinstance(record, Schema | Channel):
-                self._note(record)
-            offset += HEAD.size + length
+            if opcode not in _IN_SOUND_FILES or len(body) != length:
+                raise BagCorrupt('a record that does not belong there, or a torn one')
+            behind = offset + HEAD.size + length
+            if opcode == Opcode.MESSAGE_INDEX:
+                check_message_index(body)
+            else:
+                record = parse_record(opcode, body)
+                if isinstance(record, DataEnd):
+                    self._finish(record, offset, behind)
+                    return
+                yield from self._within(record, body)
+            offset = behind
 
-    def _chunk_messages(self, raw: bytes, wanted: Wanted) -> Iterator[StoredMessage]:
+    def _within(
+        self, record: object, body: bytes
+    ) -> Iterator[TopicInfo | StoredMessage | Metadata | Attachment]:
+        if isinstance(record, Chunk):
+            if body in self._chunks:
+                raise BagCorrupt('the same chunk once more')
+            self._chunks.add(body)
+            yield from self._in_chunk(open_chunk(record, self._work))
+        elif isinstance(record, Metadata | Attachment):
+            yield record
+        elif isinstance(record, Header):
+            if record.profile != PROFILE:
+                raise BagCorrupt(f'MCAP of profile {record.profile!r}')
+        else:
+            yield from self._declared(record)
+
+    def _in_chunk(self, raw: bytes) -> Iterator[TopicInfo | StoredMessage]:
         start = 0
         while start < len(raw):
             opcode, length = HEAD.unpack_from(raw, start)
@@ -362,30 +461,27 @@ class _SoundFile:
             end = start + length
             if opcode == Opcode.MESSAGE:
                 channel, _, stamp_ns, _ = _MESSAGE.unpack_from(raw, start)
-                topic = self._topics[channel]
                 self._count += 1
-                if wanted(topic.name):
-                    yield StoredMessage(topic, stamp_ns, raw[start + _MESSAGE.size:end])
+                cdr = raw[start + _MESSAGE.size:end]
+                if cdr.startswith(_ZSTD):
+                    raise BagCorrupt('a message is compressed')
+                yield StoredMessage(self._infos.by_channel[channel], stamp_ns, cdr)
             else:
-                self._note(parse_record(opcode, raw[start:end]))
+                yield from self._declared(parse_record(opcode, raw[start:end]))
             start = end
         if start != len(raw):
             raise BagCorrupt('records do not fill their chunk')
 
-    def _note(self, record: object) -> None:
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record
-        elif isinstance(record, Channel):
-            schema = self._schemas[record.schema_id]
-            if record.message_encoding != 'cdr' or schema.encoding != 'ros2msg':
+    def _declared(self, record: object) -> Iterator[TopicInfo]:
+        known = self._infos.by_channel.get(record.id) if isinstance(record, Channel) else None
+        self._infos.note(record)
+        if isinstance(record, Channel):
+            info = self._infos.by_channel[record.id]
+            if record.message_encoding != 'cdr' or not info.definition:
                 raise BagCorrupt(f'topic {record.topic} is encoded in another way')
-            known = self._topics.get(record.id)
-            self._topics[record.id] = TopicInfo(
-                name=record.topic, type=schema.name, qos='', type_hash='',
-                definition=schema.data.decode(),
-            )
-            if known not in (None, self._topics[record.id]):
+            if known not in (None, info):
                 raise BagCorrupt(f'channel {record.id} is told in two ways')
+            yield info
 
     def _finish(self, end: DataEnd, offset: int, behind: int) -> None:
         statistics, _ = check_summary(self._data[behind:], behind)

@@ -30,7 +30,7 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 
 HANG_S = 900.0
 """A command that takes so long hangs, on however busy a machine: most take some seconds."""
@@ -190,7 +190,9 @@ class Chaos:
                 code = sitting.ended()
             rows = _rows(subject, sitting.out)
             if code not in (0, 1) or len(rows) < subject.runs * len(subject.folders):
-                raise InfraError('chaos', name, -1, f'ended with {code}: {sitting.last_line}')
+                raise InfraError(
+                    InfraKind.DIED, name, -1, f'ended with {code}: {sitting.last_line}'
+                )
             self._undisturbed[name] = (code or 0, rows)
         return self._undisturbed[name]
 

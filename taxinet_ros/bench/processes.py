@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 
 
 def processor_time_ns(pid: int) -> int:
@@ -58,9 +58,11 @@ def wait_for(process: subprocess.Popen[bytes], there: Callable[[], bool], who: s
     deadline = time.monotonic() + LIMIT_S
     while not there():
         if process.poll() is not None and not there():
-            raise InfraError('start', who, -1, exit_line(process))
+            raise InfraError(InfraKind.DIED, who, -1, exit_line(process))
         if time.monotonic() > deadline:
-            raise InfraError('start', who, -1, f'nothing to be seen after {LIMIT_S:g} s')
+            raise InfraError(
+                InfraKind.NOT_READY, who, -1, f'nothing to be seen after {LIMIT_S:g} s'
+            )
         time.sleep(LOOK_S)
     return time.perf_counter_ns()
 

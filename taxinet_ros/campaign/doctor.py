@@ -29,7 +29,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.findings import Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
-from taxinet_ros.bag.run.facts import read_facts as read_run
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.experiment import JSON_NAME, PAGE_NAME, PAIRS_NAME
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences
 from taxinet_ros.campaign.record.facts import ARMS, FACTS_NAME, LEDGER_NAME, read_facts, write_facts
@@ -297,7 +297,7 @@ def _check_bag(
         if row.outcome.judged and (wrong := check_bag(bag).findings):
             more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
             found.report(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)
-        for what in bag_differences(row, facts, bag):
+        for what in bag_differences(row, facts, open_recording(bag)):
             found.report(bag, what)
     except (BagError, UsageError) as error:
         if row.outcome.judged:  # of a run that broke nobody expects more
@@ -329,7 +329,7 @@ def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> Non
 def _verdict_of(bag: Path) -> str:
     """What a bag says of its run, in a few words."""
     try:
-        told = read_run(bag)
+        told = open_recording(bag).facts
     except (BagError, UsageError):
         return ''
     if told is None or not told.outcome:

@@ -81,12 +81,8 @@ def row_line(row: RunRow) -> Text:
 
 def rho_words(row: RunRow, width: int = 0) -> str:
     """The headline's robustness, or the bounds that a run that was stopped early has of it."""
-    lower, upper = row.headline or (math.nan, math.nan)
-    if math.isfinite(lower) and lower < upper < math.inf:
-        return f'rho {lower:+.2f} to {upper:+.2f}'
-    sign = '<=' if lower < upper < math.inf else '>=' if lower < upper else ''
-    value = lower if sign == '>=' else upper
-    return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
+    assert row.headline is not None
+    return row.headline.bound_words(width)
 
 
 def scene_words(row: RunRow) -> str:

@@ -22,10 +22,11 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
 
 
@@ -75,6 +76,10 @@ def result_from_json(values: Mapping[str, Any]) -> RunResult:
         **values,
         'outcome': Outcome(values['outcome']),
         'statistics': _statistics_from_json(values.get('statistics')),
+        'robustness': {
+            name: RobustnessInterval(*ends)
+            for name, ends in values.get('robustness', {}).items()
+        },
     })
 
 
@@ -164,10 +169,7 @@ class WorkerProcess:
     def bury(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
-        return RunResult(
-            outcome=Outcome.INFRA_ERROR, kind=kind, who='worker',
-            detail=detail or self._how_it_died(), last_seq=self.seq,
-        )
+        return RunResult.infra_error(kind, 'worker', detail or self._how_it_died(), self.seq)
 
     def hang_up(self) -> None:
         """Tell it that there is no more to do."""
@@ -315,7 +317,7 @@ class WorkerPool:
     def _listen(self, worker: WorkerProcess) -> Answer | None:
         messages = worker.read()
         if messages is None:
-            return self._lost(worker, 'died')
+            return self._lost(worker, InfraKind.DIED)
         results = [message['result'] for message in messages if 'result' in message]
         return self._answered(worker, results[0]) if results else None
 
@@ -334,7 +336,8 @@ class WorkerPool:
             worker for worker in self.workers
             if worker.request is not None and now - worker.silent_since > limit_s
         ]
-        return [self._lost(worker, 'timeout', f'silent for {limit_s:g} s') for worker in late]
+        detail = f'silent for {limit_s:g} s'
+        return [self._lost(worker, InfraKind.TIMEOUT, detail) for worker in late]
 
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request

@@ -13,7 +13,7 @@ import jsbsim
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, kmwh_04
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 
 
 class CapturedLog(jsbsim.FGLogger):
@@ -327,4 +327,4 @@ class Aircraft:
         )
 
     def _failure(self, detail: str) -> InfraError:
-        return InfraError('sim', 'simulator', self._step, detail)
+        return InfraError(InfraKind.SIM, 'simulator', self._step, detail)

@@ -182,7 +182,7 @@ class Judge:
     def judgement(self) -> Judgement:
         """The verdict so far; PASS or FAIL only if the run is complete or stopped early."""
         complete = bool(self._readings) and all(
-            r.final and r.valid and not r.unclear for r in self._readings
+            r.final and r.valid and not r.interval.unclear for r in self._readings
         )
         stopped_early = self.stopped_early
         return Judgement(
@@ -190,6 +190,6 @@ class Judge:
             complete=complete,
             stopped_early=stopped_early,
             satisfied=(complete or stopped_early)
-            and all(reading.lower > 0 for reading in self._readings),
+            and all(reading.interval.satisfied for reading in self._readings),
             statistics=self._collector.statistics,
         )

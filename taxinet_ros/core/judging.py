@@ -43,12 +43,12 @@ def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
 
     A run with an unusable sample is never stopped: it has no verdict, early or late.
     """
-    if any(reading.final or not reading.valid or reading.unclear for reading in readings):
+    if any(reading.final or not reading.valid or reading.interval.unclear for reading in readings):
         return False
     if stop_on is StopOn.VIOLATED:
-        return readings[0].upper <= 0
+        return readings[0].interval.failed
     if stop_on is StopOn.DECIDED:
-        return all(reading.upper <= 0 or reading.lower > 0 for reading in readings)
+        return all(reading.interval.decided for reading in readings)
     return False
 
 

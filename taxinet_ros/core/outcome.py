@@ -8,8 +8,10 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol, Self
 
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 
@@ -27,6 +29,29 @@ class Outcome(enum.StrEnum):
     def judged(self) -> bool:
         """Whether the run was judged: it was whole, or was stopped when that was decided."""
         return self in (Outcome.PASS, Outcome.FAIL)
+
+
+class Judged(Protocol):
+    """What a judge says of a run: a :class:`.judge.Judgement`, or the message made of one."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run reached its horizon and could be judged."""
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether it was ended before, because its verdict was in."""
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether every formula has robustness > 0."""
+
+
+def outcome_of(judgement: Judged) -> Outcome:
+    """PASS or FAIL; INFRA_ERROR where there was no whole, finite sequence of samples to judge."""
+    if not (judgement.complete or judgement.stopped_early):
+        return Outcome.INFRA_ERROR
+    return Outcome.PASS if judgement.satisfied else Outcome.FAIL
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,12 +83,10 @@ class RunResult:
 
     Attributes:
         outcome: one of the five.
-        kind, who: of an infrastructure error, else ''.
+        kind, who: of an infrastructure error, else ''; a :class:`~taxinet_ros.errors.InfraKind`.
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
-        rho: robustness by formula name, where judged; of a run that was stopped early, those that
-            are known exactly.
-        rho_lower, rho_upper: ends of the interval by formula name; of a run that was stopped early.
+        robustness: of each formula, by name, the headline first; where judged.
         stopped_early: whether it was, see :mod:`.judging`.
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
@@ -77,9 +100,7 @@ class RunResult:
     who: str = ''
     detail: str = ''
     last_seq: int = -1
-    rho: Mapping[str, float] = field(default_factory=dict)
-    rho_lower: Mapping[str, float] = field(default_factory=dict)
-    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    robustness: Mapping[str, RobustnessInterval] = field(default_factory=dict)
     stopped_early: bool = False
     statistics: RunStatistics | None = None
     perception: str = ''
@@ -87,3 +108,15 @@ class RunResult:
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
     wall_s: float = 0.0
+
+    @property
+    def rho(self) -> Mapping[str, float]:
+        """Robustness by formula name, where it is known: not all is, of a run stopped early."""
+        return exact_rho(self.robustness)
+
+    @classmethod
+    def infra_error(cls, kind: str, who: str, detail: str, last_seq: int) -> Self:
+        """The result of a run that a part of the bench broke."""
+        return cls(
+            outcome=Outcome.INFRA_ERROR, kind=str(kind), who=who, detail=detail, last_seq=last_seq
+        )

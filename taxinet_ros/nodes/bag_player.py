@@ -33,7 +33,6 @@ from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import is_latched
 from taxinet_ros.nodes.messages.convert import time_of
 from taxinet_ros.nodes.messages.step import TransformBroadcaster
 from taxinet_ros.nodes.running.node_main import complain, run_node, spin_until
@@ -337,7 +336,7 @@ class BagPlayer(Node):
                 )
                 continue
             qos = recorded_qos(topic)
-            if is_latched(qos):
+            if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
                 self._latched.add(topic.name)
             publishers[topic.name] = self.create_publisher(kind, _relative(topic.name), qos)
         if not publishers:

@@ -17,7 +17,7 @@ from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.topics import message_definition
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic, is_latched
+from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, refuse_unknown
@@ -141,7 +141,7 @@ class FoxgloveServer(Observer):
             self._say(interface.SCENE_AIRCRAFT, serialize_message(markers), stamp_ns)
 
     def _say(self, topic: Topic, cdr: bytes, stamp_ns: int) -> None:
-        if is_latched(topic.qos):
+        if topic.quality.latched:
             many = topic is interface.TF_STATIC
             held = self._held.setdefault(topic.name, deque(maxlen=_STATIC_HELD if many else 1))
             if not many or cdr not in (before for _, before in held):

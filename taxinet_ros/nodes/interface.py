@@ -1,249 +1,92 @@
-"""The one table of the graph: every topic's name, type, quality of service, and who speaks to whom.
-
-Recorder, readiness barrier, docs and tests derive from it; no other line spells a topic's name.
-"""
+"""The topics of :mod:`taxinet_ros.core.topics` as rclpy has them: with classes and profiles."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import functools
+import importlib
+from dataclasses import fields
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
 from taxinet_msgs.action import RunScenario
-from taxinet_msgs.msg import (
-    NodeStatus,
-    Robustness,
-    RunStatus,
-    Scenario,
-    TaxiCommand,
-    Timing,
-    TrackingError,
-    Verdict,
-)
-from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from taxinet_ros.bag.run.topics import BASE_FRAME as BASE_FRAME
 from taxinet_ros.bag.run.topics import CAMERA_FRAME as CAMERA_FRAME
 from taxinet_ros.bag.run.topics import MAP_FRAME as MAP_FRAME
-from taxinet_ros.nodes.names import CHAIN as CHAIN
-from taxinet_ros.nodes.names import FOLLOWERS as FOLLOWERS
-from taxinet_ros.nodes.names import MTL_MONITOR as MTL_MONITOR
-from taxinet_ros.nodes.names import PARTICIPANTS as PARTICIPANTS
-from taxinet_ros.nodes.names import PERCEPTION as PERCEPTION
-from taxinet_ros.nodes.names import RECORDER as RECORDER
-from taxinet_ros.nodes.names import SCENARIO_SAMPLER as SCENARIO_SAMPLER
-from taxinet_ros.nodes.names import SCENE_MARKERS as SCENE_MARKERS
-from taxinet_ros.nodes.names import SIMULATOR as SIMULATOR
-from taxinet_ros.nodes.names import STEERING_CONTROLLER as STEERING_CONTROLLER
-from taxinet_ros.nodes.names import SUPERVISOR as SUPERVISOR
-
-# Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
-LOCKSTEP = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=16,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-# What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
-NEWEST = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-# Depth counts messages of all publishers together, and several nodes share node_status.
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=16,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-# As tf2_ros has it.
-_TRANSFORMS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-PER_STEP = 'per step'
-PER_SPEC = 'per step and formula'
-PER_RUN = 'per run'
-PER_NODE = 'per run and participant'
+from taxinet_ros.core import topics
+from taxinet_ros.core.topics import CHAIN as CHAIN
+from taxinet_ros.core.topics import FOLLOWERS as FOLLOWERS
+from taxinet_ros.core.topics import MTL_MONITOR as MTL_MONITOR
+from taxinet_ros.core.topics import PARTICIPANTS as PARTICIPANTS
+from taxinet_ros.core.topics import PER_NODE as PER_NODE
+from taxinet_ros.core.topics import PER_RUN as PER_RUN
+from taxinet_ros.core.topics import PER_SPEC as PER_SPEC
+from taxinet_ros.core.topics import PER_STEP as PER_STEP
+from taxinet_ros.core.topics import PERCEPTION as PERCEPTION
+from taxinet_ros.core.topics import RECORDER as RECORDER
+from taxinet_ros.core.topics import SCENARIO_SAMPLER as SCENARIO_SAMPLER
+from taxinet_ros.core.topics import SCENE_MARKERS as SCENE_MARKERS
+from taxinet_ros.core.topics import SIMULATOR as SIMULATOR
+from taxinet_ros.core.topics import STEERING_CONTROLLER as STEERING_CONTROLLER
+from taxinet_ros.core.topics import SUPERVISOR as SUPERVISOR
 
 
-@dataclass(frozen=True, kw_only=True)
-class Topic:
-    """One topic of the graph.
+@functools.cache
+def qos_profile(quality: topics.Quality) -> QoSProfile:
+    """The profile of a quality of service; the same object each time."""
+    return QoSProfile(
+        depth=quality.depth, history=HistoryPolicy[quality.history.upper()],
+        reliability=ReliabilityPolicy[quality.reliability.upper()],
+        durability=DurabilityPolicy[quality.durability.upper()],
+    )
 
-    Attributes:
-        name: relative name, so that a whole graph can be put into a namespace.
-        type: message class.
-        qos: quality of service of both ends.
-        publishers: names of the nodes that speak.
-        subscribers: names of the nodes that must hear every message; the recorder is implied
-            where ``recorded``.
-        recorded: how many messages a run's bag holds, or None where the topic is not recorded.
-        carries: one line for people.
-    """
 
-    name: str
-    type: type[Any]
-    qos: QoSProfile
-    publishers: tuple[str, ...]
-    subscribers: tuple[str, ...]
-    recorded: str | None
-    carries: str
+class Topic(topics.Topic):
+    """A topic with its message class and its profile."""
 
-    @property
-    def type_name(self) -> str:
-        """ROS name of the type, e.g. ``sensor_msgs/msg/Image``."""
-        package = self.type.__module__.split('.')[0]
-        return f'{package}/msg/{self.type.__name__}'
+    @functools.cached_property
+    def type(self) -> type[Any]:
+        """The message class."""
+        package, _, name = self.type_name.split('/')
+        message: type[Any] = getattr(importlib.import_module(f'{package}.msg'), name)
+        return message
 
-    @property
-    def each_step(self) -> bool:
-        """Whether there are messages in every control step, by the recorder's account."""
-        return self.recorded in (PER_STEP, PER_SPEC)
+    @functools.cached_property
+    def qos(self) -> QoSProfile:
+        """Quality of service of both ends."""
+        return qos_profile(self.quality)
 
-    def listeners(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that subscribe, the recorder included."""
-        names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
-        return names & {SIMULATOR, *participants}
 
-    def speakers(self, participants: Sequence[str]) -> set[str]:
-        """Those of the nodes of a run that publish, one end each."""
-        if self.recorded == PER_NODE:
-            return {SIMULATOR, *participants}
-        return set(self.publishers) & {SIMULATOR, *participants}
+@functools.cache
+def _topic(row: topics.Topic) -> Topic:
+    return Topic(**{field.name: getattr(row, field.name) for field in fields(row)})
 
-SCENARIO = Topic(
-    name='scenario', type=Scenario, qos=LATCHED, publishers=(SIMULATOR,),
-    subscribers=PARTICIPANTS, recorded=PER_RUN,
-    carries='the test case; every participant sets itself up for it',
-)
-NODE_STATUS = Topic(
-    name='node_status', type=NodeStatus, qos=LATCHED, publishers=(SIMULATOR, *PARTICIPANTS),
-    subscribers=(SIMULATOR,), recorded=PER_NODE,
-    carries='ready, done or error of one participant, with implementation and weights hash',
-)
-CLOCK = Topic(
-    name='/clock', type=Clock, qos=LOCKSTEP, publishers=(SIMULATOR,),
-    subscribers=(), recorded=PER_STEP,
-    carries='simulated time, from 0 at the start of every run',
-)
-IMAGE = Topic(
-    name='camera/image_raw', type=Image, qos=LOCKSTEP, publishers=(SIMULATOR,),
-    subscribers=(PERCEPTION,), recorded=PER_STEP,
-    carries='wing-camera frame, 200 x 360 rgb8',
-)
-CAMERA_INFO = Topic(
-    name='camera/camera_info', type=CameraInfo, qos=LOCKSTEP, publishers=(SIMULATOR,),
-    subscribers=(), recorded=PER_STEP,
-    carries='intrinsics that agree with the pixels',
-)
-ODOMETRY = Topic(
-    name='ground_truth/odom', type=Odometry, qos=LOCKSTEP, publishers=(SIMULATOR,),
-    subscribers=(MTL_MONITOR,), recorded=PER_STEP,
-    carries='true pose in map and velocity in base_link',
-)
-TRUTH = Topic(
-    name='ground_truth/tracking_error', type=TrackingError, qos=LOCKSTEP,
-    publishers=(SIMULATOR,), subscribers=(PERCEPTION, MTL_MONITOR), recorded=PER_STEP,
-    carries='true cross-track and heading error; only a ground-truth perception reads it',
-)
-ESTIMATE = Topic(
-    name='perception/tracking_error', type=TrackingError, qos=LOCKSTEP,
-    publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
-    recorded=PER_STEP,
-    carries="the perception's estimate for the frame that it names",
-)
-COMMAND = Topic(
-    name='taxi_command', type=TaxiCommand, qos=LOCKSTEP, publishers=(STEERING_CONTROLLER,),
-    subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
-    carries='steering angle and speed for the frame that it names',
-)
-ROBUSTNESS = Topic(
-    name='monitor/robustness', type=Robustness, qos=LOCKSTEP, publishers=(MTL_MONITOR,),
-    subscribers=(), recorded=PER_SPEC,
-    carries='robust satisfaction interval of one formula so far',
-)
-VERDICT = Topic(
-    name='monitor/verdict', type=Verdict, qos=LATCHED, publishers=(MTL_MONITOR,),
-    subscribers=(SIMULATOR,), recorded=PER_RUN,
-    carries='judgement of the whole run',
-)
-PROGRESS = Topic(
-    name='lockstep/progress', type=NodeStatus, qos=LOCKSTEP, publishers=FOLLOWERS,
-    subscribers=(SIMULATOR,), recorded=None,
-    carries='how far monitor and recorder have come',
-)
-RUN_STATUS = Topic(
-    name='run_status', type=RunStatus, qos=LATCHED, publishers=(SIMULATOR,),
-    subscribers=(RECORDER,), recorded=PER_RUN,
-    carries='preparing, running, or how the run ended',
-)
-TIMING = Topic(
-    name='timing', type=Timing, qos=LATCHED, publishers=(SIMULATOR,),
-    subscribers=FOLLOWERS, recorded=None,
-    carries='of a free run alone: which frames have no answer, and how it went',
-)
-OBITUARY = Topic(
-    name='obituary', type=NodeStatus, qos=LATCHED, publishers=(SCENARIO_SAMPLER, SUPERVISOR),
-    subscribers=(SIMULATOR, RECORDER), recorded=None,
-    carries='a node that is dead (DIED) or a simulator that is silent (ERROR)',
-)
-"""What is said of nodes by those who look after them; it ends a run, and gives it no verdict.
 
-So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the run may.
-"""
-TOPICS = (
-    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
-    ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
-)
-TF_STATIC = Topic(
-    name='tf_static', type=TFMessage, qos=LATCHED, publishers=(SIMULATOR,),
-    subscribers=(), recorded=PER_RUN,
-    carries='where camera_optical is in base_link',
-)
-TF = Topic(
-    name='tf', type=TFMessage, qos=_TRANSFORMS, publishers=(SIMULATOR,),
-    subscribers=(), recorded=PER_STEP,
-    carries='where base_link is in map, as odometry says',
-)
-TRANSFORMS = (TF_STATIC, TF)
-"""Where the frames are, for whoever draws them or asks tf2.
-
-By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
-the recorder does not listen: what a bag has of them is made of its odometry.
-"""
-DIAGNOSTICS = Topic(
-    # Not relative: robots gather all diagnostics there, and names tell whose they are.
-    name='/diagnostics', type=DiagnosticArray, qos=LOCKSTEP, publishers=(SIMULATOR, *PARTICIPANTS),
-    subscribers=(), recorded=None,
-    carries='how each node is doing, by the wall clock; anybody may speak here',
-)
-SCENE_RUNWAY = Topic(
-    name='scene/runway', type=MarkerArray, qos=LATCHED, publishers=(SCENE_MARKERS,),
-    subscribers=(), recorded=None,
-    carries='pavement, crossing and paint, in map',
-)
-SCENE_AIRCRAFT = Topic(
-    name='scene/aircraft', type=MarkerArray, qos=LOCKSTEP, publishers=(SCENE_MARKERS,),
-    subscribers=(), recorded=None,
-    carries='the aircraft and its path so far, in map',
-)
-SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
-"""What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
+LOCKSTEP = qos_profile(topics.LOCKSTEP)
+NEWEST = qos_profile(topics.NEWEST)
+LATCHED = qos_profile(topics.LATCHED)
+SCENARIO = _topic(topics.SCENARIO)
+NODE_STATUS = _topic(topics.NODE_STATUS)
+CLOCK = _topic(topics.CLOCK)
+IMAGE = _topic(topics.IMAGE)
+CAMERA_INFO = _topic(topics.CAMERA_INFO)
+ODOMETRY = _topic(topics.ODOMETRY)
+TRUTH = _topic(topics.TRUTH)
+ESTIMATE = _topic(topics.ESTIMATE)
+COMMAND = _topic(topics.COMMAND)
+ROBUSTNESS = _topic(topics.ROBUSTNESS)
+VERDICT = _topic(topics.VERDICT)
+PROGRESS = _topic(topics.PROGRESS)
+RUN_STATUS = _topic(topics.RUN_STATUS)
+TIMING = _topic(topics.TIMING)
+OBITUARY = _topic(topics.OBITUARY)
+TF_STATIC = _topic(topics.TF_STATIC)
+TF = _topic(topics.TF)
+DIAGNOSTICS = _topic(topics.DIAGNOSTICS)
+SCENE_RUNWAY = _topic(topics.SCENE_RUNWAY)
+SCENE_AIRCRAFT = _topic(topics.SCENE_AIRCRAFT)
+TOPICS = tuple(map(_topic, topics.TOPICS))
+TRANSFORMS = tuple(map(_topic, topics.TRANSFORMS))
+SCENE = tuple(map(_topic, topics.SCENE))
 RUN_SCENARIO = 'run_scenario'
 RUN_SCENARIO_TYPE = RunScenario
-
-
-def is_latched(qos: QoSProfile) -> bool:
-    """Whether those who come late get what was said before."""
-    return bool(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,29 +1,12 @@
-"""Names of the nodes. They need no ROS, whose import takes a while."""
+"""Which nodes a run needs. That needs no ROS, whose import takes a while."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+from taxinet_ros.core.topics import CHAIN, MTL_MONITOR, SIMULATOR
 from taxinet_ros.errors import UsageError
-
-SIMULATOR = 'simulator'
-PERCEPTION = 'perception'
-STEERING_CONTROLLER = 'steering_controller'
-MTL_MONITOR = 'mtl_monitor'
-RECORDER = 'recorder'
-SCENARIO_SAMPLER = 'scenario_sampler'
-SCENE_MARKERS = 'scene_markers'
-SUPERVISOR = 'supervisor'
-
-PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
-"""Nodes that take part in the lockstep beside the simulator, which keeps it."""
-
-CHAIN = (PERCEPTION, STEERING_CONTROLLER)
-"""Nodes that answer one another within a control step."""
-
-FOLLOWERS = (MTL_MONITOR, RECORDER)
-"""Nodes that only listen, and report progress."""
 
 REQUIRED = (*CHAIN, MTL_MONITOR)
 """Participants without which no run can go on, or be judged."""

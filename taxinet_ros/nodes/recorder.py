@@ -15,7 +15,7 @@ import functools
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +38,13 @@ from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.scenes.programs import SUFFIX
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judging import StopOn, parse_stop_on
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.world import last_step
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
@@ -52,8 +52,6 @@ from taxinet_ros.nodes.lockstep.diagnostics import Health
 from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import (
-    INTRUDER,
-    PROTOCOL,
     account_of,
     duplicate_node_error,
     lost_run_status,
@@ -193,12 +191,7 @@ def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
         describe_topic(
             name=bag_name(topic),
             type_name=topic.type_name,
-            qos=offered_qos(
-                history=topic.qos.history.name.lower(),
-                depth=topic.qos.depth,
-                reliability=topic.qos.reliability.name.lower(),
-                durability=topic.qos.durability.name.lower(),
-            ),
+            qos=offered_qos(**asdict(topic.quality)),
         )
         for topic in _TOPICS
         if topic.recorded and (images or topic is not interface.IMAGE)
@@ -371,7 +364,9 @@ class Recorder(Participant):
         if off_ns:
             what = f'stamped {seq * CONTROL_PERIOD_NS + off_ns} ns, which is no control step'
             if topic.publishers != (interface.SIMULATOR,):
-                raise InfraError(PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}')
+                raise InfraError(
+                    InfraKind.PROTOCOL, topic.publishers[0], -1, f'{topic.name} {what}'
+                )
             raise RuntimeError(
                 f'{topic.name}: a message is {what}; does a second simulator publish?'
             )
@@ -460,7 +455,9 @@ class Recorder(Participant):
         if self._writer is None or status.run_id != self.run_id:
             return
         if Outcome(status.outcome).judged and not self._begun:
-            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended')
+            raise InfraError(
+                InfraKind.INTRUDER, UNKNOWN, -1, 'somebody else said how the run ended'
+            )
         self._ended, self._ended_cdr = status, cdr
         self._finish_if_whole()
 
@@ -577,7 +574,7 @@ class Recorder(Participant):
         assert self._ended is not None
         assert self._verdict is not None
         verdict = deserialize_message(self._verdict, interface.VERDICT.type)
-        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
+        outcome = outcome_of(verdict)
         seq = stamp_of(verdict.header.stamp) // CONTROL_PERIOD_NS
         if (outcome, seq) != (self._ended.outcome, self._ended.seq):
             raise RuntimeError(

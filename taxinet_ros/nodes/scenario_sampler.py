@@ -30,7 +30,7 @@ from taxinet_ros.campaign.summary import (
 )
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
@@ -324,13 +324,13 @@ class _Answers:
 
 
 def _trouble(result: RunResult, node: StandaloneSampler) -> str:
-    if result.kind == 'busy':
+    if result.kind == InfraKind.BUSY:
         # The simulator may have been found before the sampler that it works for.
         return _RIVAL if node.rivals() else (
             'the simulator is busy with a run of somebody else; wait for its end, or give each '
             'graph its own ROS_DOMAIN_ID'
         )
-    if result.kind != 'not_ready':
+    if result.kind != InfraKind.NOT_READY:
         return ''
     if result.who == interface.SIMULATOR:
         return f'simulator: {result.detail}; start it, in the same ROS_DOMAIN_ID'

@@ -22,11 +22,11 @@ from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON
-from taxinet_ros.core.outcome import Outcome
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
@@ -50,8 +50,6 @@ from taxinet_ros.nodes.lockstep.endpoints import (
     missing_nodes,
 )
 from taxinet_ros.nodes.messages.convert import (
-    INTRUDER,
-    PROTOCOL,
     account_message,
     duplicate_node_error,
     header,
@@ -295,7 +293,7 @@ class Simulator(Node):
         except InfraError as error:
             self._fail(run, error.kind, error.who, error.detail)
         except Exception as error:
-            self._fail(run, 'sim', interface.SIMULATOR, one_line(error))
+            self._fail(run, InfraKind.SIM, interface.SIMULATOR, one_line(error))
 
     def _on_status(self, run: ActiveRun, status: NodeStatus) -> None:
         if status.state == NodeStatus.READY and status.node in run.participants:
@@ -313,7 +311,7 @@ class Simulator(Node):
             run.lockstep.unready(status.node)
         elif status.state == NodeStatus.ERROR:
             bag = status.node == interface.RECORDER
-            usual = 'bag' if bag else 'node_error', status.node, status.detail
+            usual = InfraKind.BAG if bag else InfraKind.NODE_ERROR, status.node, status.detail
             self._fail(run, *(parse_blame(status.detail) or usual))
         elif status.state == NodeStatus.DONE and status.node == interface.RECORDER:
             self._on_done(run, status)
@@ -321,21 +319,21 @@ class Simulator(Node):
     def _on_done(self, run: ActiveRun, done: NodeStatus) -> None:
         """The recorder has closed its bag; a verdict stands only if the bag holds the same."""
         if (stranger := self._stranger(run)) is not None:
-            self._fail(run, INTRUDER, stranger.name, stranger.detail)
+            self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
         elif run.ending is None:
             detail = f'closed its bag as {done.detail} amid the run'
-            self._fail(run, 'bag', interface.RECORDER, detail)
+            self._fail(run, InfraKind.BAG, interface.RECORDER, detail)
         elif Outcome(run.ending.outcome).judged and (done.detail, done.seq) != (
             run.ending.outcome, run.ending.seq
         ):
             detail = f'closed its bag as {done.detail} at step {done.seq}'
-            self._fail(run, 'bag', interface.RECORDER, detail)
+            self._fail(run, InfraKind.BAG, interface.RECORDER, detail)
         else:
             run.finish()
 
     def _on_obituary(self, run: ActiveRun, notice: NodeStatus) -> None:
         """A node is dead by the word of whoever looks after it, or this one is said to be."""
-        self._fail(run, 'died', notice.node, notice.detail)
+        self._fail(run, InfraKind.DIED, notice.node, notice.detail)
 
     def _on_estimate(self, run: ActiveRun, estimate: StepMessage) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
@@ -363,7 +361,7 @@ class Simulator(Node):
     def _on_progress(self, run: ActiveRun, progress: StepMessage) -> None:
         if progress.seq > run.lockstep.seq:
             detail = f'has come to frame {progress.seq}, which is not out yet'
-            raise InfraError(PROTOCOL, progress.value, run.lockstep.seq, detail)
+            raise InfraError(InfraKind.PROTOCOL, progress.value, run.lockstep.seq, detail)
         arrived = progress.stamp_ns // CONTROL_PERIOD_NS
         run.lockstep.progress(progress.value, progress.seq, arrived, time.monotonic())
         run.heard()
@@ -455,14 +453,14 @@ class Simulator(Node):
             free.closed = free.pace.due(now_s)
 
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
-        if not (verdict.complete or verdict.stopped_early):
+        outcome = outcome_of(verdict)
+        if not outcome.judged:
             detail = 'the monitor had no whole, finite sequence of samples to judge'
-            self._fail(run, 'invalid_run', interface.MTL_MONITOR, detail)
+            self._fail(run, InfraKind.INVALID_RUN, interface.MTL_MONITOR, detail)
             return
         self._look_for_strangers(thorough=True)
         if run.ending is not None:
             return
-        outcome = Outcome.PASS if verdict.satisfied else Outcome.FAIL
         self._end(run, run.status(RunStatus.ENDED, outcome=outcome))
 
     # Endings ---------------------------------------------------------------------------------
@@ -471,7 +469,7 @@ class Simulator(Node):
         """End the run at hand if somebody speaks in it who has no part in it."""
         run = self._run
         if run is not None and (stranger := self._stranger(run, thorough)) is not None:
-            self._fail(run, INTRUDER, stranger.name, stranger.detail)
+            self._fail(run, InfraKind.INTRUDER, stranger.name, stranger.detail)
 
     def _stranger(self, run: ActiveRun, thorough: bool = True) -> Stranger | None:
         """Whoever came since the first step, while it matters.
@@ -487,19 +485,20 @@ class Simulator(Node):
 
     def _fail(self, run: ActiveRun, kind: str, who: str, detail: str) -> None:
         # Nobody is blamed for what may be somebody else's.
-        if kind != INTRUDER and (stranger := self._stranger(run)) is not None:
-            kind, who, detail = INTRUDER, stranger.name, stranger.detail
+        if kind != InfraKind.INTRUDER and (stranger := self._stranger(run)) is not None:
+            kind, who, detail = InfraKind.INTRUDER, stranger.name, stranger.detail
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
         )
-        recorder_lost = who == interface.RECORDER and kind != INTRUDER
+        recorder_lost = who == interface.RECORDER and kind != InfraKind.INTRUDER
         judged = run.ending is not None and Outcome(run.ending.outcome).judged
-        if run.ending is None or (judged and (kind == INTRUDER or who == interface.SIMULATOR)):
+        doubtful = kind == InfraKind.INTRUDER or who == interface.SIMULATOR
+        if run.ending is None or (judged and doubtful):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
             # The bag could not be finished, so the evidence is not whole: no verdict stands. Where
             # somebody else spoke, that is why: it may have been closed with the verdict before.
-            run.ending = run.ending if run.ending.kind == INTRUDER else status
+            run.ending = run.ending if run.ending.kind == InfraKind.INTRUDER else status
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:
@@ -558,10 +557,10 @@ class Simulator(Node):
         elif run.free is not None and (
             who := run.free.silent(now, self._answer_timeout_s)
         ):
-            self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
         elif silence > self._answer_timeout_s:
             who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
-            self._fail(run, 'timeout', who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
 
     def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
         """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
@@ -569,7 +568,7 @@ class Simulator(Node):
         if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
             run.finish()
         elif silence_s > self._answer_timeout_s:
-            self._fail(run, 'timeout', interface.RECORDER, 'did not finish its bag')
+            self._fail(run, InfraKind.TIMEOUT, interface.RECORDER, 'did not finish its bag')
 
     def _await_ready(self, run: ActiveRun) -> None:
         self._start_if_ready(run)
@@ -585,14 +584,15 @@ class Simulator(Node):
         within = f'not ready within {self._ready_timeout_s:g} s'
         for speakers in self._topics:
             if (stranger := speakers.unsettled_by(run.participants)) is not None:
-                return INTRUDER, stranger.name, f'{stranger.detail} ({within})'
+                return InfraKind.INTRUDER, stranger.name, f'{stranger.detail} ({within})'
         if absent := missing_nodes(self, run.participants):
             names = sorted(absent)
-            return 'not_ready', ', '.join(names), f'{within}: {absent[names[0]]}'
+            return InfraKind.NOT_READY, ', '.join(names), f'{within}: {absent[names[0]]}'
         if silent := run.lockstep.missing():
-            return 'not_ready', ', '.join(silent), f'{within}: does not say that it is ready'
-        topics = ', '.join(self._deaf(run))
-        return 'not_ready', interface.SIMULATOR, f'{within}: not all ends are found on {topics}'
+            detail = f'{within}: does not say that it is ready'
+            return InfraKind.NOT_READY, ', '.join(silent), detail
+        detail = f'{within}: not all ends are found on {", ".join(self._deaf(run))}'
+        return InfraKind.NOT_READY, interface.SIMULATOR, detail
 
     def _say(self, topic: Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)

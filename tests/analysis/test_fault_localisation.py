@@ -21,6 +21,7 @@ from taxinet_ros.analysis.fault_localisation import (
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, png_bytes
 from taxinet_ros.campaign.past_runs.localisation import Trial
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 
@@ -30,7 +31,8 @@ WORDS = ('as-recorded', 'truth', 'truth-heading', 'truth-cte')
 def row(index: int, rho: float = -2.0) -> RunRow:
     return RunRow(
         run_id=f'run-{index}', index=index, program='p', seed=1, perception='original',
-        outcome=Outcome.FAIL, rho={'phi_eventually': rho}, stopped_early=False,
+        outcome=Outcome.FAIL, robustness=exact_intervals({'phi_eventually': rho}),
+        stopped_early=False,
         **Scenario().to_human(),
     )
 
@@ -38,7 +40,7 @@ def row(index: int, rho: float = -2.0) -> RunRow:
 def trials(index: int, *answers: bool | None, exact: bool = True, control: float = -2.0):
     """Trials of a run: the control, then truth, heading and CTE as far as they are given."""
     made = [Trial(run_id=f'run-{index}', word='as-recorded', passed=control > 0, exact=exact,
-                  rho_lower=control, rho_upper=control)]
+                  robustness=RobustnessInterval.exactly(control))]
     made += [
         Trial(run_id=f'run-{index}', word=word, passed=passed)
         for word, passed in zip(WORDS[1:], answers, strict=False)

@@ -24,6 +24,7 @@ from taxinet_ros.analysis.gate import (
 )
 from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -38,7 +39,7 @@ def row(index: int, outcome: Outcome, *, left: bool | None = False, **changes) -
     values = {
         'run_id': f'run-{index}', 'index': index, 'program': 's_falsif', 'seed': 1,
         'perception': 'original', 'wall_s': 2.0, **Scenario(heading_rad=0.1).to_human(),
-        'rho': rho, 'left_runway': left if rho else None, **changes,
+        'robustness': exact_intervals(rho), 'left_runway': left if rho else None, **changes,
     }
     return RunRow(outcome=outcome, **values)
 
@@ -246,7 +247,7 @@ def document(all_rows, options, *, passes=False) -> ElementTree.Element:
 
 def test_given_a_campaign_then_every_run_and_every_criterion_is_a_test_case():
     broken = row(3, Outcome.INFRA_ERROR, kind='timeout', who='perception',
-                 detail='a <b> & "c" \x00\x1b\ud800 \U0001f6e9', rho={})
+                 detail='a <b> & "c" \x00\x1b\ud800 \U0001f6e9')
     some = [row(0, Outcome.PASS), row(1, Outcome.FAIL, left=True, bag='run-1'),
             row(2, Outcome.FAIL), broken, row(4, Outcome.REJECTED, detail='no draw'),
             row(5, Outcome.INTERRUPTED)]

@@ -27,7 +27,7 @@ from whole_runs import STEPS, run_messages, write_run
 from taxinet_ros.bag.description import BagContent, record_text
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_attachment, read_info, read_messages
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos, qos_profiles
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.errors import UsageError
@@ -317,5 +317,5 @@ def test_given_a_run_when_foxgloves_packages_read_it_then_values_are_the_same(
     assert read['profile'] == 'ros2'
     assert sum(read['counts'].values()) == len(run_messages())
     assert read['counts']['/camera/image_raw'] == STEPS
-    assert read['angles'] == read_trace(bag)['steering_rad'].tolist()
+    assert read['angles'] == open_recording(bag).columns['steering_rad'].tolist()
     assert read['attachments'] == ['manifest.json', 'scenario.json']

@@ -22,6 +22,7 @@ from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.errors import UsageError
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 
 words = sys.argv[1:]
@@ -33,7 +34,7 @@ out.mkdir(exist_ok=True)
 
 def row(index, rho):
     return RunRow(run_id=f'r{{index}}', index=index, program='p', seed=0, perception='truth',
-                  outcome=Outcome.PASS, rho={{'phi': rho}})
+                  outcome=Outcome.PASS, robustness=exact_intervals({{'phi': rho}}))
 
 rows = [row(index, 1.0) for index in range(8)]
 try:

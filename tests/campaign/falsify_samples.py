@@ -19,6 +19,7 @@ from taxinet_ros.campaign.scenes.source import Refused, Rejected
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -89,7 +90,8 @@ def result(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
     return RunResult(
         outcome=outcome, last_seq=10, wall_s=1.0,
         statistics=RunStatistics(max_cross_track_m=abs(scenario.cross_track_m)) if judged else None,
-        rho={'phi_eventually': rho} if judged else {}, kind='' if judged else 'test',
+        robustness=exact_intervals({'phi_eventually': rho} if judged else {}),
+        kind='' if judged else 'test',
     )
 
 

@@ -29,6 +29,7 @@ from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import SceneSource
 from taxinet_ros.cli.run import search as command
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -169,7 +170,7 @@ def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes
 def row(index: int, **changes) -> RunRow:
     scene = {**Scenario(distance_m=300.0 + index).to_human(), **changes}
     return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='truth',
-                  outcome=Outcome.PASS, rho={'phi': 1.0}, **scene)
+                  outcome=Outcome.PASS, robustness=exact_intervals({'phi': 1.0}), **scene)
 
 
 def test_given_arms_with_other_scenes_then_they_are_not_compared(tmp_path):

@@ -26,6 +26,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Dimension
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 
@@ -44,7 +45,8 @@ def search(word: str, runs: int, seed: int, *, shape: str = 'band', true: float 
         sampler.tell(index, value)
         row = RunRow(
             run_id=f'r{index}', index=index, program='p', seed=seed, perception='truth',
-            outcome=Outcome.FAIL if value <= 0 else Outcome.PASS, rho={'phi': value},
+            outcome=Outcome.FAIL if value <= 0 else Outcome.PASS,
+            robustness=exact_intervals({'phi': value}),
             left_runway=False, **Scenario().to_human(),
         )
         rows.append(row.with_choice(

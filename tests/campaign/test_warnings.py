@@ -23,6 +23,7 @@ from taxinet_ros.campaign.summary import (
     scene_words,
 )
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -42,7 +43,8 @@ def row(unusable: int, outcome: Outcome = Outcome.PASS, **changes: object) -> Ru
         judging=Judging(specs=('phi_eventually',)), participants=(),
     )
     result = RunResult(
-        outcome=outcome, last_seq=300, rho={'phi_eventually': 1.0}, wall_s=1.0,
+        outcome=outcome, last_seq=300, robustness=exact_intervals({'phi_eventually': 1.0}),
+        wall_s=1.0,
         statistics=RunStatistics(
             max_cross_track_m=0.5, unusable_estimates=unusable,
             he_error=ErrorStatistics(mean=1e308, mean_abs=1e308, max_abs=1e308),

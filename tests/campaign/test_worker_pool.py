@@ -20,6 +20,7 @@ from taxinet_ros.campaign.worker_pool import (
     result_to_json,
 )
 from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -62,7 +63,8 @@ def test_given_runs_then_they_travel_whole(tmp_path):
     )
     statistics = RunStatistics(max_cross_track_m=31.5, he_error=ErrorStatistics(mean=-1 / 3))
     answer = RunResult(
-        outcome=Outcome.FAIL, rho={'f': -1 / 3}, last_seq=4, statistics=statistics,
+        outcome=Outcome.FAIL, robustness=exact_intervals({'f': -1 / 3}),
+        last_seq=4, statistics=statistics,
     )
     assert request_from_json(json.loads(encode_line(request_to_json(asked)))) == asked
     back = result_from_json(json.loads(encode_line(result_to_json(answer))))

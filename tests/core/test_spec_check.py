@@ -11,7 +11,7 @@ from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.judge import Judge, check_specs, signal_ranges
 from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.loop import MAX_GAP_NS, run_closed_loop, signals
-from taxinet_ros.core.mtl import SHIPPED, Verdict, parse_spec, verdict_of
+from taxinet_ros.core.mtl import SHIPPED, RobustnessInterval, Verdict, parse_spec
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.perception.perception import GroundTruth, Perception
 from taxinet_ros.core.scenario import Scenario
@@ -281,7 +281,7 @@ def test_t17_given_an_infinite_rho_when_judged_all_the_same_then_it_is_no_verdic
 def test_t17_given_an_infinite_rho_when_asked_for_its_verdict_then_there_is_none(
     rho: float,
 ) -> None:
-    assert verdict_of(rho, rho) is Verdict.UNKNOWN
+    assert RobustnessInterval.exactly(rho).verdict is Verdict.UNKNOWN
 
 
 def sample(cte_m: float, *, valid: bool = True, error_m: float = 0.0) -> dict[str, float]:

@@ -21,8 +21,7 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import read_info, read_messages
 from taxinet_ros.bag.rewrite.recovery import recover
-from taxinet_ros.bag.run.facts import read_facts
-from taxinet_ros.bag.run.tables import read_tables
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.storage.records import (
     MAGIC,
     ReadBudget,
@@ -94,7 +93,8 @@ def test_given_mutated_files_when_used_then_only_typed_errors_come_and_nothing_i
     sound: bytes, files: Callable[[int, int], Iterator[Path]], tmp_path: Path
 ) -> None:
     uses: dict[str, Callable[[Path], object]] = {
-        'facts': read_facts, 'tables': read_tables, 'check': check_bag,
+        'facts': lambda path: open_recording(path).facts,
+        'tables': lambda path: open_recording(path).tables(), 'check': check_bag,
     }
     (tmp_path / 'sound.mcap').write_bytes(sound)
     for use in uses.values():

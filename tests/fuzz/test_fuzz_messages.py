@@ -22,16 +22,18 @@ from whole_runs import SCENE, _scenario, run_messages, run_topics
 from taxinet_ros.bag.cdr.alignment import walk_of
 from taxinet_ros.bag.cdr.image import frame_of_cdr, image_cdr
 from taxinet_ros.bag.check.judge import judge_runs
-from taxinet_ros.bag.run.facts import read_facts, read_run
-from taxinet_ros.bag.run.samples import read_run_samples
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 
 MUTANTS = 12
 READERS: dict[str, Callable[[Path], object]] = {
-    'trace': read_trace, 'samples': read_run_samples, 'judge': judge_runs, 'run': read_run,
-    'facts': read_facts, 'images': lambda path: deque(read_images(path), maxlen=0),
+    'trace': lambda path: open_recording(path).columns,
+    'samples': lambda path: open_recording(path).samples_of(None),
+    'judge': judge_runs,
+    'run': lambda path: open_recording(path).run,
+    'facts': lambda path: open_recording(path).facts,
+    'images': lambda path: deque(open_recording(path).frames(render=False), maxlen=0),
 }
 TRUTH = '/ground_truth/tracking_error'
 
@@ -108,7 +110,7 @@ def test_given_steps_beyond_all_numbers_when_traced_then_one_line(tmp_path: Path
     head = struct.pack('<iI', 0, 0) + _text('map') + _text('r')
     body = head + bytes(-len(head) % 8) + struct.pack('<Qdd?', 2**64 - 1, 0.0, 0.0, True)
     path = write(tmp_path / 'run', [(TRUTH, 0, b'\0\1\0\0' + body)], topics)
-    assert end_of(lambda: read_trace(path)) == 'BagForeign'
+    assert end_of(lambda: open_recording(path).columns) == 'BagForeign'
 
 
 def _text(text: str) -> bytes:

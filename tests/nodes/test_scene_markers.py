@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
 
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.place import runway
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
@@ -149,6 +149,6 @@ def test_given_a_bag_that_is_played_then_the_scene_follows_it(bag):
             executor.shutdown()
             rclpy.try_shutdown(context=context)
     assert len(heard['scene/runway']) == 1
-    trace = read_trace(bag)
+    trace = open_recording(bag).columns
     path = heard['scene/aircraft'][-1].markers[1]
     assert points_of(path)[:, 1].tolist() == trace['cte_m'].tolist()

@@ -32,8 +32,7 @@ from taxinet_ros.analysis.causes.predictors import (
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, Difference, GroupRate, difference
 from taxinet_ros.analysis.runs.features import PAPER_FEATURES
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.facts import read_facts
-from taxinet_ros.errors import UsageError
+from taxinet_ros.bag.run.recording import open_recording
 
 _DIGITS = 6
 _SCENE = [feature.name for feature in PAPER_FEATURES]
@@ -231,16 +230,7 @@ def bag_folders(runs: CampaignRuns, failures: pd.DataFrame, most: int) -> Mappin
             break
         folder = runs.folder / bag
         if bag and any(folder.glob('*.mcap')):
-            _check_run(str(run_id), folder)
+            with contextlib.suppress(BagError):  # the page says of a damaged one that it is
+                open_recording(folder).check_is(str(run_id))
             found[str(run_id)] = folder
     return found
-
-
-def _check_run(run_id: str, bag: Path) -> None:
-    with contextlib.suppress(BagError):  # the page says of a damaged one that it is
-        told = read_facts(bag)
-        if told is not None and told.run_id != run_id:
-            raise UsageError(
-                f'{bag}: is of run {told.run_id}, not of {run_id}; was the folder moved here? '
-                f'taxinet doctor {bag.parent} checks all of them'
-            )

@@ -33,6 +33,7 @@ from taxinet_ros.analysis.explain.track import (
 )
 from taxinet_ros.bag.errors import BagEmpty
 from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError
 
@@ -101,14 +102,13 @@ class Explanation:
 
 
 def explain(
-    bag: Path, run: RecordedRun, perception: Perception, *, frames: int,
+    recording: Recording, perception: Perception, *, frames: int,
     training: NearestImages | None = None, on_progress: Progress = lambda stage, done, total: None,
 ) -> Explanation:
     """Look into a run.
 
     Args:
-        bag: a run folder or an ``.mcap`` file.
-        run: what :func:`.recorded_run.read_run` says of it.
+        recording: of the run.
         perception: a network, which looks at frames.
         frames: most moments to look into, at least 1.
         training: images to hold the frames against.
@@ -121,8 +121,9 @@ def explain(
     def look(image: Frame) -> TrackingError:
         return perception.estimate(image, None)
 
-    track = read_track(bag, run, look, lambda done, all_: on_progress('frames', done, all_))
-    chosen = tuple(moments(bag, run, track, choose_rows(track, frames)))
+    bag, run = recording.path, recording.run
+    track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
+    chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:
         raise BagEmpty(f'{bag}: no camera frame of it can be looked into', path=bag)
     found: tuple[Effect, ...] = ()

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagEmpty
-from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
@@ -142,14 +140,13 @@ def misled_rad(estimate: TrackingError, truth: TrackingError, gains: SteeringGai
 
 
 def read_track(
-    path: Path, run: RecordedRun, look: Estimator,
+    recording: Recording, look: Estimator,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Track:
     """Let a network look at every frame of a run: as recorded, else rendered again.
 
     Args:
-        path: a run folder or an ``.mcap`` file.
-        run: what :func:`.recorded_run.read_run` says of it.
+        recording: of the run.
         look: the network.
         on_progress: is told how many frames are done, of how many.
 
@@ -157,17 +154,17 @@ def read_track(
         WorldDiffers: frames are missing and cannot be rendered as they were.
         BagError, UsageError: the bag cannot be read.
     """
-    trace = read_trace(path)
+    path, trace = recording.path, recording.columns
     total = len(trace['seq'])
     seen: dict[int, TrackingError] = {}
     states: dict[int, AircraftState] = {}
     differs = ''
-    for stamp_ns, image in read_images(path):
-        seen[stamp_ns // CONTROL_PERIOD_NS] = look(np.ascontiguousarray(image))
+    for frame in recording.frames(render=False):
+        seen[frame.seq] = look(np.ascontiguousarray(frame.image))
         on_progress(len(seen), total)
     recorded = frozenset(seen)
     try:
-        for now in observations(path, lambda seq: seq not in recorded):
+        for now in recording.observations(lambda seq: seq not in recorded):
             states[now.seq] = now.state
             if now.image is not None:
                 seen[now.seq] = look(now.image)
@@ -187,7 +184,7 @@ def read_track(
         cte_m=_float(trace['cte_m']), he_rad=_float(trace['he_rad']),
         est_cte_m=_estimates(steps, seen, 'cte_m'), est_he_rad=_estimates(steps, seen, 'he_rad'),
         rec_cte_m=_float(trace['est_cte_m']), rec_he_rad=_float(trace['est_he_rad']),
-        gains=SteeringGains(**run.gains), states=states, differs=differs,
+        gains=SteeringGains(**recording.run.gains), states=states, differs=differs,
     )
 
 
@@ -217,7 +214,7 @@ def choose_rows(track: Track, frames: int) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def moments(path: Path, run: RecordedRun, track: Track, rows: Sequence[int]) -> Iterator[Moment]:
+def moments(recording: Recording, track: Track, rows: Sequence[int]) -> Iterator[Moment]:
     """The frames of some rows, with all that is known of them.
 
     Raises:
@@ -225,10 +222,10 @@ def moments(path: Path, run: RecordedRun, track: Track, rows: Sequence[int]) -> 
     """
     wanted = {int(track.seq[row]): row for row in rows}
     images = {
-        stamp_ns // CONTROL_PERIOD_NS: np.ascontiguousarray(image)
-        for stamp_ns, image in read_images(path) if stamp_ns // CONTROL_PERIOD_NS in wanted
+        frame.seq: np.ascontiguousarray(frame.image)
+        for frame in recording.frames(wanted.__contains__, render=False)
     }
-    camera = Camera(run.request.scenario)
+    camera = Camera(recording.scenario)
     for seq, row in sorted(wanted.items()):
         state = track.states.get(seq)
         image = images.get(seq)

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from taxinet_ros.bag.layout import write_whole
-from taxinet_ros.bag.run.facts import RunFacts, read_facts
-from taxinet_ros.bag.run.trace import Column, read_images, read_trace
+from taxinet_ros.bag.run.facts import RunFacts
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
@@ -195,24 +196,23 @@ class _Panel:
             draw.text((rho_right, y), words, _RHO, _font(16), anchor='rm')
 
 
-def film_frames(bag: Path) -> Iterator[Picture]:
+def film_frames(recording: Recording) -> Iterator[Picture]:
     """The frames of a run's film, (960, 1080, 3) uint8 RGB, ten to a simulated second.
 
     Raises:
         UsageError: the bag holds no camera frames.
         BagError: it is damaged, foreign, or holds no truth.
     """
-    trace = read_trace(bag)
-    facts = read_facts(bag)
+    bag, trace, facts = recording.path, recording.columns, recording.facts
     panel = _draw_panel(trace)
     rows = {int(stamp): row for row, stamp in enumerate(trace['t_ns'])}
     shown = 0
-    for stamp_ns, pixels in read_images(bag):
-        if (row := rows.get(stamp_ns)) is None:
+    for frame in recording.frames(render=False):
+        if (row := rows.get(frame.stamp_ns)) is None:
             continue
         shown += 1
         now = {name: column[row] for name, column in trace.items()}
-        view = _view(pixels, now, facts)
+        view = _view(frame.image, now, facts)
         yield np.vstack([view, panel.at(now)])
     if not shown:
         raise UsageError(

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from taxinet_ros.bag.check.judge import BagVerdict, SpecVerdict
+from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict
 from taxinet_ros.core.mtl import SIGNALS, Reading, ast, atoms, signal_names
 from taxinet_ros.core.mtl.margin import compile_margin
 from taxinet_ros.core.types import NS_PER_S

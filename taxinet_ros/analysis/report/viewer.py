@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from taxinet_ros.analysis.report.values import plain_number
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.facts import RunFacts, read_facts
-from taxinet_ros.bag.run.resimulation import observations
-from taxinet_ros.bag.run.trace import Column, read_images, read_trace
+from taxinet_ros.bag.run.facts import RunFacts
+from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import (
@@ -101,38 +101,29 @@ class Frames:
         }
 
 
-def read_frames(bag: Path, stamps_ns: Sequence[int]) -> Frames:
+def read_frames(recording: Recording) -> Frames:
     """Frames of some of a run's control steps, as recorded, else rendered now.
-
-    Args:
-        bag: a run folder or an ``.mcap`` file.
-        stamps_ns: simulated time of each row of the trace.
 
     Raises:
         BagError: a recorded frame is damaged.
     """
+    stamps_ns = [int(stamp) for stamp in recording.columns['t_ns']]
     apart = max(STEPS_APART, math.ceil(len(stamps_ns) / MOST_FRAMES))
-    wanted = {stamp: row for row, stamp in enumerate(stamps_ns) if row % apart == 0}
-    files = {
-        wanted[stamp]: _webp(pixels) for stamp, pixels in read_images(bag) if stamp in wanted
+    wanted = {
+        stamp // CONTROL_PERIOD_NS: row for row, stamp in enumerate(stamps_ns) if row % apart == 0
     }
-    lacking = {stamp: row for stamp, row in wanted.items() if row not in files}
-    missing = ''
-    if lacking:
+    files, missing = dict[int, bytes](), ''
+    recorded = recording.recorded_steps
+    for frame in recording.frames(wanted.__contains__, render=False):
+        files[wanted[frame.seq]] = _webp(frame.image)
+    if not recorded.issuperset(wanted):
         try:
-            for stamp, pixels in _rendered(bag, lacking):
-                files[lacking[stamp]] = _webp(pixels)
+            for frame in recording.frames(lambda seq: seq in wanted and seq not in recorded):
+                files[wanted[frame.seq]] = _webp(frame.image)
         except (BagError, UsageError, InfraError) as error:
             missing = str(error)
     steps = tuple(sorted(files))
     return Frames(steps=steps, files=tuple(files[step] for step in steps), missing=missing)
-
-
-def _rendered(bag: Path, stamps_ns: Container[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """Stamp and pixels of some control steps; the camera is not asked for the others."""
-    for now in observations(bag, lambda seq: seq * CONTROL_PERIOD_NS in stamps_ns):
-        if now.image is not None:
-            yield now.stamp_ns, now.image
 
 
 def _webp(pixels: NDArray[np.uint8]) -> bytes:
@@ -213,8 +204,8 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
     Raises:
         BagError, UsageError: the bag cannot be read; that frames cannot be had again is no error.
     """
-    trace = read_trace(bag)
-    facts = read_facts(bag)
+    recording = open_recording(bag)
+    trace, facts = recording.columns, recording.facts
     specs = [name.removeprefix('rho_lower.') for name in trace if name.startswith('rho_lower.')]
     return RunView(
         run_id=run_id, outcome='' if facts is None else facts.outcome,
@@ -228,7 +219,7 @@ def read_run_view(run_id: str, bag: Path) -> RunView:
         intervals={
             spec: (trace[f'rho_lower.{spec}'], trace[f'rho_upper.{spec}']) for spec in specs
         },
-        frames=read_frames(bag, [int(stamp) for stamp in trace['t_ns']]),
+        frames=read_frames(recording),
     )
 
 

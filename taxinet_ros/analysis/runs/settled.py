@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import decoded_messages
-from taxinet_ros.bag.run.topics import SCENARIO, TRUTH, is_topic
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
 
 SETTLED_AFTER_S = 10.0
 """The ten seconds that phi_eventually gives a run to reach the centreline (paper, section 3.2)."""
@@ -39,27 +36,10 @@ def _settled_m(bag: Path) -> float:
     if not bag.is_dir():
         return math.nan
     try:
-        late = [
-            abs(message.cross_track_error)
-            for topic, stamp_ns, message in decoded_messages(bag, _is_wanted)
-            if _is_of(bag, topic, message) and stamp_ns >= SETTLED_AFTER_S * NS_PER_S
-        ]
-    except (BagError, AttributeError):
+        recording = open_recording(bag)
+        recording.check_is(bag.name)
+        trace = recording.columns
+    except BagError:
         return math.nan
-    return float(np.median(late)) if late else math.nan
-
-
-def _is_wanted(topic: str) -> bool:
-    return is_topic(topic, TRUTH) or is_topic(topic, SCENARIO)
-
-
-def _is_of(bag: Path, topic: str, message: Any) -> bool:
-    """Whether a message is a truth; raises where another says that the bag is of another run."""
-    if is_topic(topic, TRUTH):
-        return True
-    if str(message.run_id) != bag.name:
-        raise UsageError(
-            f'{bag}: is of run {message.run_id}; was the folder moved here? taxinet doctor '
-            f'{bag.parent} checks all of them'
-        )
-    return False
+    late = trace['t_ns'].astype(np.int64) >= SETTLED_AFTER_S * NS_PER_S
+    return float(np.median(np.abs(trace['cte_m'][late]))) if late.any() else math.nan

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from taxinet_ros.analysis.one_run.trajectories import BAND_M, Trajectory
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.options import ShrinkOptions
@@ -154,7 +154,7 @@ def _trajectories(options: ShrinkOptions, found: Report) -> list[Trajectory]:
         # A resumed shrinking rests on runs whose bags may have been deleted since.
         if not row.bag or not (options.campaign.out / row.bag).is_dir():
             continue
-        trace = read_trace(options.campaign.out / row.bag)
+        trace = open_recording(options.campaign.out / row.bag).columns
         drawn.append(Trajectory(
             label=f'{name}, rho {row.rho[options.headline]:+.2f}',
             t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,

@@ -21,20 +21,19 @@ from taxinet_ros.bag.check.lockstep import (
     check_stamps,
     check_steps,
     check_verdict,
-    read_record,
-    read_records,
+    run_record,
+    run_records,
 )
 from taxinet_ros.bag.description import VERSION, read_description, words_beside
 from taxinet_ros.bag.errors import BagEmpty, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.reader import BagInfo, read_info
-from taxinet_ros.bag.run.recording import read_recording
-from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
-from taxinet_ros.bag.run.trace import Frame, read_images
+from taxinet_ros.bag.reader import BagInfo
+from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.run.trace import Frame
 from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.yaml_text import load_yaml
 
@@ -239,10 +238,10 @@ class FrameComparison:
         return self.equal == self.recorded and not self.trouble
 
 
-def check_recorded_frames(path: Path) -> Check:
+def check_recorded_frames(recording: Recording) -> Check:
     """:func:`check_frames` as one of the questions of a checkup; it is only read."""
     try:
-        found = compare_recorded_frames(path)
+        found = compare_recorded_frames(recording)
     except (BagError, UsageError) as error:
         return Check(name='frames', looked_at=f'not compared: {error}', skipped=True)
     words = f'{found.equal} of {found.recorded} equal those rendered anew'
@@ -260,7 +259,7 @@ def check_recorded_frames(path: Path) -> Check:
     return Check(name='frames', looked_at=words, findings=(finding,))
 
 
-def compare_recorded_frames(path: Path) -> FrameComparison:
+def compare_recorded_frames(recording: Recording) -> FrameComparison:
     """Render every recorded frame of a bag once more, and compare.
 
     Raises:
@@ -269,10 +268,10 @@ def compare_recorded_frames(path: Path) -> FrameComparison:
     recorded = equal = 0
     first: dict[str, int] = {}
     trouble = ''
-    states = observations(path)
-    for stamp_ns, image in read_images(path):
+    states = recording.observations()
+    for frame in recording.frames(render=False):
         recorded += 1
-        seq = stamp_ns // CONTROL_PERIOD_NS
+        seq, image = frame.seq, frame.image
         try:
             now = None if trouble else next((s.image for s in states if s.seq == seq), None)
         except WorldDiffers as error:
@@ -321,8 +320,8 @@ def check_bag(path: Path) -> Checkup:
         BagEmpty: not one message of it can be read, and it is not whole either.
         BagForeign, UsageError: as ``reader.read_messages``.
     """
-    damage: list[BagError] = []
-    info = read_info(path, damage.append)
+    recording = open_recording(path)
+    info, damage = recording.info, recording.damaged_places
     if damage and not any(info.counts.values()):
         raise BagEmpty(str(damage[0]), path=path)
     return Checkup(
@@ -332,22 +331,24 @@ def check_bag(path: Path) -> Checkup:
             check_index(path, sound=not damage),
             check_description(info),
             check_types(info),
-            *_run_checks(path, info),
+            *_run_checks(recording),
         ),
     )
 
 
-def _run_checks(path: Path, info: BagInfo) -> Iterator[Check]:
-    recording = read_recording(path)
+def _run_checks(recording: Recording) -> Iterator[Check]:
     if recording.plain or not recording.runs:
-        yield from _checks_of(read_record(path), [topic.name for topic in info.topics], '')
+        topics = [topic.name for topic in recording.topics]
+        yield from _checks_of(run_record(recording), topics, '')
         return
     yield Check(
         name='messages', looked_at='every message is what its topic says',
-        findings=tuple(Finding(where=path.name, what=str(error)) for error in recording.broken),
+        findings=tuple(
+            Finding(where=recording.path.name, what=str(error)) for error in recording.broken
+        ),
     )
     # What the topics of others hold, and that some hold nothing, is their affair.
-    for run, record in zip(recording.runs, read_records(recording), strict=True):
+    for run, record in zip(recording.runs, run_records(recording), strict=True):
         if not run.absent:
             yield from _checks_of(record, list(record.counts), f'{run.name}: ')
 

@@ -9,15 +9,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
+from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, scenario_of
-from taxinet_ros.bag.run.recording import Recording, run_messages
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.samples import same_bits
 from taxinet_ros.bag.run.topics import (
     COMMAND,
@@ -143,22 +142,18 @@ class RunRecord:
             self.stamps.append(Finding(where=where, what=what.removeprefix(f'{name}: ')))
 
 
-def read_record(path: Path) -> RunRecord:
-    """Read the numbers of a run, passing over damage.
-
-    Raises:
-        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
-    """
+def run_record(recording: Recording) -> RunRecord:
+    """The numbers of the run that a recording holds, damage passed over."""
     record = RunRecord()
-    for stored in stored_messages(path, on_damage=lambda error: None):
+    for stored in recording.all_messages():
         record.note(stored)
     return record
 
 
-def read_records(recording: Recording) -> list[RunRecord]:
+def run_records(recording: Recording) -> list[RunRecord]:
     """The same of every run in a recording, each message under the stamp in its header."""
     records = [RunRecord() for _ in recording.runs]
-    for number, stored in run_messages(recording):
+    for number, stored in recording.messages_of_runs(whole=True):
         records[number].note(stored)
     return records
 

@@ -1,13 +1,14 @@
 """Camera frames of a bag that was recorded without them, put back bit for bit.
 
 The camera is deterministic, so a frame follows from scenario and commands, which are recorded
-(:mod:`.resimulate`). The bag that comes out has the bytes of one that was recorded with frames.
+(:mod:`taxinet_ros.bag.run.resimulation`). The bag that comes out has the bytes of one that was
+recorded with frames.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from taxinet_ros.bag.cdr.decode import decode
@@ -19,10 +20,9 @@ from taxinet_ros.bag.reader import (
     BagInfo,
     StoredMessage,
     read_attachment,
-    read_info,
     stored_messages,
 )
-from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.topics import ONCE
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter
@@ -49,39 +49,39 @@ def missing_frames(info: BagInfo) -> int:
     return info.counts[CAMERA_INFO] - info.counts.get(IMAGE, 0)
 
 
-def frame_messages(path: Path) -> Iterator[tuple[int, bytes]]:
+def frame_messages(recording: Recording) -> Iterator[tuple[int, bytes]]:
     """Yield control step and serialised frame: as recorded, else rendered now.
 
     Raises:
         WorldDiffers: a frame is missing, and cannot be had again.
         BagError, UsageError: the bag cannot be read.
     """
-    frames = _Frames(path)
-    for message in stored_messages(path, (IMAGE, CAMERA_INFO).__contains__):
+    frames = _Frames(recording)
+    for message in stored_messages(recording.path, (IMAGE, CAMERA_INFO).__contains__):
         seq = message.stamp_ns // CONTROL_PERIOD_NS
         cdr = message.cdr if message.topic.name == IMAGE else frames.missing(message)
         if cdr is not None:
             yield seq, cdr
 
 
-def restore_frames(source: Path, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
-    """Write ``source`` into the new run ``folder`` with a frame in every control step.
+def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
+    """Write the run into the new run ``folder`` with a frame in every control step.
 
     Recorded frames stay, missing ones are rendered. A generator, so that a node can do other
     things meanwhile: it yields the number of each control step that is done.
 
     Args:
-        source: a run folder or an ``.mcap`` file.
+        recording: of the run.
         folder: the new run folder; the bytes are those of a recording only under the same name.
         min_free_bytes: free space to ask of the disk [bytes].
 
     Raises:
-        UsageError: ``source`` is damaged, or ``folder`` exists or has too little space.
+        UsageError: it is damaged, or ``folder`` exists or has too little space.
         WorldDiffers: the frames cannot be had again.
         BagWriteError: the operating system refuses.
         BagError: the bag cannot be read.
     """
-    info = read_info(source)
+    source, info = recording.path, recording.info
     missing_frames(info)
     if info.trouble:
         raise UsageError(f'{info.trouble}; mend it first: taxinet bag recover {source} --out NEW')
@@ -94,7 +94,7 @@ def restore_frames(source: Path, folder: Path, min_free_bytes: int = 0) -> Itera
         attachments=attachments, min_free_bytes=min_free_bytes,
         beside=words_beside(source, words),
     ) as bag:
-        yield from _copy(source, bag)
+        yield from _copy(recording, bag)
         for name, values in info.metadata.items():
             if name not in ('rosbag2', RUN_METADATA):
                 bag.add_metadata(name, values)
@@ -111,7 +111,7 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
     draft = folder / _DRAFT / folder.name
     shutil.rmtree(draft.parent, ignore_errors=True)
     try:
-        yield from restore_frames(folder, draft, min_free_bytes)
+        yield from restore_frames(open_recording(folder), draft, min_free_bytes)
         (folder / METADATA_FILE).unlink()
         mcap_path(draft).replace(mcap_path(folder))
         (draft / METADATA_FILE).replace(folder / METADATA_FILE)
@@ -125,12 +125,9 @@ def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
 class _Frames:
     """The frames that a bag lacks, rendered as its control steps go by."""
 
-    def __init__(self, path: Path) -> None:
-        self.recorded: Collection[int] = {
-            message.stamp_ns // CONTROL_PERIOD_NS
-            for message in stored_messages(path, IMAGE.__eq__)
-        }
-        self._states = observations(path, lambda seq: seq not in self.recorded)
+    def __init__(self, recording: Recording) -> None:
+        self.recorded = recording.recorded_steps
+        self._states = recording.observations(lambda seq: seq not in self.recorded)
 
     def missing(self, camera_info: StoredMessage) -> bytes | None:
         """The frame that this camera info belongs to; None if it is there, or not to be had.
@@ -157,11 +154,11 @@ def _topics(info: BagInfo) -> list[TopicInfo]:
     return topics
 
 
-def _copy(source: Path, bag: BagWriter) -> Iterator[int]:
+def _copy(recording: Recording, bag: BagWriter) -> Iterator[int]:
     """Copy every message, a frame before its camera info; flush as the recorder does."""
-    frames = _Frames(source)
+    frames = _Frames(recording)
     before: int | None = None
-    for message in stored_messages(source):
+    for message in stored_messages(recording.path):
         topic = message.topic.name
         step = None if topic in _PER_RUN else message.stamp_ns // CONTROL_PERIOD_NS
         if before is not None and step != before:

@@ -14,7 +14,8 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.reader import StoredMessage
 from taxinet_ros.bag.rewrite.recovery import storable_topic
 from taxinet_ros.bag.run.message_values import scenario_json
-from taxinet_ros.bag.run.recording import RANK_IN_STEP, Recording, RunPart, run_messages
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
 from taxinet_ros.bag.run.topics import (
     NODE_STATUS,
     RUN_STATUS,
@@ -32,7 +33,7 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
     versions and machine, which no message tells, are missing.
 
     Args:
-        recording: what :func:`read_recording` found.
+        recording: of several runs, or of another recorder.
         folders: new run folder by the name of the run.
 
     Raises:
@@ -53,7 +54,7 @@ def write_runs(recording: Recording, folders: Mapping[str, Path]) -> None:
             raise BagForeign(f'{recording.path}: run {run.name}: {run.unclear}')
     held: dict[int, list[StoredMessage]] = {i: [] for i in numbers}
     left = Counter(recording.owners)
-    for number, stored in run_messages(recording):
+    for number, stored in recording.messages_of_runs(whole=True):
         left[number] -= 1
         if number in held:
             held[number].append(stored)

@@ -8,22 +8,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.bag.reader import BagInfo, StoredMessage, decoded_messages, stored_messages
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, decode_of
 from taxinet_ros.bag.run.message_values import scenario_of
-from taxinet_ros.bag.run.recording import Recording, run_messages
 from taxinet_ros.bag.run.topics import (
     NODE_STATUS,
     ROBUSTNESS,
     RUN_STATUS,
     SCENARIO,
     VERDICT,
-    is_topic,
 )
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.controller import SteeringGains
@@ -34,8 +32,8 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.provenance import NAMES, Provenance
 from taxinet_ros.errors import UsageError
 
-_HEAD = ('/scenario', '/node_status', '/clock')
-
+if TYPE_CHECKING:
+    from taxinet_ros.bag.run.recording import Recording
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -60,25 +58,22 @@ class RecordedRun:
     timing: Timing = AT_ONCE
 
 
-def read_run(path: Path) -> RecordedRun:
-    """Read what run a bag holds.
-
-    Raises:
-        BagEmpty: the bag ends before it tells.
-        BagForeign: what it tells is not of this package.
-        UsageError: there is no bag, or a value of its scenario is out of range.
-    """
+def recorded_run(recording: Recording) -> RecordedRun:
+    """See :attr:`.recording.Recording.run`."""
+    path = recording.path
     scenario: Any = None
     kinds: dict[str, Any] = {}
-    for topic, _, message in decoded_messages(path, _HEAD.__contains__):
-        if topic == '/scenario':
-            if scenario is not None:
-                raise several_runs(path, scenario.run_id, message.run_id)
-            scenario = message
-        elif topic == '/node_status':
+    for count, (topic, stored) in enumerate(recording.messages((SCENARIO, NODE_STATUS))):
+        message = decode_of(path, stored, count)
+        if topic == NODE_STATUS:
             kinds.setdefault(message.node, message)
+        elif scenario is None:
+            scenario = message
         else:
-            break
+            raise several_runs(path, scenario.run_id, message.run_id)
+    if scenario is None:
+        for error in recording.damaged_places:
+            raise error
     if scenario is None:
         raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
     try:
@@ -102,7 +97,7 @@ def read_run(path: Path) -> RecordedRun:
 
 
 def gains_text(gains: Mapping[str, float]) -> str:
-    """Steering gains as a controller reports them; the inverse of :func:`gains_of_words`."""
+    """Steering gains as a controller reports them; the inverse of :func:`parse_gains`."""
     return ' '.join(f'{name}={value!r}' for name, value in gains.items())
 
 
@@ -204,28 +199,12 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def read_facts(path: Path) -> RunFacts | None:
-    """Read what a bag tells of its run; damage is passed over.
-
-    Returns:
-        The facts, or None where the bag holds no scenario of ours, as those of others.
-
-    Raises:
-        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
-        BagCorrupt: a message that tells of the run is not what its topic says.
-    """
-    told = _FactsReader()
-    for stored in stored_messages(path, _is_fact_topic, on_damage=lambda error: None):
-        _note(told, path, stored)
+def run_facts(recording: Recording) -> RunFacts | None:
+    """See :attr:`.recording.Recording.facts`."""
+    told = _FactsReader(recording.path)
+    for relative, stored in recording.messages(_FACT_TOPICS):
+        told.note(relative, stored)
     return told.facts()
-
-
-def read_all_facts(recording: Recording) -> dict[str, RunFacts | None]:
-    """What a recording tells of each of its runs, by their names; errors as :func:`read_facts`."""
-    told = [_FactsReader() for _ in recording.runs]
-    for number, stored in run_messages(recording, lambda run, topic: topic in _FACT_TOPICS):
-        _note(told[number], recording.path, stored)
-    return {run.name: one.facts() for run, one in zip(recording.runs, told, strict=True)}
 
 
 def made_on(info: BagInfo) -> Provenance:
@@ -256,23 +235,11 @@ def free_account(info: BagInfo) -> FreeRunAccount | None:
         raise BagForeign(text, path=info.path) from error
 
 
-def _note(told: _FactsReader, path: Path, stored: StoredMessage) -> None:
-    message = decode(stored.topic, stored.cdr)
-    try:
-        told.note(path, stored, message)
-    except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
-        text = f'{path}: topic {stored.topic.name}: {error}'
-        raise BagCorrupt(text, path=path) from error
-
-
-def _is_fact_topic(topic: str) -> bool:
-    return any(is_topic(topic, relative) for relative in _FACT_TOPICS)
-
-
 @dataclass
 class _FactsReader:
     """What the messages have told so far."""
 
+    path: Path
     scenario: dict[str, Any] | None = None
     nodes: dict[str, NodeFacts] = field(default_factory=dict)
     ending: dict[str, str] = field(default_factory=dict)
@@ -280,24 +247,31 @@ class _FactsReader:
     figures: dict[str, float | bool] = field(default_factory=dict)
     last_seq: int = -1
 
-    def note(self, path: Path, stored: StoredMessage, message: Any) -> None:
-        """Take in a message of the bag at ``path``."""
-        name = stored.topic.name
-        if is_topic(name, SCENARIO):
+    def note(self, relative: str, stored: StoredMessage) -> None:
+        """Take in a message."""
+        message = decode(stored.topic, stored.cdr)
+        try:
+            self._note(relative, message)
+        except (AttributeError, TypeError, ValueError, OverflowError, UsageError) as error:
+            text = f'{self.path}: topic {stored.topic.name}: {error}'
+            raise BagCorrupt(text, path=self.path) from error
+
+    def _note(self, relative: str, message: Any) -> None:
+        if relative == SCENARIO:
             before, self.scenario = self.scenario, _scenario(message)
             if before is not None:
-                raise several_runs(path, before['run_id'], self.scenario['run_id'])
-        elif is_topic(name, NODE_STATUS):
+                raise several_runs(self.path, before['run_id'], self.scenario['run_id'])
+        elif relative == NODE_STATUS:
             if message.state == _READY:
                 self.nodes[str(message.node)] = NodeFacts(
                     implementation=str(message.implementation),
                     fingerprint=str(message.fingerprint),
                 )
-        elif is_topic(name, RUN_STATUS):
+        elif relative == RUN_STATUS:
             if message.state == _ENDED:
                 words = ('outcome', 'kind', 'who', 'detail')
                 self.ending = {word: str(getattr(message, word)) for word in words}
-        elif is_topic(name, VERDICT):
+        elif relative == VERDICT:
             for spec in message.specs:
                 self._judge(spec)
             self.figures = _figures(message)

@@ -1,130 +1,228 @@
-"""The runs within a recording, whoever made it: told apart, and in simulated time.
+"""A recorded run, read from its bag in one pass: what was asked, what happened, what came of it.
 
-Our recorder makes a bag of each run, in which every message is logged at the simulated time
-that it belongs to. ``ros2 bag record`` makes one of all that it hears: several runs one after
-the other, logged by the wall clock, or by a simulated time that begins anew with each run;
-topics of others beside ours; graphs in several namespaces; with a last run that goes on, and a
-first one that had begun before. What belongs where follows from what the messages themselves
-say: their run and the stamp in their header. Images, camera info, odometry and the clock name
-no run; on each of these topics time begins anew with a run, and a stretch of it belongs to the
-run that was stepping then.
+``open_recording`` takes bags of our recorder and of ``ros2 bag record``, in any namespace and with
+any perception and controller. A bag of several runs is a sequence of recordings::
+
+    recording = open_recording('bags/campaign/s_falsif-s0-00000')
+    recording.scenario.heading_rad, recording.facts.outcome
+    recording.trace.plot('t_s', 'cte_m')
+    for frame in recording.frames():
+        frame.image  # as the camera saw it; rendered again where it was not recorded
+    recording.judge('always(abs(cte) <= 3)').verdict
+
+    for run in open_recording('rosbag2_2026_11_23'):
+        print(run.name, run.facts.outcome)
+
+All messages but the pictures are kept in memory, as bytes; each view decodes what it needs when it
+is first asked for. Only camera frames, and tables of others' topics, cost another pass.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
-from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
-from taxinet_ros.bag.cdr.decode import decode
-from taxinet_ros.bag.errors import BagEmpty, BagError
-from taxinet_ros.bag.reader import StoredMessage, stored_messages
-from taxinet_ros.bag.run.topics import (
-    CAMERA_INFO,
-    CLOCK,
-    COMMAND,
-    ESTIMATE,
-    IMAGE,
-    NODE_STATUS,
-    ODOMETRY,
-    ROBUSTNESS,
-    RUN_STATUS,
-    SCENARIO,
-    TRUTH,
-    VERDICT,
-    is_of_frames,
-    is_topic,
+from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagTruncated
+from taxinet_ros.bag.layout import METADATA_FILE
+from taxinet_ros.bag.reader import (
+    BagInfo,
+    Contents,
+    StoredMessage,
+    read_contents,
+    stored_messages,
 )
-from taxinet_ros.bag.storage.scan import OnDamage
+from taxinet_ros.bag.run.runs import (
+    RunPart,
+    RunsWithin,
+    messages_of_runs,
+    tell_runs_apart,
+    topic_parts,
+)
+from taxinet_ros.bag.run.topics import IMAGE, is_of_frames
 from taxinet_ros.bag.topics import TopicInfo
-from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
-_ORDER = (
-    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
-    ROBUSTNESS, VERDICT, RUN_STATUS,
-)
-"""The topics of a run, as our recorder writes them within a step."""
-_WITHOUT_RUN_ID = frozenset({CLOCK, IMAGE, CAMERA_INFO, ODOMETRY})
-"""Topics whose messages do not say which run they belong to."""
-_STEPPED = frozenset({TRUTH, ESTIMATE, COMMAND, ROBUSTNESS})
-"""Topics that say it, in every control step."""
-RANK_IN_STEP = {topic: rank for rank, topic in enumerate(_ORDER)}
-_READY, _ENDED = 0, 2
-_NO_RUN = -1
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from taxinet_ros.bag.run.facts import RecordedRun, RunFacts
+    from taxinet_ros.bag.run.judging import SpecVerdict
+    from taxinet_ros.bag.run.samples import RunSamples
+    from taxinet_ros.bag.run.trace import CameraFrame, Column
+    from taxinet_ros.core.mtl import Assumptions, Spec
+    from taxinet_ros.core.pacing.free_run import FreeRunAccount
+    from taxinet_ros.core.provenance import Provenance
+    from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.world import Observation
+
+_HEAD_OF_A_PICTURE = 64
+"""Its stamp is in the first bytes."""
 
 
-@dataclass(kw_only=True)
-class RunPart:
-    """One run of a recording.
+class Kept(NamedTuple):
+    """A message of a run: its topic without the namespace, and the message as stored."""
 
-    Attributes:
-        name: names it among the others: its id, with its namespace where there are several, and
-            with ``#2`` where it is the second of that id.
-        run_id, namespace: as recorded; the namespace with its slash, or ''.
-        stamps_ns: simulated times of which there is a ground truth [ns].
-        scenario: the message that tells what is run, or None.
-        outcome: how it ended, or '' where the recording does not tell.
-        told: whether its end or its verdict is in the recording.
-        unclear: one line on what cannot be told of it, or ''.
+    relative: str
+    stored: StoredMessage
+
+
+class _Within(NamedTuple):
+    """Which run of a recording another one is."""
+
+    whole: Recording
+    number: int
+    part: RunPart
+
+
+def open_recording(path: Path | str) -> Recording:
+    """Open a bag, of one run or of several; its messages are read, in one pass.
+
+    Damage is no error here: what is sound is there, see :attr:`Recording.damage`.
+
+    Args:
+        path: a bag's folder or an ``.mcap`` file.
+
+    Raises:
+        UsageError: there is nothing at ``path``, or a format that is not read.
+        BagEmpty, BagForeign: there is nothing in it, or it is no ROS 2 bag.
+        BagError: the operating system cannot read it.
     """
-
-    name: str
-    run_id: str
-    namespace: str
-    stamps_ns: set[int] = field(default_factory=set)
-    scenario: StoredMessage | None = None
-    outcome: str = ''
-    told: bool = False
-    unclear: str = ''
-    first: int = -1
-    last: int = -1
-
-    @property
-    def absent(self) -> bool:
-        """Whether the recording tells how it ended, and has not one step of it.
-
-        A recorder that joins a graph late is told of the last runs before; and a run may have
-        broken before its first step.
-        """
-        return self.told and not self.stamps_ns
-
-    def words(self) -> str:
-        """For people: name, and how much of it there is."""
-        if not self.stamps_ns:
-            return f'{self.name} (no step of it)'
-        low, high = min(self.stamps_ns) / NS_PER_S, max(self.stamps_ns) / NS_PER_S
-        return f'{self.name} ({low:g}-{high:g} s)'
+    return Recording(read_contents(Path(path), _kept_bytes))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """What runs a bag holds.
+def _kept_bytes(topic: str) -> int:
+    relative = topic_parts(topic)[0]
+    if relative == IMAGE:
+        return _HEAD_OF_A_PICTURE
+    return sys.maxsize if relative or is_of_frames(topic) else 0
+
+
+class Recording(Sequence['Recording']):
+    """A bag and the runs in it; see :func:`open_recording`.
+
+    As a sequence it has one recording for each run, by number or by name. What tells of *the* run
+    (``run``, ``scenario``, ``facts``, ``trace``, ``samples``, ``frames``, ``judge``) is for a
+    recording of one; of several, ask each.
 
     Attributes:
         path: as given.
-        runs: in the order in which they were first heard of.
-        plain: whether it is one run and nothing else, logged as our recorder does.
-        owners: for each message on a topic of a run, which run it belongs to, -1 for none.
-        damage: what could not be read.
-        broken: of that, the messages that are not what their topics say.
+        name: of one run out of several: its id, with its namespace where there are some, and with
+            ``#2`` where it is the second of that id; else ''.
     """
 
-    path: Path
-    runs: tuple[RunPart, ...]
-    plain: bool
-    owners: Sequence[int]
-    damage: tuple[BagError, ...]
-    broken: tuple[BagError, ...]
+    def __init__(self, contents: Contents, within: _Within | None = None) -> None:
+        """For :func:`open_recording`; ``within`` says which run of another recording it is."""
+        self.path = contents.path
+        self.name = within.part.name if within is not None else ''
+        self._contents = contents
+        self._within = within
 
-    def without_run(self) -> BagEmpty:
-        """What to raise where there is no run; damage may have taken it."""
-        why = f': {self.damage[0]}' if self.damage else ''
-        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
+    # ---- the bag -----------------------------------------------------------------------------
+
+    @cached_property
+    def info(self) -> BagInfo:
+        """The bag's table of contents: topics, counts, times [ns], metadata, attachments."""
+        return self._contents.info if self._within is None else self._within.whole.info
+
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Its topics, in the order of the file."""
+        return tuple(self._contents.topics.values())
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Metadata records by name; of several by one name, the last."""
+        return self._contents.metadata if self._within is None else self._within.whole.metadata
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recording was finished and nothing is damaged."""
+        return self.info.complete
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recorder closed the bag, or it is a file without its folder."""
+        return self.path.is_file() or (self.path / METADATA_FILE).is_file()
+
+    @property
+    def checked(self) -> bool:
+        """Whether it is one file, and every byte stands under a checksum that holds."""
+        return self._contents.checked
+
+    @property
+    def damage(self) -> tuple[BagError, ...]:
+        """What could not be read: damaged places, then messages that are not what they say."""
+        return (*self.damaged_places, *self._apart.broken)
+
+    @property
+    def damaged_places(self) -> tuple[BagError, ...]:
+        """Damaged places of the files."""
+        return tuple(error for _, error in self._contents.damage)
+
+    @property
+    def broken(self) -> tuple[BagError, ...]:
+        """Messages that are not what their topics say."""
+        return self._apart.broken
+
+    @cached_property
+    def made_on(self) -> Provenance:
+        """Processor, libraries and code that it was recorded with; empty where it is not told."""
+        from taxinet_ros.bag.run.facts import made_on
+
+        return made_on(self.info)
+
+    # ---- its runs ----------------------------------------------------------------------------
+
+    @cached_property
+    def _apart(self) -> RunsWithin:
+        return tell_runs_apart(self._contents)
+
+    @property
+    def runs(self) -> tuple[RunPart, ...]:
+        """What runs it holds, in the order in which they were first heard of."""
+        return self._apart.runs
+
+    @property
+    def owners(self) -> Sequence[int]:
+        """For each message on a topic of a run, the number of the run it belongs to, or -1."""
+        return self._apart.owners
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is one run and nothing else, logged as our recorder does."""
+        return self._apart.plain
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __iter__(self) -> Iterator[Recording]:
+        return (self._of(number) for number in range(len(self.runs)))
+
+    def __getitem__(self, key: int | str) -> Recording:  # type: ignore[override]  # no slices
+        """One run of it, by its number, name or id.
+
+        Raises:
+            IndexError: there is none of that number.
+            UsageError: there is none of that name, or no single one.
+        """
+        if isinstance(key, str):
+            return self._of(self.runs.index(self.choose(key)))
+        return self._of(range(len(self.runs))[key])
+
+    def _of(self, number: int) -> Recording:
+        messages = [
+            stored for _, stored in self.messages_of_runs(lambda run, _: run == number)
+        ]
+        # Where in the bag it is damaged does not show among the messages of one run.
+        damage = [(0, error) for error in self.damaged_places]
+        contents = Contents(
+            self.path, messages=messages, damage=damage, checked=self.checked,
+            topics={stored.topic.name: stored.topic for stored in messages},
+        )
+        return Recording(contents, _Within(self, number, self.runs[number]))
 
     def choose(self, name: str | None) -> RunPart:
         """The run of that name, or the only one that was recorded.
@@ -150,221 +248,265 @@ class Recording:
             )
         return present[0]
 
+    def without_run(self) -> BagEmpty:
+        """What to raise where there is no run; damage may have taken it."""
+        why = f': {self.damage[0]}' if self.damage else ''
+        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
 
-def read_recording(path: Path, on_damage: OnDamage | None = None) -> Recording:
-    """Find out which runs a bag holds.
+    # ---- its messages ------------------------------------------------------------------------
 
-    Args:
-        path: a bag's folder or an ``.mcap`` file.
-        on_damage: called with each damaged place; without it, damage is in the result alone.
+    def messages(self, relative: Collection[str], *, strict: bool = False) -> Iterator[Kept]:
+        """Messages on some topics of a run, in the order of the recording; pictures cut short.
 
-    Raises:
-        BagEmpty, BagForeign, UsageError: as ``reader.read_messages``.
-    """
-    damage: list[BagError] = []
-    broken: list[BagError] = []
+        Args:
+            relative: names of the topics without a namespace, see :mod:`.topics`.
+            strict: whether damage is an error, raised where it lies.
 
-    def note(error: BagError) -> None:
-        damage.append(error)
-        if on_damage is not None:
-            on_damage(error)
+        Raises:
+            BagTruncated, BagCorrupt: it is damaged, and ``strict``; all before that was yielded.
+        """
+        damage = self._contents.damage[:1] if strict else []
+        count = 0
+        for place, stored in enumerate(self._contents.messages):
+            if damage and damage[0][0] <= place:
+                break
+            topic = topic_parts(stored.topic.name)[0]
+            if topic in relative:
+                yield Kept(topic, stored)
+                count += 1
+        for _, error in damage:
+            text = str(error)
+            if isinstance(error, BagTruncated | BagCorrupt):
+                text = f'{text}; {count} sound messages before'
+            raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
 
-    index = _RecordingReader()
-    for stored in stored_messages(path, on_damage=note):
-        try:
-            index.note(stored)
-        except BagError as error:  # A message that is not what its topic says belongs to no run.
-            broken.append(type(error)(f'{path}: {error}', path=path))
-            index.broken.add(len(index.owners) - 1)
-            note(broken[-1])
-    return index.recording(path, tuple(damage), tuple(broken))
+    def messages_of_runs(
+        self, wanted: Callable[[int, str], bool] = lambda run, topic: True, *,
+        whole: bool = False,
+    ) -> Iterator[tuple[int, StoredMessage]]:
+        """Messages of all its runs, as our recorder would have them, each with its run's number.
 
+        Args:
+            wanted: whether a run, by its number, needs a topic, by its relative name.
+            whole: whether pictures are not cut short, which takes a pass over the files.
+        """
+        messages = self.all_messages() if whole else self._contents.messages
+        return messages_of_runs(messages, self._apart.owners, wanted)
 
-def run_messages(
-    recording: Recording, wanted: Callable[[int, str], bool] = lambda run, topic: True
-) -> Iterator[tuple[int, StoredMessage]]:
-    """The messages of all runs in the order of the recording, as our recorder would have them.
+    def all_messages(self) -> Iterator[StoredMessage]:
+        """Every sound message, whoever's, in the order of the recording; pictures take a pass."""
+        if all(_kept_bytes(name) == sys.maxsize for name, n in self.info.counts.items() if n):
+            return iter(self._contents.messages)
+        return stored_messages(self.path, on_damage=lambda error: None)
 
-    That is under their names without a namespace, stamped with the simulated time that they belong
-    to, and of the reports of nodes and of the run's state only those that a run's bag keeps.
+    def whole_messages(self, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
+        """Messages on topics of these names, pictures and others' topics too; takes a pass.
 
-    Args:
-        recording: what :func:`read_recording` found.
-        wanted: whether a run, by its number, needs a topic, by its relative name.
-    """
-    place = 0
-    for stored in stored_messages(recording.path, on_damage=lambda error: None):
-        relative, _ = _parts(stored.topic.name)
-        if not relative:
-            continue
-        owner = recording.owners[place]
-        place += 1
-        if owner != _NO_RUN and wanted(owner, relative):
-            stamp_ns = 0 if relative in (SCENARIO, NODE_STATUS) else stamp_of_cdr(stored.cdr)
-            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, stored.cdr)
-
-
-class _RecordingReader:
-    """What the messages have told so far."""
-
-    def __init__(self) -> None:
-        self.owners: list[int] = []
-        self.runs: list[RunPart] = []
-        self.broken: set[int] = set()
-        self._current: dict[tuple[str, str], int] = {}
-        self._stretches: dict[tuple[str, str], list[_Stretch]] = {}
-        self._ready: set[tuple[int, str]] = set()
-        self._restamped = False
-        self._others = False
-
-    def note(self, stored: StoredMessage) -> None:
-        """Take in a message."""
-        relative, namespace = _parts(stored.topic.name)
-        if not relative:
-            # Of transforms, odometry tells ours, and others' are no affair of a run.
-            self._others |= not is_of_frames(stored.topic.name)
-            return
-        self._others |= bool(namespace)
-        place = len(self.owners)
-        self.owners.append(_NO_RUN)
-        if relative in _WITHOUT_RUN_ID:
-            stamp_ns = stamp_of_cdr(stored.cdr)
-            stretches = self._stretches.setdefault((namespace, relative), [])
-            if not stretches or stamp_ns <= stretches[-1].last_ns:
-                stretches.append(_Stretch())
-            stretches[-1].places.append(place)
-            stretches[-1].last_ns = stamp_ns
-            self._restamped |= stamp_ns != stored.stamp_ns
-            return
-        message = decode(stored.topic, stored.cdr)
-        run_id = getattr(message, 'run_id', None)
-        if not isinstance(run_id, str):
-            return  # a topic of that name, of somebody else
-        number = self._run(namespace, run_id, fresh=relative == SCENARIO)
-        run = self.runs[number]
-        if relative in _STEPPED:
-            stamp_ns = stamp_of_cdr(stored.cdr)
-            self._restamped |= stamp_ns != stored.stamp_ns
-            run.first, run.last = place if run.first < 0 else run.first, place
-            if relative == TRUTH:
-                run.stamps_ns.add(stamp_ns)
-        elif not self._keep(number, relative, stored, message):
-            return
-        self.owners[place] = number
-
-    def recording(
-        self, path: Path, damage: tuple[BagError, ...], broken: tuple[BagError, ...]
-    ) -> Recording:
-        """All of it."""
-        # What is said in a namespace without scenario and truth, as what a player repeats under
-        # another name, is no run.
-        real = [run.scenario is not None or bool(run.stamps_ns) for run in self.runs]
-        self._find_owners(real)
-        numbers = {old: new for new, old in enumerate(i for i, is_run in enumerate(real) if is_run)}
-        runs = [run for run, is_run in zip(self.runs, real, strict=True) if is_run]
-        _name_runs(runs)
-        stray = any(
-            owner == _NO_RUN and place not in self.broken
-            for place, owner in enumerate(self.owners)
+        Raises:
+            BagTruncated, BagCorrupt: it is damaged; all before that was yielded.
+        """
+        if self._within is None:
+            return stored_messages(self.path, wanted)
+        whole, number = self._within.whole, self._within.number
+        mine = messages_of_runs(
+            stored_messages(self.path), whole._apart.owners,
+            lambda run, topic: run == number and wanted(f'/{topic}'),
         )
-        return Recording(
-            path=path, runs=tuple(runs), damage=damage, broken=broken,
-            owners=[numbers.get(owner, _NO_RUN) for owner in self.owners],
-            plain=len(runs) == 1 and not (self._restamped or self._others or stray),
-        )
+        return (stored for _, stored in mine)
 
-    def _run(self, namespace: str, run_id: str, *, fresh: bool) -> int:
-        """Number of the run that a message names; a second scenario of that id begins another."""
-        number = self._current.get((namespace, run_id))
-        if number is None or (fresh and self.runs[number].scenario is not None):
-            number = self._current[namespace, run_id] = len(self.runs)
-            self.runs.append(RunPart(name='', run_id=run_id, namespace=namespace))
-        return number
+    # ---- the run -----------------------------------------------------------------------------
 
-    def _keep(self, number: int, relative: str, stored: StoredMessage, message: Any) -> bool:
-        """Whether a message that comes once belongs into the bag of its run."""
-        run = self.runs[number]
-        if relative == SCENARIO:
-            run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
-        elif relative == NODE_STATUS:
-            report = (number, str(getattr(message, 'node', '')))
-            if getattr(message, 'state', None) != _READY or report in self._ready:
-                return False
-            self._ready.add(report)
-        elif relative == RUN_STATUS:
-            if getattr(message, 'state', None) != _ENDED:
-                return False
-            run.outcome, run.told = str(getattr(message, 'outcome', '')), True
-        else:
-            run.told = True
-        return True
+    @cached_property
+    def run(self) -> RecordedRun:
+        """What was asked for and who took part: enough to run it once more.
 
-    def _find_owners(self, real: Sequence[bool]) -> None:
-        """Give the stretches of topics that name no run to the runs that were stepping then."""
-        stepping = [i for i, run in enumerate(self.runs) if real[i] and run.first >= 0]
-        for i in stepping:
-            run = self.runs[i]
-            mixed = [
-                other.run_id for j in stepping if j != i
-                for other in (self.runs[j],) if other.namespace == run.namespace
-                and _overlap(run.first, run.last, other) > min(
-                    run.last - run.first, other.last - other.first) / 2 > 0
-            ]
-            if mixed:
-                run.unclear = (
-                    f'its messages lie among those of {mixed[0]}; odometry and frames name no run, '
-                    'so whose they are cannot be told'
-                )
-        namespaces = {self.runs[i].namespace for i in stepping}
-        for (namespace, relative), stretches in self._stretches.items():
-            shared = relative == CLOCK and namespace not in namespaces and len(namespaces) == 1
-            here = [i for i in range(len(self.runs))
-                    if real[i] and (shared or self.runs[i].namespace == namespace)]
-            mine = [i for i in here if i in stepping] or here
-            for stretch in stretches:
-                first, last = stretch.places[0], stretch.places[-1]
-                best = max(mine, key=lambda i: _overlap(first, last, self.runs[i]), default=None)
-                if best is not None and not self.runs[best].unclear:
-                    for place in stretch.places:
-                        self.owners[place] = best
+        Raises:
+            BagEmpty, BagTruncated, BagCorrupt: the bag does not tell, or no more.
+            BagForeign: what it tells is not of this package, or it is of several runs.
+            UsageError: a value of its scenario is out of range.
+        """
+        from taxinet_ros.bag.run.facts import recorded_run
 
+        return recorded_run(self)
 
-@dataclass
-class _Stretch:
-    """Messages of one topic over which time goes on: their places, and the last stamp [ns]."""
+    @property
+    def run_id(self) -> str:
+        """Name of the run; errors as :attr:`run`."""
+        return self.run.request.run_id
 
-    places: list[int] = field(default_factory=list)
-    last_ns: int = -1
+    @property
+    def scenario(self) -> Scenario:
+        """The scene that was asked for, in SI units and radians; errors as :attr:`run`."""
+        return self.run.request.scenario
 
+    @cached_property
+    def facts(self) -> RunFacts | None:
+        """The run as the bag tells of it, damage passed over; None where it is of no run of ours.
 
-def _overlap(first: int, last: int, run: RunPart) -> int:
-    """How many places of the recording two stretches share; negative: how far they are apart."""
-    return min(last, run.last) - max(first, run.first)
+        Raises:
+            BagCorrupt: a message that tells of the run is not what its topic says.
+            BagForeign: it is of several runs.
+        """
+        from taxinet_ros.bag.run.facts import run_facts
 
+        return run_facts(self)
 
-def _name_runs(runs: Sequence[RunPart]) -> None:
-    """Give each run a name that no other has."""
-    several = len({run.namespace for run in runs}) > 1
-    seen: dict[str, int] = {}
-    for run in runs:
-        name = f'{run.namespace}/{run.run_id}'.removeprefix('/') if several else run.run_id
-        seen[name] = seen.get(name, 0) + 1
-        run.name = name if seen[name] == 1 else f'{name}#{seen[name]}'
+    def check_is(self, run_id: str) -> None:
+        """See that it is the recording of a run, before what it holds is taken for that run's.
 
+        Raises:
+            UsageError: it is of another run.
+            BagError: as :attr:`facts`.
+        """
+        told = self.facts
+        if told is not None and told.run_id != run_id:
+            raise UsageError(
+                f'{self.path}: is of run {told.run_id}, not of {run_id}; was the folder moved '
+                f'here? taxinet doctor {self.path.parent} checks all of them'
+            )
 
-def is_run_topic(name: str) -> bool:
-    """Whether a topic is one that a run's bag has, with or without namespace and first slash."""
-    return bool(_parts('/' + name.lstrip('/'))[0])
+    @property
+    def free_account(self) -> FreeRunAccount | None:
+        """How a free run went; None where it is none, or the bag ends before it tells.
 
+        Raises:
+            BagForeign: what it tells is no such account.
+        """
+        from taxinet_ros.bag.run.facts import free_account
 
-@lru_cache(maxsize=256)
-def _parts(name: str) -> tuple[str, str]:
-    """Relative name and namespace of a run's topic; '' twice for any other."""
-    relative = next((topic for topic in _ORDER if is_topic(name, topic)), '')
-    namespace = name.removesuffix(relative).rstrip('/')
-    return (relative, namespace) if relative else ('', '')
+        return free_account(self.info)
 
+    @cached_property
+    def columns(self) -> dict[str, Column]:
+        """The numbers of the run, a row for every control step with a ground truth.
 
-@lru_cache(maxsize=256)
-def _renamed(topic: TopicInfo, relative: str) -> TopicInfo:
-    return dataclasses.replace(topic, name=f'/{relative}')
+        Messages are matched by the step that they name (``seq``), odometry by the stamp in its
+        header, whoever logged them when. What is missing is NaN, and so is an estimate that was
+        declared invalid.
+
+        Returns:
+            Columns of equal length by name: ``seq`` and ``t_ns`` (simulated time) as int64,
+            ``est_valid`` as bool, all others as float64: ``x_m`` and ``y_m`` in ``map``,
+            ``speed_mps``, true ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and
+            ``est_he_rad`` (left positive), ``steering_rad`` (left positive), ``speed_cmd_mps``,
+            and for each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
+
+        Raises:
+            BagEmpty: there is no ground truth.
+            BagError: the bag is damaged or foreign, or holds several runs.
+        """
+        from taxinet_ros.bag.run.trace import trace_columns
+
+        return trace_columns(self)
+
+    @property
+    def trace(self) -> pd.DataFrame:
+        """:attr:`columns` as a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
+        from taxinet_ros.bag.run.tables import trace_table
+
+        return trace_table(self)
+
+    def table(self, topic: str) -> pd.DataFrame:
+        """The messages of one topic, see :meth:`tables`."""
+        return next(iter(self.tables([topic]).values()))
+
+    def tables(self, topics: Collection[str] | None = None) -> dict[str, pd.DataFrame]:
+        """The messages of topics as tables, by absolute topic name; takes a pass.
+
+        Every table has ``t_s`` (simulated time [s]) and ``stamp_ns`` (the same, exact) first.
+
+        Args:
+            topics: absolute or relative names, e.g. ``taxi_command``; default all of the bag.
+
+        Raises:
+            UsageError: a topic is not in the bag.
+            BagTruncated, BagCorrupt: the bag is damaged; mend it first.
+            BagForeign: a message cannot be decoded.
+        """
+        from taxinet_ros.bag.run.tables import topic_tables
+
+        return topic_tables(self, topics)
+
+    @property
+    def samples(self) -> RunSamples:
+        """The run as a monitor sees it: every signal at each control step.
+
+        Raises:
+            BagEmpty, BagForeign: the bag does not tell what was run.
+            UsageError: it is of several runs.
+        """
+        from taxinet_ros.core.mtl import SIGNALS
+
+        return self.samples_of(SIGNALS)
+
+    def samples_of(self, signals: Collection[str] | None) -> RunSamples:
+        """:attr:`samples` with some signals only; where None, those that its formulas read."""
+        from taxinet_ros.bag.run.samples import run_samples
+
+        found = run_samples(self, signals)
+        if len(found) > 1:
+            self.choose(None)
+        return found[0]
+
+    def judge(self, spec: Spec | str, assumptions: Assumptions | None = None) -> SpecVerdict:
+        """What the run says of a requirement, whether it was judged by that one then or not.
+
+        Args:
+            spec: the requirement, or its text, e.g. ``phi_always`` or ``always(abs(cte) <= 3)``.
+            assumptions: what is vouched for; where None, what was then.
+
+        Raises:
+            UsageError: the text is no formula, or it is of several runs.
+            BagEmpty, BagForeign: the bag does not tell what was run.
+        """
+        from taxinet_ros.bag.run.judging import judge_spec
+        from taxinet_ros.core.mtl import parse_spec, signal_names
+
+        asked = parse_spec(spec) if isinstance(spec, str) else spec
+        samples = self.samples_of(signal_names(asked.formula))
+        return judge_spec(samples, asked, assumptions)[0]
+
+    # ---- what the camera saw -----------------------------------------------------------------
+
+    @property
+    def recorded_steps(self) -> frozenset[int]:
+        """The control steps whose camera frame was recorded."""
+        from taxinet_ros.bag.run.trace import recorded_steps
+
+        return recorded_steps(self)
+
+    def frames(
+        self, wanted: Callable[[int], bool] = lambda seq: True, *, render: bool = True
+    ) -> Iterator[CameraFrame]:
+        """Camera frames, (200, 360, 3) uint8 RGB: first those recorded, then the others rendered.
+
+        The camera is deterministic, so a frame that was not recorded follows from the scenario and
+        the commands, see :mod:`.resimulation`.
+
+        Args:
+            wanted: of which control steps.
+            render: whether to render those that were not recorded.
+
+        Raises:
+            WorldDiffers: those that lack cannot be had again; all others were yielded.
+            BagError, UsageError: the bag cannot be read.
+        """
+        from taxinet_ros.bag.run.trace import camera_frames
+
+        return camera_frames(self, wanted, render=render)
+
+    def observations(
+        self, wanted: Callable[[int], bool] = lambda seq: True
+    ) -> Iterator[Observation]:
+        """The world at every recorded control step once more: states, and pictures rendered anew.
+
+        Args:
+            wanted: whether the picture of a control step is to be made; the default makes all.
+
+        Raises:
+            WorldDiffers: a state does not come out as recorded; those before were yielded.
+            BagError, UsageError: the bag cannot be read, see :attr:`run`.
+        """
+        from taxinet_ros.bag.run.resimulation import observations
+
+        return observations(self, wanted)

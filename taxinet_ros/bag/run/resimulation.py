@@ -10,41 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.bag.errors import BagEmpty, BagError
-from taxinet_ros.bag.reader import decoded_messages, read_info
-from taxinet_ros.bag.run.facts import RecordedRun, free_account, read_run
+from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
+from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.run.message_values import command_of, stamp_of
+from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON, LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
 from taxinet_ros.core.world import Observation, World
 from taxinet_ros.errors import InfraError
 
-_ODOMETRY, _COMMAND = '/ground_truth/odom', '/taxi_command'
-
+if TYPE_CHECKING:
+    from taxinet_ros.bag.run.recording import Recording
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
     """Driven again, the aircraft is elsewhere: another version or machine has recorded the bag."""
 
 
-def observations(
-    path: Path, wanted: Callable[[int], bool] = lambda seq: True
-) -> Iterator[Observation]:
-    """Yield every recorded control step once more, in order.
-
-    Args:
-        path: a run folder or an ``.mcap`` file.
-        wanted: whether the picture of a control step is to be made; the default makes all.
-
-    Raises:
-        WorldDiffers: a state does not come out as recorded; those before were yielded.
-        BagError, UsageError: the bag cannot be read, see :func:`.recorded_run.read_run`.
-    """
-    recorded, commands = _states_and_commands(path)
-    run = read_run(path)
+def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterator[Observation]:
+    """See :meth:`.recording.Recording.observations`."""
+    path, run = recording.path, recording.run
+    recorded, commands = _states_and_commands(recording)
     world = World(run.request.scenario)
-    held = _held(path, run, commands)
+    held = _held(recording, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
             return
@@ -61,13 +51,14 @@ def observations(
 
 
 def _held(
-    path: Path, run: RecordedRun, commands: dict[int, TaxiCommand]
+    recording: Recording, commands: dict[int, TaxiCommand]
 ) -> Callable[[int], TaxiCommand | None]:
     """Which command held from each step to the next; None where the bag does not tell."""
+    path, run = recording.path, recording.run
     if not run.timing.free:
         late = LateCommands(run.timing, run.request.seed, run.request.index)
         return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
-    account = free_account(read_info(path))
+    account = recording.free_account
     if account is None:
         raise BagEmpty(
             f'{path}: a free run that does not tell which command held when, for it was not ended '
@@ -83,18 +74,22 @@ def _held(
 
 
 def _states_and_commands(
-    path: Path,
+    recording: Recording,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}
-    for topic, stamp_ns, message in decoded_messages(path, (_ODOMETRY, _COMMAND).__contains__):
-        seq = stamp_ns // CONTROL_PERIOD_NS
-        if topic == _ODOMETRY:
-            states[seq] = _odometry_numbers(message)
-        else:
-            commands[seq] = TaxiCommand(
-                steering_rad=message.steering_angle, speed_mps=message.speed
-            )
+    messages = recording.messages((ODOMETRY, COMMAND), strict=True)
+    for count, (topic, stored) in enumerate(messages):
+        message = decode_of(recording.path, stored, count)
+        try:
+            seq = stamp_of(message) // CONTROL_PERIOD_NS
+            if topic == ODOMETRY:
+                states[seq] = _odometry_numbers(message)
+            else:
+                commands[seq] = command_of(message)
+        except (AttributeError, TypeError, ValueError) as error:
+            text = f'{recording.path}: topic {stored.topic.name}: {error}'
+            raise BagForeign(text, path=recording.path) from error
     return states, commands
 
 

@@ -7,14 +7,13 @@ import struct
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
-from taxinet_ros.bag.layout import METADATA_FILE, storage_files
-from taxinet_ros.bag.reader import StoredMessage, sound_messages, unchecked_files
+from taxinet_ros.bag.layout import METADATA_FILE
+from taxinet_ros.bag.reader import StoredMessage, unchecked_files
 from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, stamp_of
-from taxinet_ros.bag.run.recording import read_recording, run_messages
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -24,7 +23,6 @@ from taxinet_ros.bag.run.topics import (
     SCENARIO,
     TRUTH,
     VERDICT,
-    is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Spec, parse_spec, signal_names
@@ -33,12 +31,16 @@ from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
+if TYPE_CHECKING:
+    from taxinet_ros.bag.run.recording import Recording
+
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
     'cte_estimate': ESTIMATE, 'he_estimate': ESTIMATE, 'estimate_gap': ESTIMATE,
     'unusable_share': ESTIMATE,
 }
 """The topic of each signal of :data:`taxinet_ros.core.mtl.SIGNALS`."""
+_READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
 
 
 class RecordedInterval(NamedTuple):
@@ -111,8 +113,10 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return struct.pack('<2d', *one) == struct.pack('<2d', *other)
 
 
-def read_run_samples(path: Path, names: Collection[str] | None = None) -> list[RunSamples]:
-    """Read the samples of every run in a bag; damage is told in the result, not raised.
+def run_samples(
+    recording: Recording, names: Collection[str] | None = None
+) -> list[RunSamples]:
+    """The samples of every run in a recording; damage is told in the result, not raised.
 
     Of these, only control steps of which every topic is there that a requirement reads count for
     it, as with the monitor during the run: see :meth:`RunSamples.seen_by`.
@@ -120,18 +124,17 @@ def read_run_samples(path: Path, names: Collection[str] | None = None) -> list[R
     A run of which there is not one step is among the others only where there is no other.
 
     Args:
-        path: a bag's folder or an ``.mcap`` file.
+        recording: of one run or several.
         names: signals that are needed; where None, those that each run's own formulas read.
 
     Raises:
         BagEmpty: the bag ends before it tells which run it holds.
-        BagForeign: it is no bag, or no run of this package.
-        UsageError: there is nothing at ``path``.
+        BagForeign: it is no run of this package.
     """
-    reader = _read_plain(path, names)
-    if reader is not None and reader.scenario is not None and _finished(path):
-        return [_samples(path, reader, '', '')]
-    return _read_recording(path, names)
+    reader = _read_plain(recording, names)
+    if reader is not None and reader.scenario is not None and recording.finished:
+        return [_samples(recording.path, reader, '', '')]
+    return _read_runs(recording, names)
 
 
 _UNREADABLE = (BagError, AttributeError, TypeError, ValueError, ArithmeticError, UsageError)
@@ -141,24 +144,25 @@ class _NotPlainError(Exception):
     """The bag is not one run as our recorder logs it."""
 
 
-def _read_plain(path: Path, names: Collection[str] | None) -> _SamplesReader | None:
-    """The quick way, for bags as they should be."""
-    reader, files = _SamplesReader(names, plain=True), storage_files(path)
-    if len(files) > 1:
+def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
+    """The quick way, for recordings as they should be: runs need not be told apart."""
+    if not recording.checked:
         return None
+    reader = _SamplesReader(names, plain=True)
     try:
-        for stored in sound_messages(files[0], reader.wants):
-            reader.note(stored)
+        for relative, stored in recording.messages(_READ):
+            if reader.wants(relative):
+                reader.note(relative, stored)
     except (_NotPlainError, *_UNREADABLE):
         return None
     return reader
 
 
-def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSamples]:
+def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
     """The slow way, which tells runs apart, and says what is wrong."""
-    recording = read_recording(path)
+    path = recording.path
     trouble = [str(error) for error in recording.damage]
-    if not _finished(path):
+    if not recording.finished:
         trouble.append(f'{path}: no {METADATA_FILE}, so the recording was not finished')
     readers = [_SamplesReader(names) for _ in recording.runs]
     if all(run.scenario is None for run in recording.runs):
@@ -169,14 +173,12 @@ def _read_recording(path: Path, names: Collection[str] | None) -> list[RunSample
         # late may have been told last.
         for reader, run in zip(readers, recording.runs, strict=True):
             if run.scenario is not None:
-                reader.wants(run.scenario.topic.name)
-                reader.note(run.scenario)
-        for number, stored in run_messages(
-            recording, lambda number, topic: topic != SCENARIO and readers[number].wants(topic)
+                reader.note(SCENARIO, run.scenario)
+        for number, stored in recording.messages_of_runs(
+            lambda number, topic: topic != SCENARIO and readers[number].wants(topic)
         ):
             try:
-                readers[number].wants(stored.topic.name)
-                readers[number].note(stored)
+                readers[number].note(stored.topic.name.removeprefix('/'), stored)
             except BagCorrupt as error:
                 trouble.append(str(error))
     except _UNREADABLE as error:
@@ -212,10 +214,6 @@ def _samples(
         raise BagForeign(f'{path}: no run of ours: {error}', path=path) from error
 
 
-def _finished(path: Path) -> bool:
-    return path.is_file() or (path / METADATA_FILE).is_file()
-
-
 def _timing(words: str) -> str:
     try:
         return parse_timing(words).words
@@ -243,19 +241,14 @@ class _SamplesReader:
         return is_free(self.timing)
 
     def __post_init__(self) -> None:
-        self._relative: dict[str, str] = {}
         self._plan(self.names or ())
 
-    def wants(self, topic: str) -> bool:
+    def wants(self, relative: str) -> bool:
         """Whether a topic is read; the run's own formulas may call for more of them."""
-        if topic not in self._relative:
-            known = {SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()}
-            self._relative[topic] = next((one for one in known if is_topic(topic, one)), '')
-        return self._relative[topic] in self._wanted
+        return relative in self._wanted
 
-    def note(self, stored: StoredMessage) -> None:
+    def note(self, relative: str, stored: StoredMessage) -> None:
         """Take in a message."""
-        relative = self._relative[stored.topic.name]
         if relative == ROBUSTNESS:
             # Decoded only if there is no verdict, which repeats the last ones.
             if self.last and self.last[0].stamp_ns < stored.stamp_ns:

@@ -11,20 +11,21 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.cdr.decode import decode, typestore
+from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import read_info, stored_messages
+from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.topics import is_topic
-from taxinet_ros.bag.run.trace import read_trace
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.run.recording import Recording
 
 LONGEST_ARRAY = 40
 """Arrays with more elements than a 6 x 6 covariance has get no column for each."""
@@ -50,44 +51,22 @@ _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
 """Units as our own names end with them."""
 
 
-def read_table(path: Path, topic: str) -> pd.DataFrame:
-    """The messages of one topic; see :func:`read_tables`."""
-    return next(iter(read_tables(path, [topic]).values()))
-
-
-def read_tables(path: Path, topics: Collection[str] | None = None) -> dict[str, pd.DataFrame]:
-    """The messages of topics as tables, by absolute topic name.
-
-    Every table has ``t_s`` (simulated time [s]) and ``stamp_ns`` (the same, exact) first.
-
-    Args:
-        path: a run folder or an ``.mcap`` file.
-        topics: absolute or relative names, e.g. ``taxi_command``; default all of the bag.
-
-    Raises:
-        UsageError: a topic is not in the bag.
-        BagTruncated, BagCorrupt: the bag is damaged; mend it first.
-        BagEmpty, BagForeign: there is nothing to read, or nothing that can be.
-    """
-    chosen = _chosen(path, topics)
+def topic_tables(
+    recording: Recording, topics: Collection[str] | None
+) -> dict[str, pd.DataFrame]:
+    """See :meth:`.recording.Recording.tables`."""
+    chosen = _chosen(recording, topics)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
-    for count, (topic, stamp_ns, cdr) in enumerate(stored_messages(path, chosen.__contains__)):
-        row = {'t_s': stamp_ns / 1e9, 'stamp_ns': stamp_ns}
-        try:
-            row.update(flat(decode(topic, cdr)))
-        except BagError as error:
-            text = f'{path}: at {stamp_ns} ns: {error}; {count} sound messages before'
-            raise type(error)(text, path=path, recovered=count) from error
-        rows[topic.name].append(row)
+    for count, stored in enumerate(recording.whole_messages(chosen.__contains__)):
+        message = decode_of(recording.path, stored, count)
+        row = {'t_s': stored.stamp_ns / 1e9, 'stamp_ns': stored.stamp_ns, **dict(flat(message))}
+        rows[stored.topic.name].append(row)
     return {name: _table(rows[name], topic) for name, topic in chosen.items()}
 
 
-def read_trace_table(path: Path) -> pd.DataFrame:
-    """The trace of a run, a row per control step, columns as :func:`.trace.read_trace` names them.
-
-    ``t_s`` comes first; units are in ``attrs['units']``. Errors as ``read_trace``.
-    """
-    trace = read_trace(path)
+def trace_table(recording: Recording) -> pd.DataFrame:
+    """See :attr:`.recording.Recording.trace`."""
+    trace = recording.columns
     table = pd.DataFrame({'t_s': np.asarray(trace['t_ns'], dtype=np.int64) / 1e9, **trace})
     units = {name: _told_by_name(name) for name in table.columns}
     table.attrs['units'] = {name: unit for name, unit in units.items() if unit}
@@ -131,9 +110,9 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value.item() if isinstance(value, np.generic) else value
 
 
-def _chosen(path: Path, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
     """The topics wanted, by name, in the order of the file."""
-    known = read_info(path).topics
+    path, known = recording.path, recording.topics
     if wanted is None:
         return {topic.name: topic for topic in known}
     for word in wanted:

@@ -1,29 +1,34 @@
-"""Names of the topics of a run as its bag has them, for those who read without ROS.
-
-``nodes/interface.py`` is the graph's table; a test holds the two against each other.
-"""
+"""Names of the topics of a run as its bag has them, for those who read without ROS."""
 
 from __future__ import annotations
 
-SCENARIO = 'scenario'
-NODE_STATUS = 'node_status'
-CLOCK = 'clock'
-IMAGE = 'camera/image_raw'
-CAMERA_INFO = 'camera/camera_info'
-ODOMETRY = 'ground_truth/odom'
-TRUTH = 'ground_truth/tracking_error'
-ESTIMATE = 'perception/tracking_error'
-COMMAND = 'taxi_command'
-ROBUSTNESS = 'monitor/robustness'
-VERDICT = 'monitor/verdict'
-RUN_STATUS = 'run_status'
-TF, TF_STATIC = 'tf', 'tf_static'
+from taxinet_ros.core import topics
+
+SCENARIO = topics.SCENARIO.name
+NODE_STATUS = topics.NODE_STATUS.name
+CLOCK = topics.CLOCK.name.lstrip('/')
+IMAGE = topics.IMAGE.name
+CAMERA_INFO = topics.CAMERA_INFO.name
+ODOMETRY = topics.ODOMETRY.name
+TRUTH = topics.TRUTH.name
+ESTIMATE = topics.ESTIMATE.name
+COMMAND = topics.COMMAND.name
+ROBUSTNESS = topics.ROBUSTNESS.name
+VERDICT = topics.VERDICT.name
+RUN_STATUS = topics.RUN_STATUS.name
+TF = topics.TF.name
+TF_STATIC = topics.TF_STATIC.name
 
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
 CAMERA_FRAME = 'camera_optical'
 
-ONCE = frozenset({SCENARIO, NODE_STATUS, TF_STATIC, VERDICT, RUN_STATUS})
+RECORDED = tuple(topic.name.lstrip('/') for topic in topics.TOPICS if topic.recorded)
+"""The topics of a run, in the order in which our recorder writes them within a step."""
+ONCE = frozenset(
+    topic.name for topic in (*topics.TOPICS, *topics.TRANSFORMS)
+    if topic.recorded and not topic.each_step
+)
 """Topics that do not speak in every control step; all others of a run do."""
 
 

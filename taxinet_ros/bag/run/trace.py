@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagForeign, several_runs
-from taxinet_ros.bag.reader import decoded_messages
+from taxinet_ros.bag.reader import decode_of
 from taxinet_ros.bag.run.message_values import stamp_of
 from taxinet_ros.bag.run.topics import (
     COMMAND,
@@ -22,6 +22,10 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     is_topic,
 )
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+
+if TYPE_CHECKING:
+    from taxinet_ros.bag.run.recording import Recording
 
 Column = NDArray[np.generic]
 Frame = NDArray[np.uint8]
@@ -34,29 +38,26 @@ _ALWAYS = (
 )
 
 
-def read_trace(path: Path) -> dict[str, Column]:
-    """Columns of a run, one row for every control step with a ground truth.
+class CameraFrame(NamedTuple):
+    """One camera frame.
 
-    Messages are matched by the step that they name (``seq``), odometry by the stamp in its header,
-    whoever logged them when. What is missing is NaN, and so is an estimate that was declared
-    invalid.
-
-    Args:
-        path: a run folder or an ``.mcap`` file.
-
-    Returns:
-        Columns of equal length by name: ``seq`` and ``t_ns`` (simulated time) as int64,
-        ``est_valid`` as bool, all others as float64: ``x_m`` and ``y_m`` in ``map``,
-        ``speed_mps``, true ``cte_m`` and ``he_rad``, estimated ``est_cte_m`` and ``est_he_rad``
-        (left positive), ``steering_rad`` (left positive), ``speed_cmd_mps``, and for each formula
-        ``rho_lower.<name>`` and ``rho_upper.<name>``.
-
-    Raises:
-        BagEmpty: the bag holds no ground truth.
-        BagError: the bag is damaged or foreign, or holds several runs.
+    Attributes:
+        seq: its control step.
+        stamp_ns: simulated time [ns].
+        image: (200, 360, 3) uint8 RGB.
+        recorded: whether it is in the bag, else rendered again.
     """
-    table = _TraceColumns()
-    for name, stamp_ns, message in _messages(path, _TRACED):
+
+    seq: int
+    stamp_ns: int
+    image: Frame
+    recorded: bool
+
+
+def trace_columns(recording: Recording) -> dict[str, Column]:
+    """See :attr:`.recording.Recording.columns`."""
+    table, path = _TraceColumns(), recording.path
+    for name, stamp_ns, message in _messages(recording):
         try:
             _FILL[name](table, stamp_ns, message)
         except (AttributeError, TypeError, ValueError) as error:
@@ -66,15 +67,60 @@ def read_trace(path: Path) -> dict[str, Column]:
     return table.columns()
 
 
-def read_images(path: Path) -> Iterator[tuple[int, Frame]]:
-    """Yield the stamp in its header [ns] and the pixels, (H, W, 3) uint8 RGB, of each camera frame.
+def recorded_steps(recording: Recording) -> frozenset[int]:
+    """See :attr:`.recording.Recording.recorded_steps`."""
+    return frozenset(_steps_of(recording, IMAGE))
+
+
+def camera_frames(
+    recording: Recording, wanted: Callable[[int], bool], *, render: bool
+) -> Iterator[CameraFrame]:
+    """See :meth:`.recording.Recording.frames`."""
+    there = recorded_steps(recording)
+    if any(wanted(seq) for seq in there):
+        for stamp_ns, image in _recorded_images(recording):
+            if wanted(seq := stamp_ns // CONTROL_PERIOD_NS):
+                yield CameraFrame(seq, stamp_ns, image, recorded=True)
+    if render and any(wanted(seq) and seq not in there for seq in _steps_of(recording, TRUTH)):
+        for now in recording.observations(lambda seq: wanted(seq) and seq not in there):
+            if now.image is not None:
+                yield CameraFrame(now.seq, now.stamp_ns, now.image, recorded=False)
+
+
+def _steps_of(recording: Recording, relative: str) -> Iterator[int]:
+    """Control steps of the messages on a topic, by the stamps in their headers."""
+    for _, stored in recording.messages((relative,)):
+        try:
+            yield stamp_of_cdr(stored.cdr) // CONTROL_PERIOD_NS
+        except BagCorrupt as error:
+            text = f'{recording.path}: topic {stored.topic.name}: {error}'
+            raise BagCorrupt(text, path=recording.path) from error
+
+
+def _recorded_images(recording: Recording) -> Iterator[tuple[int, Frame]]:
+    """Yield stamp [ns] and pixels, (H, W, 3) uint8 RGB, of each recorded camera frame.
 
     Raises:
         BagCorrupt: an image contradicts its own size.
-        BagForeign: an image is neither rgb8 nor bgr8.
+        BagForeign: an image is neither rgb8 nor bgr8, or they are of several runs.
         BagError: the bag is damaged or foreign.
     """
-    for _, stamp_ns, message in _messages(path, (IMAGE,)):
+    path, topic, latest_ns = recording.path, '', -1
+    pictures = recording.whole_messages(lambda name: is_topic(name, IMAGE))
+    for count, stored in enumerate(pictures):
+        message, name = decode_of(path, stored, count), stored.topic.name
+        topic = topic or name
+        if topic != name:
+            raise BagForeign(
+                f'{path}: both {topic} and {name}: more than one run in it', path=path
+            )
+        try:
+            stamp_ns = stamp_of(message)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise BagForeign(f'{path}: topic {name}: {error}', path=path) from error
+        if stamp_ns <= latest_ns:
+            raise several_runs(path, 'one with frames', f'one from {stamp_ns} ns on again')
+        latest_ns = stamp_ns
         try:
             yield stamp_ns, _pixels(message)
         except BagCorrupt as error:
@@ -150,13 +196,12 @@ _FILL = {
 }
 
 
-def _messages(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+def _messages(recording: Recording) -> Iterator[tuple[str, int, Any]]:
     """Decoded messages by relative name, for a run may have been recorded in a namespace."""
-    chosen: dict[str, str] = {}
-    run_id, latest_ns = '', -1
-    messages = decoded_messages(path, lambda topic: any(is_topic(topic, w) for w in wanted))
-    for name, _, message in messages:
-        relative = next(w for w in wanted if is_topic(name, w))
+    path, chosen, run_id = recording.path, dict[str, str](), ''
+    for count, (relative, stored) in enumerate(recording.messages(_TRACED, strict=True)):
+        message = decode_of(path, stored, count)
+        name = stored.topic.name
         if chosen.setdefault(relative, name) != name:
             raise BagForeign(
                 f'{path}: both {chosen[relative]} and {name}: more than one run in it', path=path
@@ -168,10 +213,6 @@ def _messages(path: Path, wanted: Collection[str]) -> Iterator[tuple[str, int, A
         run_id = run_id or getattr(message, 'run_id', '')
         if getattr(message, 'run_id', run_id) != run_id:
             raise several_runs(path, run_id, message.run_id)
-        if relative == IMAGE:
-            if stamp_ns <= latest_ns:
-                raise several_runs(path, 'one with frames', f'one from {stamp_ns} ns on again')
-            latest_ns = stamp_ns
         yield relative, stamp_ns, message
 
 

@@ -14,7 +14,7 @@ from taxinet_ros.bench.measure import Subject
 from taxinet_ros.bench.processes import TAXINET, Amounts, exit_line
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 
 WORKERS = (1, 2)
 RUNS = 8
@@ -70,7 +70,7 @@ def _search(folder: Path, workers: int) -> Mapping[str, int]:
             raise
         if process.returncode not in (0, 1) or len(stamps) != RUNS:
             detail = f'{len(stamps)} of {RUNS} runs, {exit_line(process)}'
-            raise InfraError('start', 'taxinet falsify', -1, detail)
+            raise InfraError(InfraKind.DIED, 'taxinet falsify', -1, detail)
     counted = RUNS - workers
     return {part_name(workers): (stamps[-1] - stamps[workers - 1]) // counted}
 
@@ -86,6 +86,8 @@ def _watch(process: subprocess.Popen[bytes], ledger: Path) -> list[int]:
             results = ledger.read_bytes().count(b'"event":"result"')
             stamps += [time.perf_counter_ns()] * (results - len(stamps))
         if time.monotonic() > deadline:
-            raise InfraError('timeout', 'taxinet falsify', -1, f'not done after {_LIMIT_S:g} s')
+            raise InfraError(
+                InfraKind.TIMEOUT, 'taxinet falsify', -1, f'not done after {_LIMIT_S:g} s'
+            )
         time.sleep(_LOOK_S)
     return stamps

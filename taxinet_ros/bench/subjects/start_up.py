@@ -31,7 +31,7 @@ from taxinet_ros.bench.processes import (
     peak_memory,
     wait_for,
 )
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface, steering_controller
 from taxinet_ros.nodes.running.domain import own_domain
 
@@ -105,7 +105,7 @@ def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
             raise
         whole = time.perf_counter_ns() - start
         if process.returncode not in (0, 1):
-            raise InfraError('start', 'taxinet run', -1, exit_line(process))
+            raise InfraError(InfraKind.DIED, 'taxinet run', -1, exit_line(process))
     return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
 
 

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from taxinet_ros.bag.check.judge import JudgedBag
 from taxinet_ros.bag.layout import STORAGE_ID
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
-from taxinet_ros.core.mtl import Spec
+from taxinet_ros.core.mtl import RobustnessInterval, Spec
 from taxinet_ros.errors import UsageError
 
 
@@ -75,7 +76,7 @@ def add_requirements(
         content = read_ledger(folder / LEDGER_NAME)
         for row in content.rows:
             if row.outcome.judged and (bag := bags.get(folder / row.bag)) and not bag.trouble:
-                check_same_run(row, content.campaign, bag.path)
+                check_same_run(row, content.campaign, open_recording(bag.path))
         counts = {}
         for spec in specs:
             intervals = {
@@ -93,9 +94,9 @@ def _own_formulas(content: LedgerContent) -> dict[str, str]:
     return dict(content.campaign.get('specs', {}))
 
 
-def _interval(row: RunRow, spec: Spec, bag: JudgedBag | None) -> tuple[float, float] | None:
+def _interval(row: RunRow, spec: Spec, bag: JudgedBag | None) -> RobustnessInterval | None:
     if bag is None or not row.outcome.judged or bag.trouble:
         return None
     one = next((one for one in bag.verdicts if one.spec.name == spec.name), None)
     known = one is not None and (one.verdict.judged or bag.stopped_early)
-    return (one.lower, one.upper) if one is not None and known else None
+    return RobustnessInterval(one.lower, one.upper) if one is not None and known else None

@@ -14,21 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.reader import decoded_messages, read_info
-from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains, read_facts, read_run
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.facts import RunFacts, is_steering_law, parse_gains
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, ledger_content, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import STEERING, SteeringGains
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
-_VERDICT = '/monitor/verdict'
 _NO_FACTS: Mapping[str, Any] = {}
 
 
@@ -40,7 +38,7 @@ class JudgedRun:
         run_id, seed, scenario: as it was asked for.
         specs: formulas as text, the headline first.
         outcome: how it ended.
-        rho: robustness by the formula's name, as far as it is known.
+        robustness: by the formula's name.
         perception, fingerprint: the swap word or network's file, and the hash of the weights.
         gains: steering gains that differ from the defaults.
         controller, controller_fingerprint: the word of what steers, or what an unknown one said of
@@ -53,7 +51,7 @@ class JudgedRun:
     scenario: Scenario
     specs: tuple[str, ...]
     outcome: Outcome
-    rho: Mapping[str, float]
+    robustness: Mapping[str, RobustnessInterval]
     perception: str
     fingerprint: str
     gains: Mapping[str, float]
@@ -81,10 +79,11 @@ def find_run(path: Path) -> JudgedRun:
     facts = content.campaign if content else _NO_FACTS
     if any(whole.glob('*.mcap')):
         try:
+            recording = open_recording(path)
             for row in content.rows if content else ():
                 if row.bag == whole.name:
-                    check_same_run(row, facts, whole)
-            return _of_bag(path, facts)
+                    check_same_run(row, facts, recording)
+            return _of_bag(recording, facts)
         except BagError as error:
             raise UsageError(str(error)) from error
     rows = {row.run_id: row for row in content.rows} if content else {}
@@ -99,23 +98,24 @@ def _place(path: Path) -> Path:
     return named if (named.parent / LEDGER_NAME).is_file() else path.resolve()
 
 
-def _of_bag(path: Path, facts: Mapping[str, Any]) -> JudgedRun:
-    told = read_info(path).metadata.get('taxinet_outcome')
-    if told is None and (recording := read_recording(path)).runs and not recording.plain:
+def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
+    path = recording.path
+    ending = recording.metadata.get('taxinet_outcome')
+    if ending is None and recording.runs and not recording.plain:
         raise UsageError(
             f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
             f'taxinet bag split {path} --out DIR'
         )
-    told = told or {}
-    outcome = Outcome(told.get('outcome', Outcome.INTERRUPTED))
-    run = read_run(path)
-    rho: dict[str, float] = {}
-    if outcome.judged:
-        for _, _, verdict in decoded_messages(path, lambda topic: topic.endswith(_VERDICT)):
-            rho = {spec.spec: spec.rho_upper for spec in verdict.specs}
+    outcome = Outcome((ending or {}).get('outcome', Outcome.INTERRUPTED))
+    run, told = recording.run, recording.facts
+    robustness: dict[str, RobustnessInterval] = {}
+    if outcome.judged and told is not None:
+        robustness = {
+            name: RobustnessInterval(one.lower, one.upper) for name, one in told.judged.items()
+        }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
-        specs=run.request.judging.specs, outcome=outcome, rho=rho,
+        specs=run.request.judging.specs, outcome=outcome, robustness=robustness,
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),
@@ -139,7 +139,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
     return JudgedRun(
         run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
-        outcome=row.outcome, rho=row.rho, perception=row.perception,
+        outcome=row.outcome, robustness=row.robustness, perception=row.perception,
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
@@ -158,7 +158,7 @@ def _example(campaign: Path) -> str:
 
 
 def bag_differences(
-    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+    row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> list[str]:
     """In what a bag tells of another run than its row and campaign do.
 
@@ -173,7 +173,7 @@ def bag_differences(
     Raises:
         BagError, UsageError: it cannot be read.
     """
-    told = read_facts(bag)
+    told = bag.facts
     if told is None:
         return ['is of no run of ours']
     pairs: dict[str, tuple[Any, Any]] = {
@@ -183,7 +183,7 @@ def bag_differences(
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
-            f'rho of {name}': ((one.lower, one.upper), row.interval(name))
+            f'rho of {name}': ((one.lower, one.upper), row.robustness.get(name))
             for name, one in told.judged.items()
         }
         pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}
@@ -265,7 +265,7 @@ def _short(value: Any) -> str:
 
 
 def check_same_run(
-    row: RunRow, facts: Mapping[str, Any], bag: Path, *, whole: bool = True
+    row: RunRow, facts: Mapping[str, Any], bag: Recording, *, whole: bool = True
 ) -> None:
     """See that a bag is that of a row, before what it holds is taken for the row's run.
 
@@ -281,8 +281,8 @@ def check_same_run(
     """
     for what in bag_differences(row, facts, bag, whole=whole):
         raise UsageError(
-            f'{bag}: is not the bag of its run: {what}; was the folder moved here from another '
-            f'campaign? taxinet doctor {bag.parent} checks all of them'
+            f'{bag.path}: is not the bag of its run: {what}; was the folder moved here from '
+            f'another campaign? taxinet doctor {bag.path.parent} checks all of them'
         )
 
 
@@ -293,32 +293,34 @@ class BagPlaces:
         """No record is read yet."""
         self._records: dict[Path, LedgerContent] = {}
 
-    def check(self, bag: Path, *, whole: bool = True) -> None:
+    def check(self, bag: Path | Recording, *, whole: bool = True) -> None:
         """See that a bag is that of the run whose place it has.
 
         Args:
-            bag: a run's folder or an ``.mcap`` file.
+            bag: a run's folder or an ``.mcap`` file, opened or only where it has such a place.
             whole: as of :func:`bag_differences`.
 
         Raises:
             UsageError: it is of another run.
             BagError: it cannot be read.
         """
-        folder = _place(bag.parent if bag.is_file() else bag)
+        path = bag if isinstance(bag, Path) else bag.path
+        folder = _place(path.parent if path.is_file() else path)
         ledger = folder.parent / LEDGER_NAME
         if not ledger.is_file():
             return
         if ledger not in self._records:
             self._records[ledger] = _record(ledger)
         record = self._records[ledger]
+        recording = open_recording(bag) if isinstance(bag, Path) else bag
         for row in record.rows:
             if row.bag == folder.name:
-                check_same_run(row, record.campaign, bag, whole=whole)
+                check_same_run(row, record.campaign, recording, whole=whole)
                 return
-        told = read_facts(bag)
+        told = recording.facts
         if told is not None and told.run_id != folder.name and '.broken-' not in folder.name:
             raise UsageError(
-                f'{bag}: is not the bag of its run: its run_id is {told.run_id}; '
+                f'{path}: is not the bag of its run: its run_id is {told.run_id}; '
                 f'taxinet doctor {folder.parent} checks all of them'
             )
 

@@ -39,6 +39,8 @@ from taxinet_ros.core.controller import (
 from taxinet_ros.core.judge import Judgement
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -52,7 +54,7 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.atomic import disk_error, sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
@@ -106,7 +108,7 @@ class Trial:
         passed: whether all formulas were satisfied; None where the run could not be judged.
         detail: why it could not.
         exact: whether its scene was known to the last bit, so that it must come out as recorded.
-        rho_lower, rho_upper: of the headline; equal unless the run was stopped before its end.
+        robustness: of the headline; exact unless the run was stopped before its end.
         max_cross_track_m, settle_time_s, left_runway: of the path, see
             :class:`~taxinet_ros.core.run_statistics.RunStatistics`; None where unknown.
     """
@@ -116,24 +118,27 @@ class Trial:
     passed: bool | None
     detail: str = ''
     exact: bool = True
-    rho_lower: float | None = None
-    rho_upper: float | None = None
+    robustness: RobustnessInterval | None = None
     max_cross_track_m: float | None = None
     settle_time_s: float | None = None
     left_runway: bool | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; the inverse of :meth:`from_json`."""
-        return asdict(self)
+        values = asdict(self)
+        values['rho_lower'], values['rho_upper'] = values.pop('robustness') or (None, None)
+        return values
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """Read back what :meth:`to_json` gave.
 
         Raises:
-            TypeError: a field is missing or unknown.
+            KeyError, TypeError: a field is missing or unknown.
         """
-        return cls(**values)
+        columns = dict(values)
+        ends = columns.pop('rho_lower'), columns.pop('rho_upper')
+        return cls(**columns, robustness=None if None in ends else RobustnessInterval(*ends))
 
 
 def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterator[Trial]:
@@ -160,7 +165,9 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
                 done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
                 yield from (future.result() for future in done)
         except BrokenProcessPool as error:
-            raise InfraError('died', 'trial worker', -1, 'see the messages above') from error
+            raise InfraError(
+                InfraKind.DIED, 'trial worker', -1, 'see the messages above'
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -199,13 +206,13 @@ def make_trial(
 
 def _judged(task: Task, judged: Judgement) -> Trial:
     stopped, statistics = judged.stopped_early, judged.statistics
-    if not (judged.complete or stopped):
+    outcome = outcome_of(judged)
+    if not outcome.judged:
         return _unjudged(task, 'a sample could not be judged')
-    headline = judged.readings[0]
     settled = not stopped and not math.isnan(statistics.settle_time_s)
     return Trial(
-        run_id=task.run_id, word=task.word, passed=judged.satisfied, exact=task.exact,
-        rho_lower=headline.lower, rho_upper=headline.upper,
+        run_id=task.run_id, word=task.word, passed=outcome is Outcome.PASS, exact=task.exact,
+        robustness=judged.readings[0].interval,
         max_cross_track_m=statistics.max_cross_track_m,
         settle_time_s=statistics.settle_time_s if settled else None,
         # Nobody knows whether a run that was stopped would have left the runway later.

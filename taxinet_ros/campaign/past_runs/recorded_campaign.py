@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
@@ -163,8 +163,9 @@ def scenario_of_row(
     bag = folder / row.run_id
     if any(bag.glob('*.mcap')):
         try:
-            check_same_run(row, facts, bag)
-            return read_run(bag).request.scenario, True
+            recording = open_recording(bag)
+            check_same_run(row, facts, recording)
+            return recording.scenario, True
         except BagError:
             pass  # a damaged bag says less than the ledger does
     values = {key: getattr(row, key) for key in HUMAN_KEYS}

@@ -16,6 +16,7 @@ from typing import Any
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import disk_error, sync_folder
@@ -101,7 +102,7 @@ class Ledger(JournalOwner):
         self._append({'event': 'result', 'row': row.to_json()})
 
     def requirement(
-        self, name: str, formula: str, intervals: Mapping[int, tuple[float, float]]
+        self, name: str, formula: str, intervals: Mapping[int, RobustnessInterval]
     ) -> None:
         """Record a formula that was put to the runs afterwards.
 
@@ -292,7 +293,9 @@ class _Events:
         self.added[event['name']] = event['formula']
         for index, (lower, upper) in event['intervals'].items():
             row = self.rows[int(index)]
-            self.rows[row.index] = row.also_judged(event['name'], float(lower), float(upper))
+            self.rows[row.index] = row.also_judged(
+                event['name'], RobustnessInterval(float(lower), float(upper))
+            )
 
 
 def _check_same(path: Path, facts: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from taxinet_ros.bag.layout import is_run_name
+from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
@@ -44,10 +45,9 @@ class RunRow:
             aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
             percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
-        rho: robustness by the formula's name, the headline first; judged runs only. Of a run that
-            was stopped early, those that are known exactly.
-        rho_lower, rho_upper: ends of the interval by the formula's name, likewise; of a run that
-            was stopped early.
+        robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
+            a run that was stopped early. On disk these are ``rho``, what is known of it, and
+            ``rho_lower`` and ``rho_upper``, the bounds of a run that was stopped early.
         stopped_early, stopped_s: whether the run ended before its end because its verdict was in,
             and when [s]; judged runs only. The figures are then those up to there.
         left_runway, max_cross_track_m, settle_time_s: of the true path, see
@@ -93,9 +93,7 @@ class RunRow:
     kind: str = ''
     who: str = ''
     detail: str = ''
-    rho: Mapping[str, float] = field(default_factory=dict)
-    rho_lower: Mapping[str, float] = field(default_factory=dict)
-    rho_upper: Mapping[str, float] = field(default_factory=dict)
+    robustness: Mapping[str, RobustnessInterval] = field(default_factory=dict)
     stopped_early: bool | None = None
     stopped_s: float | None = None
     left_runway: bool | None = None
@@ -116,10 +114,10 @@ class RunRow:
     wall_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if bool(self.rho or self.rho_upper) != self.outcome.judged:
-            raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.rho)}')
-        if bool(self.rho_upper) != bool(self.stopped_early):
-            raise ValueError(f'run {self.run_id}: has intervals {dict(self.rho_upper)}')
+        if bool(self.robustness) != self.outcome.judged:
+            raise ValueError(f'run {self.run_id}: {self.outcome} with rho {dict(self.robustness)}')
+        if not self.stopped_early and len(self.rho) < len(self.robustness):
+            raise ValueError(f'run {self.run_id}: has intervals {dict(self.robustness)}')
 
     def check(self) -> None:
         """See that the row can be the result of a run, judged by the formulas that it names.
@@ -153,16 +151,15 @@ class RunRow:
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: one of them is not."""
-        ends = [self.interval(spec) for spec in {**self.rho, **self.rho_lower, **self.rho_upper}]
-        known = [(low, high) for low, high in filter(None, ends) if low <= high]
-        if len(known) < len(ends):
-            raise ValueError(f'run {self.run_id}: a robustness is no number')
-        passed = all(low > 0 for low, _ in known)
-        failed = any(high <= 0 for _, high in known)
+        known = self.robustness.values()
+        passed = all(interval.satisfied for interval in known)
+        failed = any(interval.failed for interval in known)
         if (self.outcome is Outcome.PASS and not passed) or (
             self.outcome is Outcome.FAIL and not failed
         ):
-            raise ValueError(f'run {self.run_id}: {self.outcome} with robustness {known}')
+            raise ValueError(
+                f'run {self.run_id}: {self.outcome} with robustness {dict(self.robustness)}'
+            )
 
     @property
     def unusable_share(self) -> float:
@@ -179,36 +176,30 @@ class RunRow:
         """Simulated seconds per second of wall clock; NaN where none was spent."""
         return self.sim_s / self.wall_s if self.wall_s > 0 else math.nan
 
-    def interval(self, spec: str) -> tuple[float, float] | None:
-        """Least and greatest robustness of a formula, equal where it is known; None if unjudged."""
-        if spec in self.rho:
-            return self.rho[spec], self.rho[spec]
-        return (self.rho_lower[spec], self.rho_upper[spec]) if spec in self.rho_upper else None
+    @property
+    def rho(self) -> Mapping[str, float]:
+        """Robustness by the formula's name, where it is known."""
+        return exact_rho(self.robustness)
 
-    def also_judged(self, spec: str, lower: float, upper: float) -> Self:
+    def also_judged(self, spec: str, interval: RobustnessInterval) -> Self:
         """The row with the robustness of one more formula, put to the run after it was over.
 
         Raises:
             ValueError: the run was not judged, or was whole and still has an interval only.
         """
-        rho = {spec: lower} if lower == upper else {}
-        ends = ({spec: lower}, {spec: upper}) if self.stopped_early else ({}, {})
-        if not self.outcome.judged or not (rho or self.stopped_early):
-            raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {lower} to {upper}')
-        return dataclasses.replace(
-            self, rho={**self.rho, **rho}, rho_lower={**self.rho_lower, **ends[0]},
-            rho_upper={**self.rho_upper, **ends[1]},
-        )
+        if not self.outcome.judged or not (interval.exact or self.stopped_early):
+            raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {interval}')
+        return dataclasses.replace(self, robustness={**self.robustness, spec: interval})
 
     def robustness_for_sampler(self, spec: str) -> float | None:
         """What a sampler learns of a formula: its robustness, or None where its sign is not known.
 
-        Of a run that was stopped early it is the end of the interval that is nearer to zero. Its
-        sign is right, which is all that the samplers ask who tell failures from the rest; those who
-        go by its size take the run for less clear than it was.
+        Of a run that was stopped early it is the bound that is nearer to zero. Its sign is right,
+        which is all that the samplers ask who tell failures from the rest; those who go by its size
+        take the run for less clear than it was.
         """
-        lower, upper = self.interval(spec) or (math.nan, math.nan)
-        return upper if upper <= 0 else lower if lower > 0 else None
+        interval = self.robustness.get(spec)
+        return interval.nearest_to_zero if interval else None
 
     @property
     def from_program(self) -> bool:
@@ -219,9 +210,9 @@ class RunRow:
         return self.drawn if self.drawn is not None else self.sampler in SIMPLY_DRAWN
 
     @property
-    def headline(self) -> tuple[float, float] | None:
-        """The interval of the first formula."""
-        return self.interval(next(iter(self.rho_upper or self.rho), ''))
+    def headline(self) -> RobustnessInterval | None:
+        """The robustness of the first formula."""
+        return next(iter(self.robustness.values()), None)
 
     @classmethod
     def of_run(
@@ -244,8 +235,7 @@ class RunRow:
             timing=result.timing, free=dict(result.free),
             **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
-            rho=dict(result.rho), rho_lower=dict(result.rho_lower),
-            rho_upper=dict(result.rho_upper), **_figures(result, sim_s),
+            robustness=dict(result.robustness), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
             wall_s=result.wall_s,
         )
@@ -262,7 +252,16 @@ class RunRow:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for one line of the ledger; the inverse of :meth:`from_json`."""
-        return {**dataclasses.asdict(self), 'outcome': self.outcome.value}
+        values: dict[str, Any] = {}
+        for name, value in dataclasses.asdict(self).items():
+            if name == 'robustness':
+                ends = self.robustness if self.stopped_early else {}
+                values['rho'] = self.rho
+                values['rho_lower'] = {spec: interval.lower for spec, interval in ends.items()}
+                values['rho_upper'] = {spec: interval.upper for spec, interval in ends.items()}
+            else:
+                values[name] = value
+        return {**values, 'outcome': self.outcome.value}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -275,13 +274,34 @@ class RunRow:
         # A row from before the crossing could be taken away has a crossing if it has a scene.
         drawn = None if values.get('shadows') is None else True
         try:
-            row = cls(**{'crossing': drawn, **values, 'outcome': Outcome(values['outcome'])})
+            columns = {name: value for name, value in values.items() if name not in _BOUNDS}
+            row = cls(**{
+                'crossing': drawn, **columns, 'outcome': Outcome(values['outcome']),
+                'robustness': _robustness(values),
+            })
             for column in dataclasses.fields(cls):
                 check_kind(column.name, str(column.type), getattr(row, column.name))
             row.check()
             return row
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise UsageError(f'not a row of this version: {error}') from error
+
+
+_BOUNDS = ('rho', 'rho_lower', 'rho_upper')
+
+
+def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:
+    """What three columns on disk say of the formulas, in the order of the formulas."""
+    rho, lower, upper = (values.get(name, {}) for name in _BOUNDS)
+    for name, column in zip(_BOUNDS, (rho, lower, upper), strict=True):
+        check_kind(name, 'Mapping[str, float]', column)
+    if lower.keys() != upper.keys() or bool(upper) != bool(values.get('stopped_early')):
+        raise ValueError(f'run {values["run_id"]}: has intervals {upper}')
+    found = {spec: RobustnessInterval(lower[spec], upper[spec]) for spec in upper}
+    found |= exact_intervals(rho)
+    if not all(interval.lower <= interval.upper for interval in found.values()):
+        raise ValueError(f'run {values["run_id"]}: a robustness is no number')
+    return found
 
 
 def _figures(result: RunResult, sim_s: float) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     import pandas as pd
 
     ordered = sorted(rows, key=lambda row: row.index)
-    judged_by = (name for row in ordered for name in (*row.rho_upper, *row.rho))
+    judged_by = (name for row in ordered for name in row.robustness)
     names = list(dict.fromkeys([*specs, *judged_by]))
     dimensions = list(dict.fromkeys(name for row in ordered for name in row.point))
     figures = list(dict.fromkeys(name for row in ordered for name in row.free))
@@ -301,7 +301,7 @@ def _line(
     point |= {f'{_FREE}{name}': row.free.get(name) for name in figures}
     rho: dict[str, float | None] = {'rho': row.rho.get(specs[0]) if specs else None}
     for name in specs:
-        low, high = row.interval(name) or (None, None)
+        low, high = row.robustness.get(name) or (None, None)
         rho |= {f'{_RHO}{name}': row.rho.get(name), f'{_LOWER}{name}': low, f'{_UPPER}{name}': high}
     return {**values, **point, **rho}
 

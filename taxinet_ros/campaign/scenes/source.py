@@ -30,7 +30,7 @@ from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 from taxinet_ros.core.world import last_step
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
 
@@ -341,7 +341,7 @@ class SceneSource:
         program = _shown(self.program)
         if -status in _FROM_OUTSIDE:
             how = f'killed by {signal.Signals(-status).name}'
-            return InfraError('died', f'the Scenic process of {program}', -1, how)
+            return InfraError(InfraKind.DIED, f'the Scenic process of {program}', -1, how)
         if status < 0:
             how = f'was ended by {signal.Signals(-status).name}'
         else:

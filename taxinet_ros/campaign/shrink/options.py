@@ -265,11 +265,11 @@ def _check_failed(path: Path, run: JudgedRun, *, other_specs: bool) -> None:
         raise UsageError(f'{path}: {run.outcome}, so it was never judged; name a run that failed')
     if other_specs:
         return
-    rho = run.rho.get(run.headline, 0.0)
-    if rho > 0:
+    interval = run.robustness.get(run.headline)
+    if interval is not None and interval.satisfied:
         raise UsageError(
-            f'{path}: satisfied {run.headline} with rho {rho:+.2f}; name a run that failed, or '
-            'with --spec what it failed'
+            f'{path}: satisfied {run.headline} with {interval.words(".2f")}; name a run that '
+            'failed, or with --spec what it failed'
         )
 
 

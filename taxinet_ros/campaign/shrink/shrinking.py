@@ -286,7 +286,8 @@ def shrink_heading(options: ShrinkOptions) -> str:
     campaign, run = options.campaign, options.run
     workers = '1 worker' if options.workers == 1 else f'{options.workers} workers'
     verb = 'resuming to shrink' if options.resume else 'shrinking'
-    rho = f', rho {run.rho[options.headline]:+.2f}' if options.headline in run.rho else ''
+    interval = run.robustness.get(options.headline)
+    rho = f', {interval.bound_words()}' if interval else ''
     return (
         f'{verb} {run.run_id} ({options.headline}{rho}), {participants_words(campaign)}, '
         f'{workers} -> {campaign.out}'

@@ -127,7 +127,7 @@ def explain(
 
     with readable_run(bag, run_id) as whole:
         code = run_explain(ExplainOptions(
-            bag=whole, perception=perception, dataset=dataset, frames=frames, out=out,
+            recording=whole, perception=perception, dataset=dataset, frames=frames, out=out,
             as_json=as_json,
         ))
     raise typer.Exit(code)

@@ -16,7 +16,8 @@ from rich.console import Console
 from taxinet_ros.analysis.explain.explain import Explanation, explain, explain_sentences
 from taxinet_ros.analysis.explain.nearest_images import NearestImages, TrainingImages
 from taxinet_ros.analysis.explain.report import explain_json, explain_report
-from taxinet_ros.bag.run.facts import RecordedRun, read_run
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
@@ -48,7 +49,7 @@ class ExplainOptions:
         as_json: print the JSON in place of the summary.
     """
 
-    bag: Path
+    recording: Recording
     perception: str | None
     dataset: Path | None
     frames: int
@@ -67,7 +68,7 @@ def run_explain(options: ExplainOptions) -> int:
     """
     console = Console(highlight=False, stderr=options.as_json)
     with readable_bags():
-        run = read_run(options.bag)
+        run = options.recording.run
         word = _network(run, options.perception)
         out = options.out or new_folder(DEFAULT_ROOT / f'explain-{run.request.run_id}')
         check_new(out)
@@ -75,7 +76,7 @@ def run_explain(options: ExplainOptions) -> int:
         with stage_bars(console) as show:
             training = None if folder is None else _training(folder, show)
             found = explain(
-                options.bag, run, make_perception(word), frames=options.frames,
+                options.recording, make_perception(word), frames=options.frames,
                 training=training, on_progress=show,
             )
     _make(out)

@@ -14,19 +14,12 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from taxinet_ros.bag.check.judge import (
-    BagVerdict,
-    JudgedBag,
-    SpecVerdict,
-    judge_bags,
-    judge_spec,
-    signals_of_specs,
-)
+from taxinet_ros.bag.check.judge import JudgedBag, judge_bags
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.layout import STORAGE_ID
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.recording import read_recording
-from taxinet_ros.bag.run.samples import read_run_samples
+from taxinet_ros.bag.run.judging import BagVerdict, SpecVerdict, judge_spec, signals_of_specs
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.campaign.options import check_assumptions, read_specs, split_settings
 from taxinet_ros.campaign.past_runs.added_requirements import (
     add_requirements,
@@ -272,7 +265,7 @@ def _judged(
 ) -> list[JudgedBag]:
     """Judge all of them, and print each as soon as it is known."""
     console = Console(highlight=False, stderr=as_json)
-    chosen = None if run is None else read_recording(bags[0]).choose(run).name
+    chosen = None if run is None else open_recording(bags[0]).choose(run).name
     judged: list[JudgedBag] = []
     places = BagPlaces()
     with stage_bars(console) as show:
@@ -324,7 +317,7 @@ class _RequirementNotes:
 def _gains(bag: Path) -> SteeringGains | None:
     """Those that a bag tells of; None where it cannot, so that nobody knows who steered."""
     try:
-        return SteeringGains(**read_run(bag).gains)
+        return SteeringGains(**open_recording(bag).run.gains)
     except (BagError, UsageError):
         return None
 
@@ -363,7 +356,7 @@ def _draw(bag: JudgedBag, vouched: Assumptions | None, plot: Path) -> Path:
     from taxinet_ros.analysis.one_run.robustness import JudgedSpec, robustness_picture
 
     specs = [one.spec for one in bag.verdicts]
-    runs = read_run_samples(bag.path, signals_of_specs(specs))
+    runs = run_samples(open_recording(bag.path), signals_of_specs(specs))
     samples = next(one for one in runs if one.run == bag.run)
     judged = []
     for spec in specs:

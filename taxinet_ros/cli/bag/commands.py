@@ -81,7 +81,7 @@ def replay(
 
     with readable_run(bag, run_id) as whole:
         options = ReplayOptions(
-            bag=whole, target=into, perception=perception, controller=controller, out=out,
+            recording=whole, target=into, perception=perception, controller=controller, out=out,
             tolerance_cte_m=tolerance_cte, tolerance_he_deg=tolerance_he,
         )
         code = run_replay(options)
@@ -116,7 +116,7 @@ def compare(
         readable_bags(), read_within_limits(bag, other), one_run(bag, run_id) as one,
         one_run(other, other_run) as two,
     ):
-        code = run_compare(one, two, tolerance=tolerance, skip=skip or ())
+        code = run_compare(one.path, two.path, tolerance=tolerance, skip=skip or ())
     raise typer.Exit(code)
 
 

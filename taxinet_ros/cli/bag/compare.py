@@ -35,7 +35,7 @@ def run_compare(one: Path, other: Path, *, tolerance: float, skip: Collection[st
         topics = compare_bags(one, other, tolerance=tolerance, skip=left_out)
         if not topics:
             raise UsageError(f'{one} and {other}: no messages to compare')
-        warn_of_stacks(console, made_on(read_info(one)), made_on(read_info(other)))
+        warn_of_stacks(console, *(made_on(read_info(bag)) for bag in (one, other)))
         print_comparison(console, topics, tolerance)
         if _bytes(one) == _bytes(other):
             console.print('the files are the same byte for byte')

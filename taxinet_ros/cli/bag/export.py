@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 
 from taxinet_ros.bag.layout import write_whole
-from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.recording import is_run_topic
-from taxinet_ros.bag.run.tables import read_tables, read_trace_table, titles
+from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.runs import is_run_topic
+from taxinet_ros.bag.run.tables import titles
 from taxinet_ros.cli.bag.input import WHOLE, exit_code_of, one_run
 from taxinet_ros.errors import UsageError
 
@@ -40,7 +40,7 @@ def run_export(
     kind = _format(out, file_format, topics)
     _check_new(out)
     if topics and not any(map(is_run_topic, topics)):  # Of others, as /rosout: as recorded.
-        return exit_code_of(bag, lambda: _export(bag, out, kind, topics))
+        return exit_code_of(bag, lambda: _export(open_recording(bag), out, kind, topics))
 
     def export() -> int:
         with one_run(bag, run) as whole:
@@ -49,10 +49,11 @@ def run_export(
     return exit_code_of(bag, export)
 
 
-def _export(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+def _export(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
     if kind in FILMS:
-        return _film(bag, out, kind)
-    return _one_table(bag, out, kind, topics) if out.suffix else _tables(bag, out, kind, topics)
+        return _film(recording, out, kind)
+    make = _one_table if out.suffix else _tables
+    return make(recording, out, kind, topics)
 
 
 def _format(out: Path, named: str | None, topics: Sequence[str]) -> str:
@@ -79,23 +80,23 @@ def _check_new(out: Path) -> None:
         raise UsageError(f'--out {out}: there is no folder {out.parent}; make it first')
 
 
-def _one_table(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
     if topics:
-        found = read_tables(bag, topics)
+        found = recording.tables(topics)
         if len(found) > 1:
             raise UsageError(f'--topics {topics[0]}: that is {", ".join(found)}; name one')
         (table,) = found.values()
     else:
-        table = read_trace_table(bag)
+        table = recording.trace
     _save(table, out, kind)
     return WHOLE
 
 
-def _tables(bag: Path, out: Path, kind: str, topics: Sequence[str]) -> int:
+def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
     wanted = list(topics) or [
-        topic.name for topic in read_info(bag).topics if topic.type not in _PICTURES
+        topic.name for topic in recording.topics if topic.type not in _PICTURES
     ]
-    tables = read_tables(bag, wanted)
+    tables = recording.tables(wanted)
     try:
         out.mkdir()
     except OSError as error:
@@ -115,10 +116,10 @@ def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
     print(f'table: {path} ({len(table)} rows, {len(table.columns)} columns)')
 
 
-def _film(bag: Path, out: Path, kind: str) -> int:
+def _film(recording: Recording, out: Path, kind: str) -> int:
     from taxinet_ros.analysis.one_run.film import ACCENTS, film_frames, write_gif, write_mp4
 
-    frames = film_frames(bag)
+    frames = film_frames(recording)
     count = write_mp4(frames, out) if kind == 'mp4' else write_gif(frames, out, ACCENTS)
     print(f'film: {out} ({count} frames)')
     return WHOLE

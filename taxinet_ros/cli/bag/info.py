@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from taxinet_ros.bag.layout import storage_files
-from taxinet_ros.bag.reader import BagInfo, read_info
+from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.facts import (
     Judged,
     NodeFacts,
@@ -20,10 +20,8 @@ from taxinet_ros.bag.run.facts import (
     free_account,
     is_steering_law,
     made_on,
-    read_all_facts,
-    read_facts,
 )
-from taxinet_ros.bag.run.recording import Recording, read_recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
@@ -48,13 +46,12 @@ def show_info(bag: Path, *, as_json: bool) -> int:
 
 
 def _show(bag: Path, as_json: bool) -> int:
-    info = read_info(bag)
-    recording = read_recording(bag)
+    recording = open_recording(bag)
+    info = recording.info
     if recording.plain or not recording.runs:
-        runs = {'': read_facts(bag)}
+        runs = {'': recording.facts}
     else:
-        runs = {run.words(): facts for run, facts in zip(
-            recording.runs, read_all_facts(recording).values(), strict=True)}
+        runs = {run.words(): one.facts for run, one in zip(recording.runs, recording, strict=True)}
     if as_json:
         print(json.dumps(_plain(info, recording, list(runs.values())), indent=2))
     else:

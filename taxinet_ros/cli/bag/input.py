@@ -12,10 +12,9 @@ from pathlib import Path
 from rich.console import Console
 
 from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated, BagWriteError
-from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.facts import RecordedRun
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.perception.perception import PERCEPTION, check_perception
@@ -60,7 +59,7 @@ def readable_bags() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def one_run(bag: Path, run: str | None) -> Iterator[Path]:
+def one_run(bag: Path, run: str | None) -> Iterator[Recording]:
     """A bag of one run, as our recorder makes it: this one, or a copy of what it holds of a run.
 
     Args:
@@ -71,11 +70,11 @@ def one_run(bag: Path, run: str | None) -> Iterator[Path]:
         UsageError: it holds several runs and none is named, or none of that name.
         BagError: it cannot be read, or is damaged and not our recorder's.
     """
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     if recording.plain or not recording.runs:
         if run is not None:
             recording.choose(run)
-        yield bag
+        yield recording
         return
     chosen = recording.choose(run)
     if recording.damage:
@@ -83,19 +82,19 @@ def one_run(bag: Path, run: str | None) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix='taxinet-run-') as scratch:
         folder = Path(scratch) / chosen.run_id
         write_runs(recording, {chosen.name: folder})
-        yield folder
+        yield open_recording(folder)
 
 
 @contextlib.contextmanager
-def readable_run(bag: Path, run: str | None) -> Iterator[Path]:
+def readable_run(bag: Path, run: str | None) -> Iterator[Recording]:
     """:func:`one_run` for commands that do the run once more, in which 1 is a difference.
 
     Raises:
         UsageError: it cannot be read, or it lies where its campaign has another run.
     """
     with readable_bags(), one_run(bag, run) as whole:
-        if whole == bag:
-            BagPlaces().check(bag, whole=read_info(bag).complete)
+        if whole.path == bag:
+            BagPlaces().check(whole, whole=whole.complete)
         yield whole
 
 

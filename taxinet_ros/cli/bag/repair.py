@@ -9,15 +9,14 @@ from rich.console import Console
 from rich.progress import track
 
 from taxinet_ros import __version__
-from taxinet_ros.bag.check.lockstep import PERIOD_NS, read_record, read_records, whole_steps
+from taxinet_ros.bag.check.lockstep import PERIOD_NS, run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.reader import read_info, unchecked_files
 from taxinet_ros.bag.rewrite.frames import missing_frames, restore_frames, restore_in_place
 from taxinet_ros.bag.rewrite.recovery import Recovery, recover
 from taxinet_ros.bag.rewrite.split import write_runs
-from taxinet_ros.bag.run.facts import read_all_facts, read_facts
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.campaign.options import check_new
 from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of, one_run
@@ -62,14 +61,14 @@ def _recover(bag: Path, out: Path) -> int:
 
 def _steps(bag: Path) -> Iterator[str]:
     """How much the new bag holds of each run; nothing where it holds none of ours."""
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     if recording.plain:
-        told = [('', read_facts(bag), read_record(bag))]
+        told = [('', recording.facts, run_record(recording))]
     else:
-        facts = read_all_facts(recording)
+        records = run_records(recording)
         told = [
-            (f'{run.name}: ', facts[run.name], record)
-            for run, record in zip(recording.runs, read_records(recording), strict=True)
+            (f'{run.name}: ', one.facts, record)
+            for run, one, record in zip(recording.runs, recording, records, strict=True)
             if not run.absent
         ]
     for name, fact, record in told:
@@ -106,7 +105,7 @@ def run_split(bag: Path, out: Path) -> int:
 
 
 def _split(bag: Path, out: Path) -> int:
-    recording = read_recording(bag)
+    recording = open_recording(bag)
     present = [run for run in recording.runs if not run.absent]
     if not present:
         raise recording.without_run()
@@ -138,16 +137,16 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     """
     def work() -> int:
         with one_run(bag, run) as whole:
-            if whole != bag and out is None:
+            if whole.path != bag and out is None:
                 raise UsageError(f'{bag}: is not a bag of our recorder; name a new one with --out')
             return _render(whole, out)
 
     return exit_code_of(bag, work)
 
 
-def _render(bag: Path, out: Path | None) -> int:
+def _render(recording: Recording, out: Path | None) -> int:
     console = Console(highlight=False)
-    info = read_info(bag)
+    bag, info = recording.path, recording.info
     missing = missing_frames(info)
     if not missing and not info.trouble:
         frames = info.counts['/camera/image_raw']
@@ -155,7 +154,7 @@ def _render(bag: Path, out: Path | None) -> int:
         return WHOLE
     steps = (
         restore_in_place(bag, _MIN_FREE_BYTES) if out is None
-        else restore_frames(bag, out, _MIN_FREE_BYTES)
+        else restore_frames(recording, out, _MIN_FREE_BYTES)
     )
     shown = track(
         steps, 'rendering', total=missing, console=console, transient=True,

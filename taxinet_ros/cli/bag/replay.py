@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from taxinet_ros.analysis.one_run.replay import Difference, difference, plot_replay, quantities
-from taxinet_ros.bag.run.facts import RecordedRun, read_run
-from taxinet_ros.bag.run.trace import Column, read_trace
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, new_folder
 from taxinet_ros.cli.bag.compare import DIFFERENT, EQUAL
 from taxinet_ros.cli.bag.input import controller_of, perception_of, perception_words, readable_bags
@@ -36,7 +37,7 @@ class ReplayOptions:
     """What a person asked for.
 
     Attributes:
-        bag: a run folder or an ``.mcap`` file.
+        recording: of the run.
         target: node to replay into.
         perception: word or file; the run's own where None.
         controller: word; the run's own where None.
@@ -44,7 +45,7 @@ class ReplayOptions:
         tolerance_cte_m, tolerance_he_deg: how far estimates may lie from those recorded.
     """
 
-    bag: Path
+    recording: Recording
     target: str
     perception: str | None
     controller: str | None
@@ -89,11 +90,11 @@ def run_replay(options: ReplayOptions) -> int:
     """
     console = Console(highlight=False)
     with readable_bags():
-        run, trace = read_run(options.bag), read_trace(options.bag)
+        run, trace = options.recording.run, options.recording.columns
         if run.timing.free:
             raise UsageError(
-                f'{options.bag}: a free run: frames without an answer cannot be held against '
-                'answers of now; replay a run of the lockstep'
+                f'{options.recording.path}: a free run: frames without an answer cannot be held '
+                'against answers of now; replay a run of the lockstep'
             )
         word, fingerprint = run.perception, run.fingerprint
         if options.target == interface.PERCEPTION:
@@ -104,7 +105,7 @@ def run_replay(options: ReplayOptions) -> int:
         if options.target == interface.STEERING_CONTROLLER:
             controller = controller_of(run, options.controller)
         answers = replay(
-            options.bag, run, target=options.target, perception=word, controller=controller
+            options.recording, run, target=options.target, perception=word, controller=controller
         )
     names = _names(run, options.target, word, fingerprint)
     found = [

@@ -20,7 +20,8 @@ from taxinet_ros.bag.check.compare import (
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
-from taxinet_ros.bag.run.facts import RecordedRun, made_on, read_run
+from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
@@ -63,13 +64,13 @@ def check_options(given: Iterable[str]) -> None:
 
 
 def run_again(
-    bag: Path, *, perception: str | None, controller: str | None, out: Path | None,
+    recording: Recording, *, perception: str | None, controller: str | None, out: Path | None,
     images: str | None, processes: bool,
 ) -> int:
     """Run a bag's scenario through the graph again and print how the two runs compare.
 
     Args:
-        bag: a run folder or an ``.mcap`` file.
+        recording: of the run.
         perception: word or file; the run's own where None.
         controller: word; the run's own where None.
         out: new folder for the new bag; where None, one below ``bags/``.
@@ -84,7 +85,7 @@ def run_again(
         InfraError: the bench broke.
     """
     with readable_bags():
-        run, info = read_run(bag), read_info(bag)
+        run, info = recording.run, recording.info
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
@@ -103,7 +104,7 @@ def run_again(
     if run.timing.free:
         console.print(f'a free run, which need not come out the same: {NOT_REPRODUCIBLE}',
                       soft_wrap=True)
-    warn_of_stacks(console, made_on(info), provenance())
+    warn_of_stacks(console, recording.made_on, provenance())
     processes = processes or run.timing.free
     results = rerun([(run, word, steers)], out, images=images, processes=processes)
     result = results[run.request.run_id]
@@ -120,7 +121,7 @@ def run_again(
     with readable_bags():
         counts = read_info(new).counts
         skip = () if info.counts.get(IMAGE) and counts.get(IMAGE) else (IMAGE,)
-        topics = compare_bags(bag, new, skip=skip)
+        topics = compare_bags(recording.path, new, skip=skip)
     print_comparison(console, topics, 0.0)
     return EQUAL if all(topic.equal for topic in topics) else DIFFERENT
 
@@ -138,7 +139,7 @@ def run_golden(folder: Path, *, update: bool) -> int:
     console = Console(highlight=False)
     bags = golden_bags(folder)
     with readable_bags():
-        runs = {bag: read_run(bag) for bag in bags}
+        runs = {bag: open_recording(bag).run for bag in bags}
     for bag, run in runs.items():
         if run.request.run_id != bag.name:
             raise UsageError(f'{bag}: holds run {run.request.run_id}; name the folder so')

@@ -8,7 +8,7 @@ import numpy as np
 
 from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
 from taxinet_ros.analysis.one_run.trajectories import Trajectory, plot_trajectories
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.options import (
     DEFAULT_ROOT,
@@ -69,7 +69,7 @@ def trajectories(rows: list[RunRow], options: CampaignOptions) -> list[Trajector
     paths = []
     for row in rows:
         if row.bag:
-            trace = read_trace(options.out / row.bag)
+            trace = open_recording(options.out / row.bag).columns
             paths.append(Trajectory(
                 label=options.perception,
                 t_s=trace['t_ns'].astype(np.float64) / NS_PER_S,
@@ -87,8 +87,8 @@ def frames(rows: list[RunRow], options: CampaignOptions) -> list[tuple[Picture, 
     for row in rows:
         if not row.bag:
             continue
-        for stamp_ns, image in read_images(options.out / row.bag):
-            if stamp_ns in wanted:
-                caption = f'run {row.index}, {wanted[stamp_ns]} s: {row.outcome}'
-                tiles.append((image.copy(), f'{caption}\n{scene_words(row)}'))
+        for frame in open_recording(options.out / row.bag).frames(render=False):
+            if frame.stamp_ns in wanted:
+                caption = f'run {row.index}, {wanted[frame.stamp_ns]} s: {row.outcome}'
+                tiles.append((frame.image.copy(), f'{caption}\n{scene_words(row)}'))
     return tiles

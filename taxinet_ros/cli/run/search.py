@@ -323,7 +323,8 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
         return
     assert found.original is not None
     name = options.headline
-    before = f', it had {options.run.rho[name]:+.2f}' if name in options.run.rho else ''
+    interval = options.run.robustness.get(name)
+    before = f', it had {interval.bound_words().removeprefix("rho ")}' if interval else ''
     raise UsageError(
         f'{options.run.run_id}: not reproduced: run again, {name} has rho '
         f'{found.original.rho[name]:+.2f}{before}; recorded by another version, or with another '

@@ -37,8 +37,14 @@ from taxinet_ros.core.mtl.assumptions import (
     parse_rates,
 )
 from taxinet_ros.core.mtl.ast import Formula, atoms, signal_names
+from taxinet_ros.core.mtl.interval import (
+    RobustnessInterval,
+    Verdict,
+    exact_intervals,
+    exact_rho,
+)
 from taxinet_ros.core.mtl.offline import robustness
-from taxinet_ros.core.mtl.online import Monitor, Reading, Verdict, verdict_of
+from taxinet_ros.core.mtl.online import Monitor, Reading
 from taxinet_ros.core.mtl.specs import (
     SHIPPED,
     SIGNALS,
@@ -55,9 +61,12 @@ __all__ = [
     'Formula',
     'Monitor',
     'Reading',
+    'RobustnessInterval',
     'Spec',
     'Verdict',
     'atoms',
+    'exact_intervals',
+    'exact_rho',
     'parse_assumptions',
     'parse_bounds',
     'parse_formula',
@@ -65,5 +74,4 @@ __all__ = [
     'parse_spec',
     'robustness',
     'signal_names',
-    'verdict_of',
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 import operator
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from typing import NamedTuple
 
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.assumptions import Envelope
+from taxinet_ros.core.mtl.interval import RobustnessInterval, Verdict
 from taxinet_ros.core.mtl.lower_bounds.builder import Builder, Root
 from taxinet_ros.core.mtl.lower_bounds.nodes import AtomBound, BoundRequest
 from taxinet_ros.core.mtl.margin import Margins
@@ -21,22 +21,12 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 
-class Verdict(enum.IntEnum):
-    """What an interval of robustness says. Only SATISFIED is a success."""
-
-    UNKNOWN = 0
-    SATISFIED = 1
-    VIOLATED = 2
-    MARGINAL = 3
-    """Robustness exactly zero; tables count it as a failure, as VerifAI does."""
-
-
 class Reading(NamedTuple):
     """What is known after a sample (a tuple, because one is made for every sample).
 
     Attributes:
-        lower, upper: every possible completion of the run has its robustness in here. Without a
-            complete and valid run this is all there is, and no number in it is *the* robustness.
+        lower, upper: the interval: every possible completion of the run has its robustness in
+            here. Without a complete and valid run no number in it is *the* robustness.
         verdict: what the interval says; UNKNOWN for ever once the run is not valid.
         final: the run reached its horizon, is valid, and ``lower == upper`` is its robustness.
         valid: no sample was rejected, and no gap was too long, so far.
@@ -56,28 +46,9 @@ class Reading(NamedTuple):
     trusted: bool = True
 
     @property
-    def unclear(self) -> bool:
-        """Whether the windows alone decide: they are empty, so no sample made rho what it is."""
-        return self.lower == self.upper and math.isinf(self.lower)
-
-
-def verdict_of(lower: float, upper: float) -> Verdict:
-    """Verdict on a robustness known to lie in [lower, upper]; give the same number twice for rho.
-
-    An infinite rho rests on empty windows: nothing was judged, and so the verdict is UNKNOWN.
-
-    Raises:
-        UsageError: NaN, or an empty interval.
-    """
-    if not lower <= upper:
-        raise UsageError(f'robustness: [{lower}, {upper}] is no interval')
-    if lower == upper and math.isinf(lower):
-        return Verdict.UNKNOWN
-    if lower > 0:
-        return Verdict.SATISFIED
-    if upper < 0:
-        return Verdict.VIOLATED
-    return Verdict.MARGINAL if lower == upper else Verdict.UNKNOWN
+    def interval(self) -> RobustnessInterval:
+        """The two bounds."""
+        return RobustnessInterval(self.lower, self.upper)
 
 
 class Monitor:
@@ -220,7 +191,7 @@ class Monitor:
             (
                 lower,
                 upper,
-                old.verdict if same else verdict_of(lower, upper),
+                old.verdict if same else RobustnessInterval(lower, upper).verdict,
                 final,
                 True,
                 len(self._stamps_ns),

@@ -18,6 +18,7 @@ from typing import Any
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
+from taxinet_ros.core import topics
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.user_code import (
     COMMAND,
@@ -27,7 +28,7 @@ from taxinet_ros.core.user_code import (
     node_command,
 )
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes import names
+from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
 
 ARGUMENTS = {
@@ -118,17 +119,17 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
     out = words['out'] or f'bags/launch-{datetime.now():%Y%m%d-%H%M%S}'
     perception = _word_or_command(words, 'perception')
     controller = _word_or_command(words, 'controller')
-    seeing, weights = names.perception_executable(perception)
+    seeing, weights = perception_executable(perception)
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
-        _ours(names.SIMULATOR, **_timing(words)),
-        _elsewhere(names.PERCEPTION, perception, words) if is_node_elsewhere(perception)
-        else NodePlan(name=names.PERCEPTION, executable=seeing, parameters=weights),
-        _elsewhere(names.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)
-        else _ours(names.STEERING_CONTROLLER, **own_law),
-        _ours(names.MTL_MONITOR),
-        _ours(names.RECORDER, out=out, images=words['images']),
-        _ours(names.SCENARIO_SAMPLER, **_campaign(words, out)),
+        _ours(topics.SIMULATOR, **_timing(words)),
+        _elsewhere(topics.PERCEPTION, perception, words) if is_node_elsewhere(perception)
+        else NodePlan(name=topics.PERCEPTION, executable=seeing, parameters=weights),
+        _elsewhere(topics.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)
+        else _ours(topics.STEERING_CONTROLLER, **own_law),
+        _ours(topics.MTL_MONITOR),
+        _ours(topics.RECORDER, out=out, images=words['images']),
+        _ours(topics.SCENARIO_SAMPLER, **_campaign(words, out)),
     )
     return [node for node in every if node is not None]
 
@@ -210,7 +211,7 @@ class Ending:
         self._running.discard(pid)
         if self.code is not None or name not in self._names:
             return False
-        if name == names.SCENARIO_SAMPLER:
+        if name == topics.SCENARIO_SAMPLER:
             self.code = code if code >= 0 else _BROKEN
             self.why = f'the campaign has ended: exit code {code}'
         elif code in NOT_STARTED:

@@ -26,15 +26,15 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from taxinet_msgs.msg import NodeStatus, Scenario
 
-from taxinet_ros.bag.reader import read_info, stored_messages
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun, gains_text
+from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
@@ -112,7 +112,7 @@ class Player(Node):
             elif self._ready:
                 self._next()
         if time.monotonic() - self._heard_at > ANSWER_TIMEOUT_S:
-            kind = 'not_ready' if self._seq < 0 else 'timeout'
+            kind = InfraKind.NOT_READY if self._seq < 0 else InfraKind.TIMEOUT
             self._fail(kind, f'silent for {ANSWER_TIMEOUT_S:g} s')
 
     def _found(self) -> bool:
@@ -127,7 +127,7 @@ class Player(Node):
         if status.state == NodeStatus.READY:
             self._ready, self._heard_at = True, time.monotonic()
         elif status.state == NodeStatus.ERROR:
-            self._fail('node_error', status.detail)
+            self._fail(InfraKind.NODE_ERROR, status.detail)
 
     def _on_answer(self, topic: str, message: Any) -> None:
         for seq, messages in self._collector.add(topic, message.seq, message):
@@ -167,21 +167,22 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def replay(
-    bag: Path, run: RecordedRun, *, target: str, perception: str, controller: str = STEERING
+    recording: Recording, run: RecordedRun, *, target: str, perception: str,
+    controller: str = STEERING,
 ) -> Columns:
     """Feed a recorded run to one node over its topics.
 
     Camera frames that the bag lacks are rendered.
 
     Args:
-        bag: a run folder or an ``.mcap`` file.
-        run: what it holds.
+        recording: of a run.
+        run: what it says of it, or that changed.
         target: one of :data:`TARGETS`.
         perception: word or file of the perception, where that is the target.
         controller: word of the controller, likewise.
 
     Returns:
-        What the node answered, by the names of :func:`taxinet_ros.bag.run.trace.read_trace`:
+        What the node answered, by the names of :attr:`.recording.Recording.columns`:
         ``seq`` and the columns of the target.
 
     Raises:
@@ -193,7 +194,7 @@ def replay(
         raise UsageError(f'--into {target}: cannot be replayed into; known: {", ".join(TARGETS)}')
     inputs = _inputs(target, perception)
     answer = _ANSWERS[target]
-    _check_types(bag, inputs)
+    _check_types(recording, inputs)
     request = dataclasses.replace(run.request, participants=(target,))
     options = GraphOptions(
         perception=perception, out=Path(), controller=controller,
@@ -205,7 +206,7 @@ def replay(
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         add(kind(context=context, parameter_overrides=overrides))
         player = Player(
-            scenario_message(request), _steps(bag, inputs), target=target, speaks=inputs,
+            scenario_message(request), _steps(recording, inputs), target=target, speaks=inputs,
             answer=answer, per_step=per_step, executor=executor, context=context,
         )
         add(player)
@@ -224,8 +225,8 @@ def _inputs(target: str, perception: str) -> tuple[Topic, ...]:
     )
 
 
-def _check_types(bag: Path, inputs: tuple[Topic, ...]) -> None:
-    recorded = {topic.name: topic for topic in read_info(bag).topics}
+def _check_types(recording: Recording, inputs: tuple[Topic, ...]) -> None:
+    bag, recorded = recording.path, {topic.name: topic for topic in recording.topics}
     for topic in inputs:
         found = recorded.get(bag_name(topic))
         if found is None and topic is not interface.IMAGE:
@@ -237,14 +238,14 @@ def _check_types(bag: Path, inputs: tuple[Topic, ...]) -> None:
             )
 
 
-def _steps(bag: Path, inputs: tuple[Topic, ...]) -> Iterator[Step]:
+def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
     """The inputs of every control step, frames rendered where the bag has none."""
     if inputs == (interface.IMAGE,):
-        for seq, cdr in frame_messages(bag):
+        for seq, cdr in frame_messages(recording):
             yield seq, {interface.IMAGE.name: [cdr]}
         return
     names = {bag_name(topic): topic.name for topic in inputs}
-    messages = stored_messages(bag, names.__contains__)
+    messages = recording.whole_messages(names.__contains__)
     for seq, group in groupby(messages, lambda message: message.stamp_ns // CONTROL_PERIOD_NS):
         step: dict[str, list[bytes]] = {}
         for message in group:

@@ -24,10 +24,10 @@ from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
 from taxinet_ros.core.world import World
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
-from taxinet_ros.nodes.messages.convert import PROTOCOL, header, one_line
+from taxinet_ros.nodes.messages.convert import header, one_line
 from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.names import check_participants
 
@@ -45,10 +45,10 @@ def check_answer(answer: StepMessage, who: str, seq: int) -> None:
     """
     if answer.seq > seq:
         detail = f'answered frame {answer.seq}, which is not out yet'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
     if answer.stamp_ns != answer.seq * CONTROL_PERIOD_NS:
         detail = f'its answer to frame {answer.seq} is stamped {answer.stamp_ns / 1e9:g} s'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
 
 
 def check_command(command: TaxiCommand, who: str, seq: int) -> None:
@@ -59,7 +59,7 @@ def check_command(command: TaxiCommand, who: str, seq: int) -> None:
     """
     if not (math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf):
         detail = f'commanded {command.steering_rad:g} rad at {command.speed_mps:g} m/s'
-        raise InfraError(PROTOCOL, who, seq, detail)
+        raise InfraError(InfraKind.PROTOCOL, who, seq, detail)
 
 
 FREE_TICK_S = 0.001
@@ -175,7 +175,7 @@ class ActiveRun:
 def not_begun(run_id: str, error: Exception) -> RunStatus:
     """How a run ends whose world could not be built: the scenario's fault, or the bench's."""
     status = RunStatus(
-        run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind='sim',
+        run_id=run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=InfraKind.SIM,
         who=interface.SIMULATOR, detail=one_line(error),
     )
     if isinstance(error, UsageError):

@@ -24,10 +24,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import SIMULATOR, Topic
-from taxinet_ros.nodes.messages.convert import INTRUDER
 
 
 def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
@@ -145,7 +144,7 @@ class Stranger:
 
     def error(self, step: int) -> InfraError:
         """What it means for a run at a control step."""
-        return InfraError(INTRUDER, self.name, step, self.detail)
+        return InfraError(InfraKind.INTRUDER, self.name, step, self.detail)
 
 
 class Speakers:

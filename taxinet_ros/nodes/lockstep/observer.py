@@ -12,17 +12,14 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from taxinet_msgs.msg import RunStatus
 
+from taxinet_ros.core import topics
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic, is_latched
+from taxinet_ros.nodes.interface import Topic
 
 _LOOK_PERIOD_S = 0.1
-AT_LEISURE = QoSProfile(
-    history=interface.LOCKSTEP.history, depth=interface.LOCKSTEP.depth,
-    reliability=ReliabilityPolicy.BEST_EFFORT, durability=interface.LOCKSTEP.durability,
-)
+AT_LEISURE = interface.qos_profile(topics.LOOKING_ON)
 
 
 class Observer(Node):
@@ -42,7 +39,7 @@ class Observer(Node):
 
     def watch(self, topic: Topic, callback: Callable[[Any], None], *, raw: bool = False) -> None:
         """Subscribe to a topic of the table, as soon as that disturbs nobody."""
-        if is_latched(topic.qos):
+        if topic.quality.latched:
             self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=raw)
         else:
             self._waiting.append((topic, callback, raw))

@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, Scenario
 
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
 from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN, HeardSpeakers, first_stranger, heard_by
-from taxinet_ros.nodes.messages.convert import INTRUDER, blame_text, header, one_line
+from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
 from taxinet_ros.nodes.messages.step import is_read_raw, progress_cdr, step_reader
 
 _READY_POLL_S = 0.005
@@ -211,7 +211,9 @@ class Participant(Node):
         before = self._scenario
         waits = before is not None and not self._begun and before.run_id == scenario.run_id
         if waits and before != scenario:
-            raise InfraError(INTRUDER, UNKNOWN, -1, 'somebody sent another scenario for this run')
+            raise InfraError(
+                InfraKind.INTRUDER, UNKNOWN, -1, 'somebody sent another scenario for this run'
+            )
         if self.get_name() not in scenario.participants:
             return
         for heard in self._listeners:

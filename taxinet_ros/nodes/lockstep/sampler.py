@@ -14,13 +14,12 @@ from rclpy.node import Node
 from rclpy.task import Future
 from taxinet_msgs.msg import Verdict
 
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.errors import plain_line
+from taxinet_ros.errors import InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.endpoints import Gid
 from taxinet_ros.nodes.messages.convert import (
-    INTRUDER,
-    PROTOCOL,
     account_of,
     death_notice,
     scenario_message,
@@ -128,7 +127,7 @@ class ScenarioSampler(Node):
         if self._request is None or self._answer is None or self._answer.done():
             return
         if node == interface.SIMULATOR:
-            self._lose_simulator('died', detail)
+            self._lose_simulator(InfraKind.DIED, detail)
         else:
             self._obituaries.publish(death_notice(self._request.run_id, node, detail, seq=self.seq))
 
@@ -136,12 +135,12 @@ class ScenarioSampler(Node):
         """End the run in its stead."""
         assert self._request is not None
         assert self._answer is not None
-        if kind == 'died':
+        if kind == InfraKind.DIED:
             self._dead |= self._asked_of
         self._obituaries.publish(death_notice(
             self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
         ))
-        self._answer.set_result(_broken(kind, interface.SIMULATOR, detail, self.seq))
+        self._answer.set_result(RunResult.infra_error(kind, interface.SIMULATOR, detail, self.seq))
 
     def close(self) -> None:
         """Leave the graph; every answer is already taken."""
@@ -218,7 +217,9 @@ class ScenarioSampler(Node):
         if answer.done():
             return
         if not handle.accepted:
-            answer.set_result(_broken('busy', interface.SIMULATOR, 'refused the run', 0))
+            answer.set_result(
+                RunResult.infra_error(InfraKind.BUSY, interface.SIMULATOR, 'refused the run', 0)
+            )
             return
         self._goal = handle
         if self.interrupted:
@@ -239,7 +240,9 @@ class ScenarioSampler(Node):
             strangers.append(interface.SIMULATOR)
         if result.outcome is not Outcome.INFRA_ERROR and strangers:
             detail = f'serves {interface.RUN_SCENARIO} too, so nobody knows who has answered'
-            result = _broken(INTRUDER, strangers[0], detail, result.last_seq)
+            result = RunResult.infra_error(
+                InfraKind.INTRUDER, strangers[0], detail, result.last_seq
+            )
         answer.set_result(result)
 
     def _on_feedback(self, message: Any) -> None:
@@ -260,7 +263,7 @@ class ScenarioSampler(Node):
             answer.set_result(RunResult(outcome=Outcome.INTERRUPTED, last_seq=self.seq))
         elif self._last_heard:
             if now - self._last_heard > silence_timeout_s:
-                self._lose_simulator('timeout', f'silent for {silence_timeout_s:g} s')
+                self._lose_simulator(InfraKind.TIMEOUT, f'silent for {silence_timeout_s:g} s')
             elif self._goal is not None and now - self._last_asked > _ASK_AGAIN_S:
                 self._last_asked = now
                 self._ask_result(self._goal, answer)
@@ -279,12 +282,10 @@ class ScenarioSampler(Node):
         if len(names) > 1:
             others = [name for name in names if name != interface.SIMULATOR] or names
             detail = f'{len(names)} nodes serve {interface.RUN_SCENARIO}, {within} too'
-            return _broken(INTRUDER, others[0], detail, 0)
-        return _broken('not_ready', interface.SIMULATOR, f'not found {within}', 0)
-
-
-def _broken(kind: str, who: str, detail: str, seq: int) -> RunResult:
-    return RunResult(outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail, last_seq=seq)
+            return RunResult.infra_error(InfraKind.INTRUDER, others[0], detail, 0)
+        return RunResult.infra_error(
+            InfraKind.NOT_READY, interface.SIMULATOR, f'not found {within}', 0
+        )
 
 
 def result_of(answer: Any) -> RunResult:
@@ -292,7 +293,7 @@ def result_of(answer: Any) -> RunResult:
     status, verdict = answer.status, answer.verdict
     if status.outcome not in list(Outcome):
         detail = plain_line(f'answered {status.outcome!r}, which is no outcome')
-        return _broken(PROTOCOL, interface.SIMULATOR, detail, status.seq)
+        return RunResult.infra_error(InfraKind.PROTOCOL, interface.SIMULATOR, detail, status.seq)
     outcome = Outcome(status.outcome)
     judged = outcome.judged
     return RunResult(
@@ -310,11 +311,10 @@ def result_of(answer: Any) -> RunResult:
 
 
 def _judged(verdict: Verdict) -> dict[str, Any]:
-    stopped = verdict.stopped_early
     return {
-        'rho': {s.spec: s.rho_lower for s in verdict.specs if s.rho_lower == s.rho_upper},
-        'rho_lower': {s.spec: s.rho_lower for s in verdict.specs if stopped},
-        'rho_upper': {s.spec: s.rho_upper for s in verdict.specs if stopped},
-        'stopped_early': stopped,
+        'robustness': {
+            one.spec: RobustnessInterval(one.rho_lower, one.rho_upper) for one in verdict.specs
+        },
+        'stopped_early': verdict.stopped_early,
         'statistics': statistics_of(verdict),
     }

@@ -25,7 +25,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError, plain_line
+from taxinet_ros.errors import InfraError, InfraKind, plain_line
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import CAMERA_FRAME, MAP_FRAME
 
@@ -165,12 +165,8 @@ def account_of(message: TimingMessage) -> FreeRunAccount:
     )
 
 
-INTRUDER = 'intruder'
-"""Kind of an error of a run in which somebody else speaks."""
-PROTOCOL = 'protocol'
-"""Kind of an error of a node that does not keep to the lockstep."""
-_BLAME = re.compile(rf'({INTRUDER}|{PROTOCOL}) (\S+): (.+)')
-_KINDS = {NodeStatus.DIED: 'died', NodeStatus.ERROR: 'timeout'}
+_BLAME = re.compile(rf'({InfraKind.INTRUDER}|{InfraKind.PROTOCOL}) (\S+): (.+)')
+_KINDS = {NodeStatus.DIED: InfraKind.DIED, NodeStatus.ERROR: InfraKind.TIMEOUT}
 
 
 def blame_text(error: InfraError) -> str:
@@ -191,11 +187,13 @@ def same_ready(one: NodeStatus, other: NodeStatus) -> bool:
 
 def duplicate_node_error(node: str) -> InfraError:
     """For a run in which READY came twice for a node, of two different ones."""
-    return InfraError(INTRUDER, node, -1, 'two different nodes say that they are this one')
+    return InfraError(
+        InfraKind.INTRUDER, node, -1, 'two different nodes say that they are this one'
+    )
 
 
 def death_notice(
-    run_id: str, name: str, detail: str, *, kind: str = 'died', seq: int = 0
+    run_id: str, name: str, detail: str, *, kind: str = InfraKind.DIED, seq: int = 0
 ) -> NodeStatus:
     """What somebody who looks after a node says to the nodes of a run, which then ends.
 
@@ -217,8 +215,8 @@ def lost_run_status(notice: NodeStatus) -> RunStatus:
     """How a run ends of whose simulator this was said: nobody else can tell any more."""
     return RunStatus(
         run_id=notice.run_id, state=RunStatus.ENDED, outcome=Outcome.INFRA_ERROR,
-        kind=_KINDS.get(notice.state, 'died'), who=interface.SIMULATOR, detail=notice.detail,
-        seq=notice.seq,
+        kind=_KINDS.get(notice.state, InfraKind.DIED), who=interface.SIMULATOR,
+        detail=notice.detail, seq=notice.seq,
     )
 
 

@@ -26,7 +26,7 @@ from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.errors import InfraError
+from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
 from taxinet_ros.training.data.augmentation import draw_variation
 
@@ -109,7 +109,9 @@ def photographs(
         try:
             yield from _in_order(pool, partial(_take_all, take), blocks, _AHEAD * workers)
         except BrokenProcessPool as error:
-            raise InfraError('died', 'rendering worker', -1, 'see the messages above') from error
+            raise InfraError(
+                InfraKind.DIED, 'rendering worker', -1, 'see the messages above'
+            ) from error
         finally:
             stop.set()  # whoever has had enough should not wait for whole blocks
             pool.shutdown(cancel_futures=True)

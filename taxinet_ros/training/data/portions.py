@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
@@ -78,7 +78,7 @@ def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
     found: list[_Path] = []
     for number, row in enumerate(campaign.counterexamples, 1):
         try:
-            trace = read_trace(campaign.folder / row.run_id)
+            trace = open_recording(campaign.folder / row.run_id).columns
         except (BagError, UsageError):
             continue  # a bag that was deleted or damaged leaves the others
         scene, _ = campaign.scenario(row)

@@ -21,6 +21,7 @@ from taxinet_ros.analysis.experiment.report import (
 from taxinet_ros.analysis.report.pictures import LIGHT, png_bytes
 from taxinet_ros.campaign.experiment import Arm, Experiment
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 
@@ -140,7 +141,8 @@ def row(index: int, rho: float | None, *, shadows: bool, settled: bool = True) -
                       outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_human())
     return RunRow(
         run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
-        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={'phi_eventually': rho},
+        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
+        robustness=exact_intervals({'phi_eventually': rho}),
         left_runway=rho < -10, max_cross_track_m=2.0 - rho,
         settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_human(),
     )

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 from report_examples import GOLDEN, NEEDS_OUR_STACK
 
-from taxinet_ros.analysis.report import viewer as run_view_frames
 from taxinet_ros.analysis.report.values import data_block
 from taxinet_ros.analysis.report.viewer import (
     MOST_FRAMES,
@@ -22,8 +21,8 @@ from taxinet_ros.analysis.report.viewer import (
 )
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.rewrite.frames import restore_frames
-from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.errors import UsageError
 
 BAG = GOLDEN / 'truth-nominal'
@@ -36,7 +35,7 @@ def view() -> RunView:
 
 def test_given_a_bag_when_viewed_then_every_curve_has_a_value_for_each_step(view: RunView) -> None:
     data = json.loads(data_block(view.data()))
-    trace = read_trace(BAG)
+    trace = open_recording(BAG).columns
     steps = len(trace['seq'])
     curves = ('t', 'x', 'y', 'speed', 'cte', 'cteEstimate', 'he', 'heEstimate', 'steering')
     assert steps > 100
@@ -69,7 +68,7 @@ def test_given_a_bag_without_frames_when_viewed_then_every_fifth_is_rendered(vie
     frames = view.frames
     assert frames.missing == ''
     assert frames.steps == tuple(range(0, len(view.t_s), STEPS_APART))
-    wanted = next(o.image for o in observations(BAG, lambda seq: seq == 10) if o.image is not None)
+    (wanted,) = (frame.image for frame in open_recording(BAG).frames(lambda seq: seq == 10))
     with Image.open(io.BytesIO(frames.files[2])) as image:
         shown = np.asarray(image.convert('RGB')).astype(float)
     assert shown.shape == wanted.shape
@@ -81,10 +80,9 @@ def test_given_a_bag_with_frames_when_viewed_then_those_are_taken(
     tmp_path: Path, view: RunView, monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder = tmp_path / 'run'
-    assert sum(1 for _ in restore_frames(BAG, folder)) == len(view.t_s)
-    monkeypatch.setattr(run_view_frames, 'observations', None)
-    stamps = [int(stamp) for stamp in read_trace(folder)['t_ns']]
-    assert read_frames(folder, stamps) == view.frames
+    assert sum(1 for _ in restore_frames(open_recording(BAG), folder)) == len(view.t_s)
+    monkeypatch.setattr(Recording, 'observations', None)
+    assert read_frames(open_recording(folder)) == view.frames
 
 
 def test_given_a_world_that_differs_when_viewed_then_the_rest_is_there_and_it_says_why(
@@ -93,7 +91,7 @@ def test_given_a_world_that_differs_when_viewed_then_the_rest_is_there_and_it_sa
     def differing(*_: object) -> object:
         raise WorldDiffers('recorded by another version')
 
-    monkeypatch.setattr(run_view_frames, 'observations', differing)
+    monkeypatch.setattr(Recording, 'observations', differing)
     view = read_run_view('a run', BAG)
     assert view.frames.steps == ()
     assert view.frames.missing == 'recorded by another version'
@@ -110,8 +108,10 @@ def test_given_a_long_run_when_thinned_then_the_number_of_frames_is_bounded(
         asked.extend(wanted(seq) for seq in range(2000))  # type: ignore[operator]
         return []
 
-    monkeypatch.setattr(run_view_frames, 'observations', watched)
-    read_frames(BAG, [seq * 100_000_000 for seq in range(2000)])
+    monkeypatch.setattr(Recording, 'observations', watched)
+    recording = open_recording(BAG)
+    vars(recording)['columns'] = {'t_ns': np.arange(2000) * 100_000_000}
+    read_frames(recording)
     assert MOST_FRAMES / 2 < sum(asked) <= MOST_FRAMES
 
 

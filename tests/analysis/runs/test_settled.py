@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.analysis.runs.settled import settled_cross_track_m
-from taxinet_ros.bag import read_trace_table
+from taxinet_ros.bag.run.recording import open_recording
 
 GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden'
 
@@ -14,11 +14,12 @@ def test_given_bags_then_the_first_ten_seconds_do_not_count(tmp_path):
     names = ['truth-nominal', 'taxinet-midday']
     expected = []
     for name in names:
-        table = read_trace_table(GOLDEN / name)
+        table = open_recording(GOLDEN / name).trace
         expected.append(table['cte_m'][table['t_s'] >= 10].abs().median())
     assert settled_cross_track_m(GOLDEN, names) == pytest.approx(expected)
     # It differs from that of the whole run, which starts metres aside.
-    assert read_trace_table(GOLDEN / names[1])['cte_m'].abs().median() != pytest.approx(expected[1])
+    whole = open_recording(GOLDEN / names[1]).trace['cte_m'].abs()
+    assert whole.median() != pytest.approx(expected[1])
 
 
 def test_given_a_bag_that_is_gone_or_damaged_then_its_value_is_not_known(tmp_path):

@@ -21,9 +21,9 @@ from taxinet_ros.bag.rewrite.frames import (
     restore_frames,
     restore_in_place,
 )
-from taxinet_ros.bag.run.facts import gains_text, parse_gains, read_run
-from taxinet_ros.bag.run.resimulation import WorldDiffers, observations
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.facts import gains_text, parse_gains
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import World
 from taxinet_ros.errors import UsageError
@@ -40,7 +40,7 @@ def blind(tmp_path_factory):
 @pytest.fixture(scope='module')
 def rendered(blind, tmp_path_factory):
     folder = tmp_path_factory.mktemp('rendered') / 'run'
-    assert list(restore_frames(blind, folder)) == list(range(STEPS))
+    assert list(restore_frames(open_recording(blind), folder)) == list(range(STEPS))
     return folder
 
 
@@ -59,9 +59,9 @@ def test_given_pixels_when_serialised_then_the_bytes_are_those_of_ros(pixels, st
 def test_given_a_bag_without_frames_when_rendered_then_they_are_those_of_the_world(
     blind, rendered
 ):
-    trace = read_trace(blind)
-    world = World(read_run(blind).request.scenario)
-    frames = [image for _, image in read_images(rendered)]
+    trace = open_recording(blind).columns
+    world = World(open_recording(blind).scenario)
+    frames = [frame.image for frame in open_recording(rendered).frames(render=False)]
     assert len(frames) == STEPS
     for seq, frame in enumerate(frames):
         assert frame.tobytes() == world.observe().image.tobytes(), seq
@@ -82,9 +82,9 @@ def test_given_a_bag_without_frames_when_rendered_then_all_else_is_as_before(bli
 
 
 def test_given_a_rendered_bag_when_checked_then_every_frame_is_right(rendered):
-    check = compare_recorded_frames(rendered)
+    check = compare_recorded_frames(open_recording(rendered))
     assert (check.recorded, check.equal, check.ok) == (STEPS, STEPS, True)
-    assert not check_recorded_frames(rendered).findings
+    assert not check_recorded_frames(open_recording(rendered)).findings
 
 
 def test_given_one_pixel_altered_when_checked_then_step_and_difference_are_told(rendered, tmp_path):
@@ -95,10 +95,12 @@ def test_given_one_pixel_altered_when_checked_then_step_and_difference_are_told(
         message.data[1000] ^= 4
         return True
 
-    check = compare_recorded_frames(altered(rendered, tmp_path / 'bag', brighter))
+    check = compare_recorded_frames(
+        open_recording(altered(rendered, tmp_path / 'bag', brighter))
+    )
     assert (check.recorded, check.equal, check.ok) == (STEPS, STEPS - 1, False)
     assert (check.first_seq, check.first_pixels, check.first_difference) == (7, 1, 4)
-    (finding,) = check_recorded_frames(tmp_path / 'bag').findings
+    (finding,) = check_recorded_frames(open_recording(tmp_path / 'bag')).findings
     assert finding.where == 'step 7'
 
 
@@ -108,8 +110,8 @@ def test_given_some_frames_lost_when_rendered_then_those_come_back(rendered, tmp
         keep=lambda m: m.topic.name != IMAGE or m.stamp_ns % (3 * PERIOD_NS) != 0,
     )
     assert missing_frames(read_info(lost)) == 7
-    found = dict(frame_messages(lost))
-    assert found == dict(frame_messages(rendered))
+    found = dict(frame_messages(open_recording(lost)))
+    assert found == dict(frame_messages(open_recording(rendered)))
     list(restore_in_place(lost))
     assert [m.cdr for m in stored_messages(lost)] == [m.cdr for m in stored_messages(rendered)]
 
@@ -146,7 +148,7 @@ def test_given_a_run_that_broke_before_a_command_then_what_there_was_is_rendered
         keep=lambda m: m.stamp_ns < 500_000_000
         or (m.stamp_ns == 500_000_000 and m.topic.name in ('/clock', '/camera/camera_info')),
     )
-    assert [now.seq for now in observations(torn)] == [0, 1, 2, 3, 4]
+    assert [now.seq for now in open_recording(torn).observations()] == [0, 1, 2, 3, 4]
     list(restore_in_place(torn))
     assert read_info(torn).counts[IMAGE] == 5
 
@@ -162,7 +164,7 @@ def test_given_a_damaged_bag_when_rendered_then_recovery_comes_first(blind, tmp_
 def test_given_a_bag_of_somebody_else_then_it_is_refused(tmp_path):
     write_bag(tmp_path / 'other', samples(3))
     with pytest.raises(BagForeign, match='camera_info'):
-        list(restore_frames(tmp_path / 'other', tmp_path / 'new'))
+        list(restore_frames(open_recording(tmp_path / 'other'), tmp_path / 'new'))
     assert not (tmp_path / 'new').exists()
 
 

@@ -13,11 +13,10 @@ from recordings import heard, record
 from rosbags.rosbag2.enums import CompressionMode
 
 from taxinet_ros.bag.check.compare import compare_bags
-from taxinet_ros.bag.check.judge import BagVerdict, JudgedBag, judge_runs
+from taxinet_ros.bag.check.judge import JudgedBag, judge_runs
 from taxinet_ros.bag.errors import BagForeign
-from taxinet_ros.bag.run.facts import read_facts, read_run
-from taxinet_ros.bag.run.recording import read_recording
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.judging import BagVerdict
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.errors import UsageError
@@ -138,9 +137,9 @@ def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_
     assert (code, out, len(err.splitlines())) == (2, '', 1)
     assert f'makes: taxinet bag split {both} --out DIR' in err
     assert list(tmp_path.iterdir()) == []
-    for read in (read_trace, read_facts):
+    for name in ('run', 'columns', 'facts'):
         with pytest.raises(BagForeign, match='holds several runs, taxinet-midday and original'):
-            read(both)
+            getattr(open_recording(both), name)
 
 
 def test_ros1_given_one_run_of_several_when_exported_then_it_is_the_table_of_our_own_bag(
@@ -162,8 +161,8 @@ def test_ros1_given_a_recording_when_split_then_every_bag_is_whole_and_the_same_
     for own in (GOOD, BAD):
         new = tmp_path / 'runs' / own.name
         assert all(topic.equal for topic in compare_bags(own, new))
-        assert read_recording(new).plain
-        assert read_run(new) == read_run(own)
+        assert open_recording(new).plain
+        assert open_recording(new).run == open_recording(own).run
         assert call(capsys, 'bag', 'doctor', new)[0] == 0
     code, _, err = call(capsys, 'bag', 'split', both, '--out', tmp_path / 'runs')
     assert (code, len(err.splitlines())) == (2, 1)

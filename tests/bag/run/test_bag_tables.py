@@ -16,12 +16,8 @@ from whole_runs import PARTICIPANTS, RUN_ID, SCENE, SPECS, STEPS, TYPES, WEIGHTS
 
 from taxinet_ros.bag import (
     BagTruncated,
-    read_facts,
-    read_table,
-    read_tables,
-    read_trace,
-    read_trace_table,
 )
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.tables import LONGEST_ARRAY, titles
 from taxinet_ros.errors import UsageError
 
@@ -34,9 +30,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_given_a_run_when_made_tables_then_rows_are_messages_and_dots_are_nesting(
     run: Path,
 ) -> None:
-    tables = read_tables(run)
+    tables = open_recording(run).tables()
     assert list(tables) == list(TYPES)
-    odometry, trace = tables['/ground_truth/odom'], read_trace(run)
+    odometry, trace = tables['/ground_truth/odom'], open_recording(run).columns
     assert len(odometry) == STEPS
     np.testing.assert_array_equal(odometry['pose.pose.position.x'], trace['x_m'])
     np.testing.assert_array_equal(odometry['t_s'], np.arange(STEPS) / 10)
@@ -52,7 +48,7 @@ def test_given_a_run_when_made_tables_then_rows_are_messages_and_dots_are_nestin
 
 
 def test_given_definitions_and_standards_then_columns_have_units(run: Path) -> None:
-    tables = read_tables(run)
+    tables = open_recording(run).tables()
     command = tables['/taxi_command'].attrs['units']
     assert (command['steering_angle'], command['speed'], command['t_s']) == ('rad', 'm/s', 's')
     assert 'run_id' not in command
@@ -70,7 +66,7 @@ def test_given_definitions_and_standards_then_columns_have_units(run: Path) -> N
 def test_given_a_trace_when_made_a_table_then_parquet_keeps_its_units(
     run: Path, tmp_path: Path
 ) -> None:
-    table = read_trace_table(run)
+    table = open_recording(run).trace
     assert len(table) == STEPS
     assert table['cte_m'][0] == pytest.approx(SCENE.cross_track_m)
     table.to_parquet(tmp_path / 't.parquet')
@@ -82,13 +78,14 @@ def test_given_a_trace_when_made_a_table_then_parquet_keeps_its_units(
 
 
 def test_given_a_word_for_a_topic_when_read_then_relative_and_absolute_names_do(run: Path) -> None:
-    one, other = read_table(run, 'taxi_command'), read_table(run, '/taxi_command')
+    recording = open_recording(run)
+    one, other = recording.table('taxi_command'), recording.table('/taxi_command')
     pd.testing.assert_frame_equal(one, other)
-    assert list(read_tables(run, ['tracking_error'])) == [
+    assert list(open_recording(run).tables(['tracking_error'])) == [
         '/ground_truth/tracking_error', '/perception/tracking_error',
     ]
     with pytest.raises(UsageError, match=r"no topic 'taxi'; it has /scenario, "):
-        read_table(run, 'taxi')
+        recording.table('taxi')
 
 
 def test_given_an_unfinished_run_when_made_a_table_then_it_is_said(
@@ -97,11 +94,11 @@ def test_given_an_unfinished_run_when_made_a_table_then_it_is_said(
     data = next(run.glob('*.mcap')).read_bytes()
     (tmp_path / 'x.mcap').write_bytes(data[:len(data) // 2])
     with pytest.raises(BagTruncated, match=r'at byte \d+: .*sound messages before'):
-        read_trace_table(tmp_path / 'x.mcap')
+        _ = open_recording(tmp_path / 'x.mcap').trace
 
 
 def test_given_a_run_when_its_facts_are_read_then_they_are_what_was_recorded(run: Path) -> None:
-    facts = read_facts(run)
+    facts = open_recording(run).facts
     assert facts is not None
     assert (facts.run_id, facts.program, facts.seed, facts.index) == (RUN_ID, 'program', 7, 3)
     assert facts.scene == SCENE.to_human()
@@ -121,7 +118,7 @@ def test_given_a_run_cut_off_when_its_facts_are_read_then_those_so_far(
 ) -> None:
     data = next(run.glob('*.mcap')).read_bytes()
     (tmp_path / 'x.mcap').write_bytes(data[:chunks_of(data)[9][1]])
-    facts = read_facts(tmp_path / 'x.mcap')
+    facts = open_recording(tmp_path / 'x.mcap').facts
     assert facts is not None
     assert (facts.outcome, facts.figures) == ('', {})
     assert 0 < facts.steps < STEPS
@@ -139,10 +136,11 @@ sys.meta_path.insert(0, Blocked())
 from pathlib import Path
 import taxinet_ros.bag
 assert 'pandas' not in sys.modules
-from taxinet_ros.bag import check_bag, read_table, read_trace_table
+from taxinet_ros.bag import check_bag, open_recording
 run = Path(sys.argv[1])
-trace = read_trace_table(run)
-print(len(trace), trace.attrs['units']['cte_m'], len(read_table(run, 'ground_truth/odom')),
+recording = open_recording(run)
+trace = recording.trace
+print(len(trace), trace.attrs['units']['cte_m'], len(recording.table('ground_truth/odom')),
       len(check_bag(run).findings))
 """
 

@@ -23,7 +23,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import decoded_messages
 from taxinet_ros.bag.run.message_values import SCENARIO_FIELDS, scenario_of
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.campaign.record.row import RunRow
@@ -39,7 +39,7 @@ def test_given_a_run_when_traced_then_columns_hold_its_numbers(
     tmp_path: Path, namespace: str
 ) -> None:
     write_bag(tmp_path / 'run', samples(STEPS, namespace), namespace)
-    trace = read_trace(tmp_path / 'run')
+    trace = open_recording(tmp_path / 'run').columns
     k = np.arange(STEPS)
     expected: dict[str, Any] = {
         'seq': k, 't_ns': k * STEP_NS, 'x_m': 10.0 * k, 'y_m': -0.5 * k, 'speed_mps': 5.0 + k,
@@ -63,7 +63,7 @@ def test_given_late_or_missing_answers_when_traced_then_matched_by_step_and_else
         ('/ground_truth/tracking_error', 2 * STEP_NS),
     }]
     write_bag(tmp_path / 'run', kept[::-1])
-    trace = read_trace(tmp_path / 'run')
+    trace = open_recording(tmp_path / 'run').columns
     assert trace['seq'].tolist() == [0, 1]
     np.testing.assert_array_equal(trace['steering_rad'], [0.0, np.nan])
     np.testing.assert_array_equal(trace['x_m'], [np.nan, 10.0])
@@ -76,7 +76,7 @@ def test_given_several_formulas_when_traced_then_each_has_its_columns(tmp_path: 
                      rho_lower=-np.inf, rho_upper=3.0 - seq)
         messages.append(('/monitor/robustness', seq * STEP_NS, serialise(other)))
     write_bag(tmp_path / 'run', messages)
-    trace = read_trace(tmp_path / 'run')
+    trace = open_recording(tmp_path / 'run').columns
     assert trace['rho_upper.phi_always'].tolist() == [3.0, 2.0]
     assert trace['rho_lower.phi_always'].tolist() == [-np.inf, -np.inf]
     assert trace['rho_upper.phi_eventually'].tolist() == [8.0, 7.0]
@@ -85,14 +85,14 @@ def test_given_several_formulas_when_traced_then_each_has_its_columns(tmp_path: 
 def test_given_no_ground_truth_when_traced_then_empty(tmp_path: Path) -> None:
     write_bag(tmp_path / 'run', samples(2)[:2])
     with pytest.raises(BagEmpty, match='no messages on ground_truth/tracking_error'):
-        read_trace(tmp_path / 'run')
+        _ = open_recording(tmp_path / 'run').columns
 
 
 def test_given_a_damaged_run_when_traced_then_the_damage_is_raised(tmp_path: Path) -> None:
     path = write_bag(tmp_path / 'run', samples(2))
     path.write_bytes(path.read_bytes()[:-50])
     with pytest.raises(BagError, match='10 sound messages before'):
-        read_trace(path)
+        _ = open_recording(path).columns
 
 
 def test_given_two_runs_in_one_bag_when_traced_then_refused(tmp_path: Path) -> None:
@@ -101,12 +101,13 @@ def test_given_two_runs_in_one_bag_when_traced_then_refused(tmp_path: Path) -> N
         for topic, stamp, cdr in samples(1, '/a') + samples(1, '/b'):
             bag.write(topic, cdr, stamp)
     with pytest.raises(BagForeign, match='more than one run in it'):
-        read_trace(tmp_path / 'r')
+        _ = open_recording(tmp_path / 'r').columns
 
 
 def test_given_frames_when_read_then_pixels_and_stamps_are_right(tmp_path: Path) -> None:
     write_bag(tmp_path / 'run', samples(3))
-    frames = list(read_images(tmp_path / 'run'))
+    recording = open_recording(tmp_path / 'run')
+    frames = [(frame.stamp_ns, frame.image) for frame in recording.frames(render=False)]
     assert [stamp for stamp, _ in frames] == [0, STEP_NS, 2 * STEP_NS]
     for step, (_, pixels) in enumerate(frames):
         assert pixels.dtype == np.uint8
@@ -124,7 +125,8 @@ def _image(stamp_ns: int = 7, **fields: Any) -> tuple[str, int, bytes]:
 def test_given_padded_rows_or_bgr_when_read_then_pixels_are_rgb(tmp_path: Path) -> None:
     padded = np.arange(16, dtype=np.uint8)
     write_bag(tmp_path / 'run', [_image(step=8, data=padded), _image(8, encoding='bgr8')])
-    first, second = (pixels for _, pixels in read_images(tmp_path / 'run'))
+    recording = open_recording(tmp_path / 'run')
+    first, second = (frame.image for frame in recording.frames(render=False))
     assert first.tolist() == [[[0, 1, 2], [3, 4, 5]], [[8, 9, 10], [11, 12, 13]]]
     assert second[0].tolist() == [[2, 1, 0], [5, 4, 3]]
 
@@ -138,7 +140,7 @@ def test_given_an_image_that_contradicts_itself_when_read_then_refused(
 ) -> None:
     write_bag(tmp_path / 'run', [_image(**fields)])
     with pytest.raises(kind, match='image at 7 ns'):
-        list(read_images(tmp_path / 'run'))
+        list(open_recording(tmp_path / 'run').frames(render=False))
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -201,7 +203,7 @@ def test_given_a_trace_topic_of_another_type_when_traced_then_foreign(tmp_path: 
     with BagWriter(tmp_path / 'r', [odd], metadata={}, attachments={}, min_free_bytes=0) as bag:
         bag.write(odd.name, _image()[2], 0)
     with pytest.raises(BagForeign, match='topic ground_truth/tracking_error'):
-        read_trace(tmp_path / 'r')
+        _ = open_recording(tmp_path / 'r').columns
 
 
 def test_given_the_bag_package_when_imported_then_no_ros_comes_with_it() -> None:

@@ -83,7 +83,7 @@ def test_given_a_command_that_ends_when_waited_for_then_its_last_words_come_out(
     script = 'import sys; sys.exit("first\\nthe reason\\n")'
     with (
         subprocess.Popen([sys.executable, '-c', script], stderr=subprocess.PIPE) as process,
-        pytest.raises(InfraError, match='start: it: exit code 1: the reason'),
+        pytest.raises(InfraError, match='died: it: exit code 1: the reason'),
     ):
         wait_for(process, lambda: False, 'it')
 

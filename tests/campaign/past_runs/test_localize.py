@@ -56,7 +56,8 @@ def row_of(trial: Trial, scene: Scenario, index: int, perception: str) -> RunRow
         run_id=trial.run_id, index=index, program='s_falsif', seed=3, perception=perception,
         perception_fingerprint=check_perception(perception), sampler='random', weight=1.0,
         **scene.to_human(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
-        rho={SPEC: trial.rho_lower}, stopped_early=False, left_runway=trial.left_runway,
+        robustness={SPEC: trial.robustness},
+        stopped_early=False, left_runway=trial.left_runway,
         max_cross_track_m=trial.max_cross_track_m, settle_time_s=trial.settle_time_s,
     )
 
@@ -107,7 +108,7 @@ def test_given_a_failure_of_the_network_then_it_comes_out_as_recorded_and_the_tr
     assert sorted(word for _, word in trials) == [AS_RECORDED, 'truth', 'truth-cte',
                                                   'truth-heading']
     control = trials['run-0', AS_RECORDED]
-    assert (control.rho_lower, control.rho_upper) == (row.rho[SPEC], row.rho[SPEC])
+    assert control.robustness == row.robustness[SPEC]
     assert control.max_cross_track_m == row.max_cross_track_m
     case = judge_case(row, {word: trial for (_, word), trial in trials.items()})
     assert (case.blame, case.counted) == (Blame.PERCEPTION, True)

@@ -20,6 +20,7 @@ from journal_samples import rewrite, under_way, write_events, write_old
 from taxinet_ros import errors
 from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.bag.layout import METADATA_FILE
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.doctor import examine, mend
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences, find_run
 from taxinet_ros.campaign.past_runs.recorded_campaign import open_failed_campaign, scenario_of_row
@@ -724,7 +725,8 @@ def test_f2_given_the_bags_of_a_campaign_with_other_scenes_gains_or_formulas_the
     )
     assert code in (0, 1), err
     rows = {row.index: row for row in read_ledger(campaign / LEDGER_NAME).rows}
-    assert bag_differences(rows[0], read_facts(campaign).values, campaign / rows[0].bag) == []
+    recording = open_recording(campaign / rows[0].bag)
+    assert bag_differences(rows[0], read_facts(campaign).values, recording) == []
     for index in (0, 1):
         shutil.rmtree(campaign / rows[index].bag)
         shutil.copytree(other / rows[index].bag, campaign / rows[index].bag)

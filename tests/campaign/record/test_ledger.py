@@ -17,6 +17,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.cli import main as cli
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -32,7 +33,7 @@ def row(index: int, outcome: Outcome = Outcome.PASS, rho: float = 0.1 + 0.2) -> 
     )
     judged = outcome.judged
     result = RunResult(outcome=outcome, last_seq=300, wall_s=3.0,
-                       rho={'phi_eventually': rho} if judged else {},
+                       robustness=exact_intervals({'phi_eventually': rho} if judged else {}),
                        statistics=RunStatistics(max_cross_track_m=2.0) if judged else None)
     return RunRow.of_run(request, result, perception='truth', sim_s=30.0, bag=f'run-{index}')
 
@@ -128,7 +129,7 @@ def test_given_a_verdict_without_rho_when_made_a_row_then_it_is_refused() -> Non
         RunRow(run_id='r', index=0, program='p', seed=1, perception='truth', outcome=Outcome.PASS)
     with pytest.raises(ValueError, match='INFRA_ERROR with rho'):
         RunRow(run_id='r', index=0, program='p', seed=1, perception='truth',
-               outcome=Outcome.INFRA_ERROR, rho={'phi': 1.0})
+               outcome=Outcome.INFRA_ERROR, robustness=exact_intervals({'phi': 1.0}))
 
 
 def refuse(*arguments: object) -> int:

@@ -21,6 +21,7 @@ from taxinet_ros.campaign.worker_pool import (
     result_to_json,
 )
 from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
@@ -31,12 +32,12 @@ SPECS = ('phi_eventually', 'near')
 
 def result(index: int, *, stopped: bool, furthest: float = 4.0) -> RunResult:
     given = {
-        'rho': {'near': -0.5}, 'rho_lower': {'phi_eventually': -math.inf, 'near': -0.5},
-        'rho_upper': {'phi_eventually': -0.25, 'near': -0.5},
-    } if stopped else {'rho': {'phi_eventually': -3.0, 'near': -3.5}}
+        'phi_eventually': RobustnessInterval(-math.inf, -0.25),
+        'near': RobustnessInterval.exactly(-0.5),
+    } if stopped else exact_intervals({'phi_eventually': -3.0, 'near': -3.5})
     return RunResult(
         outcome=Outcome.FAIL, last_seq=101 if stopped else 300, wall_s=1.0, stopped_early=stopped,
-        statistics=RunStatistics(max_cross_track_m=furthest, settle_time_s=1.0), **given,
+        statistics=RunStatistics(max_cross_track_m=furthest, settle_time_s=1.0), robustness=given,
     )
 
 
@@ -124,16 +125,18 @@ def test_given_a_later_requirement_when_on_record_then_the_rows_of_before_have_i
     with Ledger(path) as ledger:
         for index, stopped in enumerate((True, False)):
             ledger.result(row(index, stopped=stopped))
-        ledger.requirement('late', 'always(cte < 1)', {0: (-1.0, 2.0), 1: (0.5, 0.5)})
+        ledger.requirement('late', 'always(cte < 1)', {
+            0: RobustnessInterval(-1.0, 2.0), 1: RobustnessInterval.exactly(0.5),
+        })
         ledger.result(row(2, stopped=False))
     content = read_ledger(path)
     assert content.added == {'late': 'always(cte < 1)'}
     first, second, third = content.rows
-    assert first.interval('late') == (-1.0, 2.0)
+    assert first.robustness['late'] == (-1.0, 2.0)
     assert first.headline == (-math.inf, -0.25), 'the headline stays the first'
     assert second.rho['late'] == 0.5
     assert second.headline == (-3.0, -3.0)
-    assert third.interval('late') is None, 'it was run afterwards'
+    assert 'late' not in third.robustness, 'it was run afterwards'
     frame = table(content.rows, SPECS)
     assert list(frame['rho_late'].fillna(9)) == [9, 0.5, 9]
     assert list(frame['rho_upper.late'].fillna(9)) == [2.0, 0.5, 9]

@@ -16,6 +16,7 @@ from taxinet_ros.campaign.rates import failure_rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table, table, write_tables
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
@@ -38,7 +39,7 @@ def run(index: int, outcome: Outcome, *, left: bool = False) -> RunRow:
                                  max_abs=math.radians(3)),
         unusable_estimates=7,
     )
-    result = RunResult(outcome=outcome, rho=rho, last_seq=300, wall_s=1.5,
+    result = RunResult(outcome=outcome, robustness=exact_intervals(rho), last_seq=300, wall_s=1.5,
                        statistics=statistics if rho else None, kind='' if rho else 'timeout')
     return RunRow.of_run(request, result, perception='truth', sim_s=30.0, bag=f'run-{index}')
 

@@ -35,6 +35,7 @@ from taxinet_ros.campaign.shrink.shrinking import (
     run_command,
 )
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
@@ -55,7 +56,8 @@ def judged(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
     rho = max(0.305 - scenario.rain, (scenario.distance_m - 705) / 1000)
     outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
     return RunResult(
-        outcome=outcome, last_seq=10, rho={NAME: rho} if outcome.judged else {},
+        outcome=outcome, last_seq=10,
+        robustness=exact_intervals({NAME: rho} if outcome.judged else {}),
         kind='' if outcome.judged else 'test', who='' if outcome.judged else 'simulator',
         statistics=RunStatistics(max_cross_track_m=2.0) if outcome.judged else None,
     )
@@ -217,7 +219,7 @@ def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
         lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
-            outcome=Outcome.PASS, rho={NAME: 0.5}, last_seq=10,
+            outcome=Outcome.PASS, robustness=exact_intervals({NAME: 0.5}), last_seq=10,
             statistics=RunStatistics(max_cross_track_m=1.0),
         ),
     )
@@ -255,7 +257,8 @@ def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
         scenario = request.scenario
         rho = min(0.305 - scenario.rain, 1.0 if scenario.distance_m > 705 else -0.1)
         return RunResult(
-            outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={NAME: rho}, last_seq=10,
+            outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
+            robustness=exact_intervals({NAME: rho}), last_seq=10,
             statistics=RunStatistics(max_cross_track_m=1.0),
         )
 

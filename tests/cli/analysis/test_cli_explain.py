@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from taxinet_ros.analysis.explain import track as explain_track
 from taxinet_ros.analysis.report import pictures as picture_files
 from taxinet_ros.bag.rewrite.frames import restore_frames
+from taxinet_ros.bag.run import facts
 from taxinet_ros.bag.run.facts import RecordedRun
+from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
-from taxinet_ros.bag.run.trace import read_trace
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
@@ -87,7 +87,7 @@ def test_given_a_run_without_frames_then_estimates_come_out_as_recorded_and_a_pa
     found = json.loads((tmp_path / 'x' / 'explain.json').read_text())
     assert found['recomputed'] == {'cte_m': 0.0, 'he_rad': 0.0, 'equal': True}
     (moment,) = found['moments']
-    trace = read_trace(bags / 'original')
+    trace = open_recording(bags / 'original').columns
     assert len(trace['seq']) == SEQS
     gain = SteeringGains().cte_gain_rad_per_m
     misled = trace['est_he_rad'] - trace['he_rad'] + gain * (trace['est_cte_m'] - trace['cte_m'])
@@ -124,13 +124,14 @@ def test_given_another_network_then_it_is_asked_and_the_page_says_who_drove(bags
 def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_one_line(
     bags, taxinet, monkeypatch, tmp_path
 ):
-    assert list(restore_frames(bags / 'original', tmp_path / 'original'))
+    assert list(restore_frames(open_recording(bags / 'original'), tmp_path / 'original'))
 
-    def elsewhere(path, wanted):
+    def elsewhere(recording, wanted):
+        path = recording.path
         raise WorldDiffers(f'{path}: step 0: x of the aircraft is another', path=path)
         yield
 
-    monkeypatch.setattr(explain_track, 'observations', elsewhere)
+    monkeypatch.setattr(Recording, 'observations', elsewhere)
     code, out, err = taxinet('explain', bags / 'original', '--out', 'x')
     assert (code, out, err.count('\n')) == (2, '', 1)
     assert 'were not recorded and cannot be rendered as they were' in err
@@ -172,11 +173,9 @@ def test_given_a_full_folder_or_no_bag_then_one_line(bags, taxinet, tmp_path):
 def test_given_a_run_of_another_network_of_that_name_then_it_is_refused(
     bags, taxinet, monkeypatch
 ):
-    from taxinet_ros.cli.analysis import explain as command
-
-    was = command.read_run
+    was = facts.recorded_run
     monkeypatch.setattr(
-        command, 'read_run', lambda path: dataclasses.replace(was(path), fingerprint='f' * 64))
+        facts, 'recorded_run', lambda bag: dataclasses.replace(was(bag), fingerprint='f' * 64))
     code, _, err = taxinet('explain', bags / 'original')
     assert (code, err.count('\n')) == (2, 1)
     assert 'sha256 ffffffffffff…' in err

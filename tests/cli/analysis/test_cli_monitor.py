@@ -15,8 +15,10 @@ import pandas as pd
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.bag.check.judge import BagVerdict, judge_bags, judge_runs, judge_spec
-from taxinet_ros.bag.run.samples import read_run_samples
+from taxinet_ros.bag.check.judge import judge_bags, judge_runs
+from taxinet_ros.bag.run.judging import BagVerdict, judge_spec
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.bag.run.samples import run_samples
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.mtl import parse_spec
@@ -173,7 +175,7 @@ def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path
 
 
 def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
-    (samples,) = read_run_samples(whole)
+    (samples,) = run_samples(open_recording(whole))
     spec = parse_spec(samples.specs[0])
     assert judge_spec(samples, spec)[0].same is True
     newest = samples.recorded[spec.text]
@@ -183,7 +185,7 @@ def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
 
 
 def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(whole):
-    (samples,) = read_run_samples(whole)
+    (samples,) = run_samples(open_recording(whole))
     spec = parse_spec(samples.specs[0])
     values = [dict(sample) for sample in samples.samples]
     values[10]['cte'] = math.nan
@@ -295,7 +297,7 @@ def test_ros10_given_a_bag_of_a_seeing_perception_then_usable_is_judged_and_noth
     assert code == 0
     (line,) = told(out, whole)
     assert line.split()[1:5] == ['usable', 'SATISFIED', 'rho', '+0.050']
-    (samples,) = read_run_samples(whole, ['estimate_gap'])
+    (samples,) = run_samples(open_recording(whole), ['estimate_gap'])
     values = [dict(sample, estimate_gap=0.1 * row) for row, sample in enumerate(samples.samples)]
     blind = dataclasses.replace(samples, samples=tuple(values), unusable_estimates=20)
     assert judge_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].lower < 0

@@ -10,6 +10,7 @@ import pytest
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
+from taxinet_ros.bag.run.recording import open_recording
 
 GOLDEN = Path(__file__).parents[3] / 'bags' / 'golden'
 TRUTH = GOLDEN / 'truth-nominal'
@@ -23,10 +24,9 @@ def again(tmp_path_factory):
     """The scene of the golden run on the truth, run again on this machine, 1 s of it."""
     import dataclasses
 
-    from taxinet_ros.bag.run.facts import read_run
     from taxinet_ros.nodes.graph.replay import rerun
 
-    run = read_run(TRUTH)
+    run = open_recording(TRUTH).run
     scenario = dataclasses.replace(run.request.scenario, duration_s=1.0)
     request = dataclasses.replace(run.request, run_id='short', scenario=scenario)
     out = tmp_path_factory.mktemp('again')

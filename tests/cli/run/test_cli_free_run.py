@@ -15,6 +15,7 @@ from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.resumption import facts_of_graph
 from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.run.commands import falsify
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.errors import UsageError
 
@@ -83,7 +84,8 @@ def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(f
     with pytest.raises(UsageError, match='free runs: free runs depend on how fast machine and'):
         make_localize_options(folder, runs=None, words=(), workers=1, out=tmp_path / 'never',
                               perception=None)
-    answer = RunResult(outcome=Outcome.PASS, rho={'near': 1.0}, timing=WORDS, perception='truth')
+    answer = RunResult(outcome=Outcome.PASS, robustness=exact_intervals({'near': 1.0}),
+                       timing=WORDS, perception='truth')
     with pytest.raises(UsageError, match=r'^the graph lets runs go free, and a search goes by'):
         facts_of_graph(folder, {'perception': '', 'perception_sha256': '', 'timing': ''}, answer)
 

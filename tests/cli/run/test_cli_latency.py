@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from taxinet_process import taxinet
 
-from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.options import make_options
 from taxinet_ros.campaign.record.facts import read_facts
 from taxinet_ros.campaign.record.resumption import read_earlier_runs
@@ -18,9 +18,9 @@ from taxinet_ros.campaign.shrink.shrinking import Shrinking
 from taxinet_ros.cli.bag.rerun import check_options
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.perception.perception import GroundTruth
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.runner import campaign_graph
-from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -53,7 +53,7 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
     rows = read_table(folder / 's').set_index('run_id')
     assert len(rows) == len(set(rows['rho_near'])) == 3
     for name, row in rows.iterrows():
-        run = read_run(folder / 's' / str(name))
+        run = open_recording(folder / 's' / str(name)).run
         judged = run_closed_loop(
             run.request.scenario, GroundTruth(), specs=run.request.judging.parsed_specs,
             timing=run.timing, draws=(run.request.seed, run.request.index),

@@ -18,7 +18,7 @@ import pytest
 from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
-from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.table import read_table
 
 EXAMPLES = Path(__file__).parents[3] / 'examples'
@@ -141,7 +141,7 @@ def rows(folder: Path):
 
 def test_given_functions_of_a_file_then_bags_and_facts_say_which(folder):
     facts = json.loads((folder / 'p' / 'campaign.json').read_text())
-    run = read_run(folder / 'p' / 'nominal-s0-00001')
+    run = open_recording(folder / 'p' / 'nominal-s0-00001').run
     assert (run.perception, run.controller, run.gains) == ('python', 'python', {})
     assert run.fingerprint == run.controller_fingerprint == facts['controller_sha256']
     assert (facts['perception'], facts['controller']) == ('mine.py:Guess', 'mine.py:steer')
@@ -165,7 +165,7 @@ def test_given_a_controller_of_ones_own_then_the_campaign_is_sound(folder, campa
 
 
 def test_given_nodes_then_they_are_named_as_they_name_themselves(folder):
-    run = read_run(folder / 'n' / 'nominal-s0-00000')
+    run = open_recording(folder / 'n' / 'nominal-s0-00000').run
     assert (run.perception, run.controller) == ('bright paint', 'proportional')
     assert set(read_table(folder / 'n')['perception']) == {'bright paint'}
 

@@ -11,7 +11,7 @@ from taxinet_process import begun, taxinet, taxinet_apart
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 
 
 def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags(tmp_path):
@@ -38,7 +38,7 @@ def test_given_a_program_when_run_then_there_are_lines_a_table_a_ledger_and_bags
     assert list(pd.read_csv(out / 'runs.csv')['run_id']) == list(table['run_id'])
     for bag, start in zip(table['bag'], table['cross_track_m'], strict=True):
         assert read_info(out / bag).complete
-        trace = read_trace(out / bag)
+        trace = open_recording(out / bag).columns
         assert len(trace['t_ns']) == 121
         assert trace['cte_m'][0] == pytest.approx(start, abs=1e-6)
         assert trace['x_m'][-1] - trace['x_m'][0] > 30, 'the aircraft has moved'
@@ -158,7 +158,7 @@ def test_given_the_demo_then_there_are_three_campaigns_and_two_pictures(tmp_path
         assert list(table['perception']) == [perception]
         scene = ['cross_track_m', 'distance_m', 'heading_deg', 'time_of_day_h', 'clouds']
         scenes.append(table[scene])
-        trace = read_trace(tmp_path / 'demo' / perception / table['bag'][0])
+        trace = open_recording(tmp_path / 'demo' / perception / table['bag'][0]).columns
         wrong = abs(trace['est_cte_m'] - trace['cte_m']).max()
         assert wrong == 0 if perception == 'truth' else wrong > 0.001
     for others in scenes[1:]:

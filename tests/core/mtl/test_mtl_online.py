@@ -12,10 +12,10 @@ from taxinet_ros.core.mtl import (
     SHIPPED,
     Monitor,
     Reading,
+    RobustnessInterval,
     Verdict,
     parse_spec,
     robustness,
-    verdict_of,
 )
 from taxinet_ros.errors import UsageError
 
@@ -271,9 +271,9 @@ def test_given_bad_settings_when_made_then_it_raises(kwargs: dict[str, int], mes
 def test_given_an_interval_when_judged_then_only_what_is_sure_counts(
     lower: float, upper: float, verdict: Verdict
 ) -> None:
-    assert verdict_of(lower, upper) is verdict
+    assert RobustnessInterval(lower, upper).verdict is verdict
 
 
 def test_given_nan_when_judged_then_it_raises() -> None:
     with pytest.raises(UsageError, match='no interval'):
-        verdict_of(math.nan, math.nan)
+        _ = RobustnessInterval.exactly(math.nan).verdict

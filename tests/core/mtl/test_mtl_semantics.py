@@ -15,11 +15,11 @@ from taxinet_ros.core.mtl import (
     SIGNALS,
     Monitor,
     Reading,
+    RobustnessInterval,
     Verdict,
     parse_formula,
     parse_spec,
     robustness,
-    verdict_of,
 )
 from taxinet_ros.errors import UsageError
 
@@ -96,7 +96,7 @@ def test_given_irregular_stamps_when_evaluated_then_they_place_the_samples() -> 
     [(0.5, Verdict.SATISFIED), (-0.5, Verdict.VIOLATED), (0.0, Verdict.MARGINAL)],
 )
 def test_given_a_rho_when_judged_then_zero_is_no_success(value: float, verdict: Verdict) -> None:
-    assert verdict_of(value, value) is verdict
+    assert RobustnessInterval.exactly(value).verdict is verdict
     judge = Judge([parse_spec('phi_always')], HORIZON, S)
     for second in range(31):
         judge.push(second * S, sample(1.5 - value))

@@ -14,6 +14,7 @@ from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.campaign.scenes.source import SceneSource
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import scenario_from_human
@@ -71,7 +72,7 @@ def _judged():
         for number in range(COUNTS[outcome]):
             rho = (1 if outcome is Outcome.PASS else -1) * (0.5 + number / 10)
             yield RunResult(
-                outcome=outcome, rho={'phi_always': rho}, last_seq=300,
+                outcome=outcome, robustness=exact_intervals({'phi_always': rho}), last_seq=300,
                 statistics=RunStatistics(
                     max_cross_track_m=10.0 - rho, settle_time_s=1.0,
                     cte_error=ErrorStatistics(mean=0.0, mean_abs=0.0, max_abs=0.0),

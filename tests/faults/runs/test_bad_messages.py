@@ -11,7 +11,7 @@ from tampering import changed, cut_short, tamper
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface
@@ -102,7 +102,7 @@ def test_given_estimates_that_are_none_then_the_aircraft_stops_and_rho_is_that_o
     assert result.outcome.judged
     assert all(math.isfinite(value) for value in result.rho.values())
     assert result.statistics.unusable_estimates == len(ESTIMATES)
-    trace = read_trace(tmp_path / 'run')
+    trace = open_recording(tmp_path / 'run').columns
     bad = slice(STEP, STEP + len(ESTIMATES))
     assert trace['steering_rad'][bad].tolist() == [0.0] * len(ESTIMATES)
     assert trace['speed_cmd_mps'][bad].tolist() == [0.0] * len(ESTIMATES)
@@ -118,7 +118,7 @@ def test_given_absurd_estimates_then_the_steering_keeps_to_its_stops_and_rho_is_
     )
     assert result.outcome.judged
     assert all(math.isfinite(value) for value in result.rho.values())
-    steering = read_trace(tmp_path / 'run')['steering_rad'][STEP:]
+    steering = open_recording(tmp_path / 'run').columns['steering_rad'][STEP:]
     assert len(steering) > 20
     assert max(abs(steering)) == SteeringGains().max_steering_rad
 

@@ -13,10 +13,10 @@ from rclpy.action import ActionClient
 from tampering import changed, tamper
 
 from taxinet_ros.core.outcome import Outcome, RunResult
+from taxinet_ros.errors import InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import COMMAND, ESTIMATE, MTL_MONITOR, PERCEPTION
-from taxinet_ros.nodes.lockstep.active_run import PROTOCOL
 
 pytestmark = pytest.mark.ros
 
@@ -62,7 +62,7 @@ def test_r8_given_a_perception_that_answers_a_wrong_frame_then_it_is_charged_and
             monkeypatch.setattr(simulator, '_take', take)
         (result,) = run(graph, request(duration=3.0))
     assert len(overtaken) == late
-    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, PROTOCOL), result
+    assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, InfraKind.PROTOCOL), result
     assert result.who == PERCEPTION
     assert result.detail == f'answered frame {values["seq"]}, which is not out yet'
 
@@ -71,7 +71,7 @@ def test_r8_given_a_controller_that_answers_a_wrong_frame_by_itself_then_it_is_c
     result = tampered_run(
         tmp_path, COMMAND, lambda k, m: [changed(m, seq=STEP + 2)] if k == STEP else [m]
     )
-    assert (result.kind, result.who) == (PROTOCOL, interface.STEERING_CONTROLLER)
+    assert (result.kind, result.who) == (InfraKind.PROTOCOL, interface.STEERING_CONTROLLER)
 
 
 @pytest.mark.parametrize(('topic', 'who'), [
@@ -86,7 +86,7 @@ def test_r8_given_an_answer_stamped_off_every_step_then_who_sent_it_is_charged(
         return [late if step == STEP else message]
 
     result = tampered_run(tmp_path, topic, how)
-    assert (result.kind, result.who) == (PROTOCOL, who), result
+    assert (result.kind, result.who) == (InfraKind.PROTOCOL, who), result
 
 
 def test_r8_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, monkeypatch):
@@ -98,7 +98,7 @@ def test_r8_given_a_follower_that_is_ahead_of_time_then_it_is_charged(tmp_path, 
     with composed_graph(GraphOptions(perception='truth', out=tmp_path, images='none')) as graph:
         (result,) = run(graph, request(duration=3.0))
     assert (result.outcome, result.kind, result.who) == (
-        Outcome.INFRA_ERROR, PROTOCOL, MTL_MONITOR)
+        Outcome.INFRA_ERROR, InfraKind.PROTOCOL, MTL_MONITOR)
 
 
 @pytest.mark.parametrize(('participants', 'words'), [

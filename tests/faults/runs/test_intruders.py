@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface, simulator
@@ -116,7 +116,7 @@ def disturbed(out: Path, act: Callable[[Any], object], **changes: Any) -> RunRes
 def assert_bag_has_no_verdict(bag: Path, who: str) -> None:
     """It is closed, says who broke the run, and holds what was recorded before."""
     assert read_info(bag).complete
-    facts = read_facts(bag)
+    facts = open_recording(bag).facts
     assert facts is not None
     assert (facts.outcome, facts.who) == (Outcome.INFRA_ERROR, who)
     steps = steps_in(bag)
@@ -243,7 +243,7 @@ def test_f4_given_a_peer_that_is_noticed_by_nobody_meanwhile_then_the_verdict_is
     assert came
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder')
     assert result.who == (PEER if stays else speakers.UNKNOWN)
-    facts = read_facts(tmp_path / 'run')
+    facts = open_recording(tmp_path / 'run').facts
     assert facts.outcome == Outcome.INFRA_ERROR
     assert steps_in(tmp_path / 'run') == list(range(51))
 
@@ -382,7 +382,7 @@ def test_f4_given_a_peer_that_speaks_before_the_first_step_and_leaves_then_no_ve
             (result,) = run(graph, request(duration=2.0))
     if early and what == 'an end':
         assert result.outcome.judged  # of a run that nobody was at yet, so nobody heard it
-        assert read_facts(tmp_path / 'run').outcome == result.outcome
+        assert open_recording(tmp_path / 'run').facts.outcome == result.outcome
         return
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
     assert result.rho == {}
@@ -402,4 +402,4 @@ def test_f4_given_a_forged_ready_before_all_are_ready_then_the_bag_of_the_run_is
         with once(lambda: recorder.run_id == 'run', publish):
             (result,) = run(graph, request(participants=(*PARTICIPANTS, 'nobody')))
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'intruder'), result
-    assert read_facts(tmp_path / 'run').outcome == Outcome.INFRA_ERROR
+    assert open_recording(tmp_path / 'run').facts.outcome == Outcome.INFRA_ERROR

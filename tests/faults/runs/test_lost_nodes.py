@@ -14,7 +14,7 @@ from fault_runs import once, request, run, steps_in
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
-from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.cli.bag.info import show_info
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
@@ -107,5 +107,5 @@ def check_bag(bag, result, who, capfd) -> None:
         if not woken:
             return
     assert read_info(bag).complete
-    facts = read_facts(bag)
+    facts = open_recording(bag).facts
     assert (facts.outcome, facts.kind, facts.who) == ('INFRA_ERROR', result.kind, who)

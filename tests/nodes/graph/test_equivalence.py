@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.bag.run.trace import read_images, read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
@@ -91,7 +91,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
         assert len(expected['t_ns']) == STEPS
         for name, results in (('one', composed), ('many', processes)):
             bag = tmp_path / name / request.run_id
-            trace = read_trace(bag)
+            trace = open_recording(bag).columns
             for column, values in expected.items():
                 assert trace[column].tobytes() == values.astype(trace[column].dtype).tobytes(), (
                     name, column
@@ -102,7 +102,7 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
             assert list(result.rho.values()) == [r.lower for r in judgement.readings]
             assert result.statistics == judgement.statistics
             assert result.last_seq == STEPS - 1
-            seen = [image for _, image in read_images(bag)]
+            seen = [frame.image for frame in open_recording(bag).frames(render=False)]
             assert len(seen) == STEPS
             for image, rendered in zip(seen, images, strict=False):
                 assert image.tobytes() == rendered.tobytes()

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bag.check.compare import compare_golden, golden_bags, same_stack
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.nodes.graph.replay import rerun
 
@@ -22,7 +21,7 @@ MOST_BYTES = 400_000
 @pytest.fixture(scope='module')
 def again(tmp_path_factory):
     out = tmp_path_factory.mktemp('golden')
-    runs = {bag.name: read_run(bag) for bag in golden_bags(GOLDEN)}
+    runs = {bag.name: open_recording(bag).run for bag in golden_bags(GOLDEN)}
     wanted = [(run, run.perception, 'steering') for run in runs.values()]
     results = rerun(wanted, out, images='none')
     return out, runs, results
@@ -49,7 +48,7 @@ def test_given_a_golden_scene_when_run_again_then_the_bag_is_the_same(name, agai
 @pytest.mark.parametrize('name', NAMES)
 def test_given_a_golden_bag_then_something_happens_in_it(name, again):
     out, runs, results = again
-    trace = read_trace(out / name)
+    trace = open_recording(out / name).columns
     assert np.hypot(np.diff(trace['x_m']), np.diff(trace['y_m'])).sum() > 40
     assert results[name].outcome is (Outcome.FAIL if name == NAMES[0] else Outcome.PASS)
     errors = np.abs(trace['est_cte_m'] - trace['cte_m'])

@@ -6,6 +6,7 @@ import pytest
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE, restore_frames
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
@@ -63,7 +64,7 @@ def test_given_a_failed_run_then_its_bag_is_that_of_all_frames_to_the_byte(tmp_p
     assert bags['none'][1] != bags['all'][1]
     for request, expected in zip(requests(), bags['all'], strict=True):
         rendered = tmp_path / 'rendered' / request.run_id
-        list(restore_frames(tmp_path / 'none' / request.run_id, rendered))
+        list(restore_frames(open_recording(tmp_path / 'none' / request.run_id), rendered))
         assert files(rendered) == expected
 
 

@@ -8,7 +8,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
@@ -66,7 +66,7 @@ def test_given_an_onnx_network_when_run_in_the_graph_then_its_trace_is_the_loops
     assert len(results) == 1
     assert results[0].outcome.judged, results[0]
     assert (results[0].perception, results[0].fingerprint) == ('onnx', perception.fingerprint)
-    trace = read_trace(tmp_path / 'bags' / 'run-0')
+    trace = open_recording(tmp_path / 'bags' / 'run-0').columns
     expected = np.array([[s.estimate.cte_m, s.estimate.he_rad] for s in steps])
     assert expected.shape == (11, 2)
     assert np.ptp(expected, axis=0).min() > 1e-6, 'the network looks'

@@ -13,7 +13,7 @@ from waiting import wait_for
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_attachment, read_info
 from taxinet_ros.bag.rewrite.recovery import recover
-from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -133,7 +133,7 @@ def test_given_a_recorder_killed_in_a_graph_of_processes_then_whole_steps_stay(t
     assert wrong(tmp_path / 'saved') == {
         'steps': ['0 messages, not 1; the bag ends before the run does'],
     }
-    facts = read_facts(tmp_path / 'saved')
+    facts = open_recording(tmp_path / 'saved').facts
     assert facts is not None
     assert facts.outcome == ''
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bag.check.compare import NETWORK_TOLERANCE, same_stack
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph import replay as player
 from taxinet_ros.nodes.graph.replay import TARGETS, replay
@@ -22,13 +21,13 @@ STEPS = 121
 
 
 def columns(bag, target, **changes):
-    run = dataclasses.replace(read_run(bag), **changes)
+    run = dataclasses.replace(open_recording(bag).run, **changes)
     return replay(bag, run, target=target, perception=run.perception)
 
 
 @pytest.mark.parametrize('target', TARGETS)
 def test_given_a_run_on_the_truth_when_replayed_then_every_answer_is_the_same(target):
-    trace, answers = read_trace(TRUTH), columns(TRUTH, target)
+    trace, answers = open_recording(TRUTH).columns, columns(TRUTH, target)
     assert len(answers) > 2
     for name, values in answers.items():
         assert len(values) == STEPS
@@ -39,7 +38,7 @@ def test_given_a_run_on_the_truth_when_replayed_then_every_answer_is_the_same(ta
     not same_stack(GOLDEN), reason='the golden bags come from another stack'
 )
 def test_given_a_bag_without_frames_when_the_network_sees_them_rendered_then_it_says_the_same():
-    trace, answers = read_trace(SEEN), columns(SEEN, 'perception')
+    trace, answers = open_recording(SEEN).columns, columns(SEEN, 'perception')
     assert (trace['est_cte_m'] != trace['cte_m']).all()
     for name in ('est_cte_m', 'est_he_rad'):
         assert np.abs(answers[name] - trace[name]).max() <= NETWORK_TOLERANCE
@@ -48,7 +47,8 @@ def test_given_a_bag_without_frames_when_the_network_sees_them_rendered_then_it_
 
 def test_given_other_gains_when_replayed_then_the_commands_are_others():
     answers = columns(TRUTH, 'steering_controller', gains={'heading_gain': 0.5})
-    assert np.abs(answers['steering_rad'] - read_trace(TRUTH)['steering_rad']).max() > 0.01
+    before = open_recording(TRUTH).columns['steering_rad']
+    assert np.abs(answers['steering_rad'] - before).max() > 0.01
 
 
 def test_given_a_node_that_raises_then_it_and_its_step_are_named(monkeypatch):

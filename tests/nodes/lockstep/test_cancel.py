@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from taxinet_ros.bag.check.doctor import check_bag
-from taxinet_ros.bag.run.facts import read_facts
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import scenario_from_human
@@ -74,7 +74,7 @@ def test_given_a_cancel_at_any_moment_then_what_is_cancelled_has_no_verdict(tmp_
             assert status.outcome in ENDS[ended.status]
             assert taken == (ended.status == GoalStatus.STATUS_CANCELED), (wait_s, status.outcome)
             bag = tmp_path / request.run_id
-            assert read_facts(bag).outcome == status.outcome
+            assert open_recording(bag).facts.outcome == status.outcome
             assert check_bag(bag).findings == ()
             taken_of[taken] += 1
     assert min(taken_of.values()) > 0, taken_of

@@ -10,13 +10,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from taxinet_ros.core import topics
 from taxinet_ros.nodes.interface import LOCKSTEP, Topic
 from taxinet_ros.nodes.lockstep.endpoints import HeardSpeakers, heard_by
 from taxinet_ros.nodes.running.domain import own_domain
 
 TALK = Topic(
-    name='t', type=String, qos=LOCKSTEP, publishers=('one',), subscribers=('other',),
-    recorded=None, carries='words',
+    name='t', type_name='std_msgs/msg/String', quality=topics.LOCKSTEP, publishers=('one',),
+    subscribers=('other',), recorded=None, carries='words',
 )
 NODES = ('one', 'other')
 LATCHED_ONLY = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -9,8 +9,8 @@ import pytest
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.facts import free_account, read_run
-from taxinet_ros.bag.run.resimulation import observations
+from taxinet_ros.bag.run.facts import free_account
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
@@ -18,10 +18,10 @@ from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.graph.replay import rerun
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
-from taxinet_ros.nodes.names import PARTICIPANTS
 
 pytestmark = pytest.mark.ros
 
@@ -105,7 +105,7 @@ def slow(mine, tmp_path_factory) -> tuple[RunResult, Path]:
 def test_r5_given_a_slow_perception_then_what_it_does_not_answer_is_counted(slow):
     result, bag = slow
     assert result.outcome.judged, result
-    assert result.timing == 'free real_time_factor=10' == read_run(bag).timing.words
+    assert result.timing == 'free real_time_factor=10' == open_recording(bag).run.timing.words
     figures, counts = result.free, read_info(bag).counts
     assert figures['frames'] == STEPS == counts['/ground_truth/odom']
     assert figures['unanswered'] == STEPS - counts['/taxi_command'] > 0
@@ -135,7 +135,7 @@ def test_r5_given_the_bag_of_a_free_run_then_it_is_whole_and_can_be_driven_again
     steps = next(check for check in checked.checks if check.name == 'steps')
     assert 'a free run: ' in steps.looked_at
     # Compares each state with the recorded one, to the bit.
-    assert len(list(observations(bag))) == STEPS
+    assert len(list(open_recording(bag).observations())) == STEPS
 
 
 def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slow, tmp_path):
@@ -152,7 +152,7 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
 
 def test_r5_given_a_free_run_when_run_again_then_it_is_free_again(slow, tmp_path):
     _, bag = slow
-    results = rerun([(read_run(bag), 'truth', 'steering')], tmp_path, images='none')
+    results = rerun([(open_recording(bag).run, 'truth', 'steering')], tmp_path, images='none')
     assert results['free'].timing == 'free real_time_factor=10'
     assert results['free'].free['frames'] == STEPS
 

@@ -9,9 +9,7 @@ import pytest
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.facts import read_run
-from taxinet_ros.bag.run.resimulation import observations
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.aircraft import TAXI_SPEED_MPS, Aircraft
 from taxinet_ros.core.controller import SteeringGains, steer
 from taxinet_ros.core.loop import run_closed_loop
@@ -50,7 +48,7 @@ def test_r5_given_0_3_s_then_the_aircraft_follows_estimates_exactly_three_steps_
 ):
     result = run(composed_graph(graph_of(tmp_path, 'perception=0.3')), short_request)
     bag = tmp_path / short_request.run_id
-    trace = read_trace(bag)
+    trace = open_recording(bag).columns
     assert len(trace['seq']) == 21
     # The estimates are the truth of their own frames; what is late is their effect.
     assert trace['est_cte_m'].tobytes() == trace['cte_m'].tobytes()
@@ -67,8 +65,9 @@ def test_r5_given_0_3_s_then_the_aircraft_follows_estimates_exactly_three_steps_
             command = steer(seen, SteeringGains())
         aircraft.advance(command)
     assert abs(trace['cte_m'][-1] - trace['cte_m'][0]) > 0.1, 'the aircraft did not move'
-    assert result.timing == read_run(bag).timing.words == 'latency perception=0.3'
-    assert len(list(observations(bag))) == 21  # compares every state with the bag's, to the bit
+    assert result.timing == open_recording(bag).run.timing.words == 'latency perception=0.3'
+    # Compares every state with the bag's, to the bit.
+    assert len(list(open_recording(bag).observations())) == 21
 
 
 def test_r5_given_drawn_latencies_then_loop_processes_and_composed_graph_agree_to_the_bit(
@@ -87,7 +86,10 @@ def test_r5_given_drawn_latencies_then_loop_processes_and_composed_graph_agree_t
     assert one.statistics.cte_error == judged.statistics.cte_error
     other = dataclasses.replace(short_request, index=5, run_id='other')
     run(composed_graph(graph_of(tmp_path / 'five', DRAWN)), other)
-    paths = [read_trace(bag)['cte_m'].tolist() for bag in (bags[0], tmp_path / 'five' / 'other')]
+    paths = [
+        open_recording(bag).columns['cte_m'].tolist()
+        for bag in (bags[0], tmp_path / 'five' / 'other')
+    ]
     assert paths[0] != paths[1], 'another run of the campaign has the same draws'
 
 

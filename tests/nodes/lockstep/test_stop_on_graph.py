@@ -9,7 +9,7 @@ import pytest
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import Assumptions, parse_spec
@@ -60,14 +60,14 @@ def test_given_violated_when_run_in_three_layouts_then_the_last_step_is_the_same
     assert (late.outcome, late.stopped_early) == (Outcome.FAIL, True)
     assert late.last_seq == len(steps) - 1
     assert late.rho == {}
-    assert list(late.rho_lower.values()) == [r.lower for r in judgement.readings]
-    assert list(late.rho_upper.values()) == [r.upper for r in judgement.readings]
-    assert late.rho_lower['soon'] == -math.inf
-    assert late.rho_upper['soon'] < 0 < late.rho_upper['on_runway']
+    assert list(late.robustness.values()) == [r.interval for r in judgement.readings]
+    soon, on_runway = late.robustness['soon'], late.robustness['on_runway']
+    assert soon.lower == -math.inf
+    assert soon.upper < 0 < on_runway.upper
     assert repr(late.statistics) == repr(judgement.statistics), 'NaN where there is nothing'
 
     bag = tmp_path / 'one' / 'run-0'
-    trace = read_trace(bag)
+    trace = open_recording(bag).columns
     assert trace['cte_m'].tobytes() == np.array(
         [step.observation.state.tracking_error.cte_m for step in steps]
     ).tobytes()
@@ -118,7 +118,7 @@ def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_wit
     )
     assert (kept.outcome, kept.stopped_early) == (Outcome.PASS, True)
     assert 20 < kept.last_seq == len(steps) - 1 < 30
-    assert kept.rho_lower['wide'] == judgement.readings[0].lower > 0
+    assert kept.robustness['wide'].lower == judgement.readings[0].lower > 0
 
     assert (broken.outcome, broken.stopped_early, broken.last_seq) == (Outcome.PASS, False, 50)
     assert broken.rho['wide'] > 0, 'the run goes on without what it has broken'

@@ -23,7 +23,7 @@ from taxinet_ros.bag.cdr.image import frame_of_cdr
 from taxinet_ros.bag.check.compare import compare_bags
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
-from taxinet_ros.bag.run.recording import read_recording
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import message_definition, type_hash
 from taxinet_ros.core.camera import camera
@@ -167,7 +167,7 @@ def test_ros21_given_a_run_then_its_bag_has_the_frames_bit_for_bit_as_odometry_s
     image = next(stored_messages(bag, '/camera/image_raw'.__eq__))
     assert b'camera_optical\0' in image.cdr[:64], 'the picture is of that frame'
     assert check_bag(bag).findings == ()
-    assert read_recording(bag).plain
+    assert open_recording(bag).plain
 
 
 @pytest.mark.ros

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from taxinet_ros.analysis.causes.region import Interval, Region
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.study.improve.acceptance import _bound, _score, decide
 
@@ -21,7 +22,7 @@ def row(index: int, rho: float, **changes) -> RunRow:
     }
     return RunRow(
         run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
-        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, rho={'phi': rho},
+        outcome=Outcome.PASS if rho > 0 else Outcome.FAIL, robustness=exact_intervals({'phi': rho}),
         **{**scene, **changes},
     )
 

@@ -10,6 +10,7 @@ from network_samples import card_of, random_weights, save_sample
 from taxinet_ros.bag.errors import BagWriteError
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import load_model, save_model, to_bytes
 from taxinet_ros.errors import UsageError
@@ -73,7 +74,8 @@ def campaign(folder: Path, failures: int) -> None:
             ledger.result(RunRow(
                 run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
                 outcome=Outcome.FAIL if failed else Outcome.PASS,
-                rho={'phi': -1.0 if failed else 1.0}, cross_track=0.0, distance=50.0 * index,
+                robustness=exact_intervals({'phi': -1.0 if failed else 1.0}),
+                cross_track=0.0, distance=50.0 * index,
                 heading=0.0, clouds='clear', rain=0.0, time_of_day=12.0, left_runway=False,
             ))
 

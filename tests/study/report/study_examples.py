@@ -16,6 +16,7 @@ from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.space import Dimension
 from taxinet_ros.campaign.scenes.search_space import Choice, Piece
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.study.report.paper import PAPER_RULE
@@ -122,6 +123,7 @@ def _row(index: int, arm: str) -> RunRow:
     rho = 0.5 if arm == 'shadows' else 0.7
     return RunRow(
         run_id=f'r-{index}', index=index, program='halton_time_of_day', seed=0,
-        perception='original', outcome=Outcome.PASS, rho={'phi_eventually': rho},
+        perception='original', outcome=Outcome.PASS,
+        robustness=exact_intervals({'phi_eventually': rho}),
         left_runway=False, max_cross_track_m=1.0, settle_time_s=3.0, **scene.to_human(),
     )

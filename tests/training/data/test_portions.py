@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxinet_ros.bag.run.facts import read_facts, read_run
-from taxinet_ros.bag.run.trace import read_trace
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.errors import UsageError
 from taxinet_ros.training.data.portions import (
@@ -30,7 +30,7 @@ GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden' / 'original-ear
 def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = True) -> Path:
     """The golden run first, and further ones that have left no bags."""
     folder.mkdir()
-    told = read_facts(GOLDEN)
+    told = open_recording(GOLDEN).facts
     rho = {name: one.upper for name, one in told.judged.items()} if failed else {'phi': 1.0}
     with Ledger(folder / 'ledger.jsonl') as ledger:
         ledger.campaign({'program': 's_falsif.scenic', 'runs': runs})
@@ -40,7 +40,8 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
             ledger.result(RunRow(
                 run_id=name, index=index, program='s', seed=told.seed, perception='original',
                 perception_fingerprint=told.nodes['perception'].fingerprint,
-                outcome=Outcome.FAIL if failed else Outcome.PASS, rho=rho, steps=told.steps,
+                outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
+                steps=told.steps,
                 **told.scene,
             ))
     if bags:
@@ -51,7 +52,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
 def test_given_a_failed_run_then_scenes_lie_along_its_path_under_its_sky(tmp_path):
     folder = campaign(tmp_path / 'c')
     scenes = counterexample_scenes(folder, 400, 5)
-    trace, recorded = read_trace(GOLDEN), read_run(GOLDEN).request.scenario
+    trace, recorded = open_recording(GOLDEN).columns, open_recording(GOLDEN).run.request.scenario
     assert len(scenes) == 400
     assert {(one.clouds, one.rain, one.time_of_day_s, one.aircraft) for one in scenes} == {
         (recorded.clouds, recorded.rain, recorded.time_of_day_s, recorded.aircraft)

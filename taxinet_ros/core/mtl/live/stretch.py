@@ -166,7 +166,7 @@ def standing_line(standing: Standing) -> str:
     """E.g. ``violated at 3.2 s, rho within [-inf, -0.5]``."""
     words = _verdict(standing)
     if standing.reading.samples:
-        words += f', {_rho(standing.reading)}'
+        words += f', {standing.reading.interval.words(".4g")}'
     if standing.reading.final:
         words += ' (final)'
     if standing.breach:
@@ -178,9 +178,3 @@ def _verdict(standing: Standing) -> str:
     if standing.decided is Verdict.UNKNOWN:
         return 'open'
     return f'{standing.decided.name.lower()} at {standing.decided_s:g} s'
-
-
-def _rho(reading: Reading) -> str:
-    if reading.lower == reading.upper:
-        return f'rho {reading.lower:+.4g}'
-    return f'rho within [{reading.lower:+.4g}, {reading.upper:+.4g}]'

@@ -29,7 +29,7 @@ from taxinet_ros.core.perception.onnx.network import (
     too_large,
 )
 from taxinet_ros.core.perception.onnx.sidecar import file_error
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.processes.child import child_environment, die_with_parent, limit_cpu, limit_memory
 
 CPU_S = 30
@@ -115,7 +115,7 @@ def _lost(path: Path, code: int) -> UsageError | InfraError:
         )
     how = f'killed by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
     if code == -signal.SIGKILL:
-        return InfraError('died', f'trial of {path}', -1, how)
+        return InfraError(InfraKind.DIED, f'trial of {path}', -1, how)
     return file_error(path, f'breaks the process that tries it ({how}), which may have '
                      f'{MEMORY_BYTES >> 30} GiB of memory; make it smaller, or export it again')
 

@@ -1,0 +1,328 @@
+"""The runs within a bag, whoever recorded it: told apart, and in simulated time.
+
+Our recorder makes a bag of each run, in which every message is logged at the simulated time
+that it belongs to. ``ros2 bag record`` makes one of all that it hears: several runs one after
+the other, logged by the wall clock, or by a simulated time that begins anew with each run;
+topics of others beside ours; graphs in several namespaces; with a last run that goes on, and a
+first one that had begun before. What belongs where follows from what the messages themselves
+say: their run and the stamp in their header. Images, camera info, odometry and the clock name
+no run; on each of these topics time begins anew with a run, and a stretch of it belongs to the
+run that was stepping then.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
+from taxinet_ros.bag.cdr.decode import decode
+from taxinet_ros.bag.errors import BagError
+from taxinet_ros.bag.reader import Contents, StoredMessage
+from taxinet_ros.bag.run.topics import (
+    CAMERA_INFO,
+    CLOCK,
+    COMMAND,
+    ESTIMATE,
+    IMAGE,
+    NODE_STATUS,
+    ODOMETRY,
+    ROBUSTNESS,
+    RUN_STATUS,
+    SCENARIO,
+    TRUTH,
+    VERDICT,
+    is_of_frames,
+    is_topic,
+)
+from taxinet_ros.bag.topics import TopicInfo
+from taxinet_ros.core.types import NS_PER_S
+
+_ORDER = (
+    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
+    ROBUSTNESS, VERDICT, RUN_STATUS,
+)
+"""The topics of a run, as our recorder writes them within a step."""
+_WITHOUT_RUN_ID = frozenset({CLOCK, IMAGE, CAMERA_INFO, ODOMETRY})
+"""Topics whose messages do not say which run they belong to."""
+_STEPPED = frozenset({TRUTH, ESTIMATE, COMMAND, ROBUSTNESS})
+"""Topics that say it, in every control step."""
+RANK_IN_STEP = {topic: rank for rank, topic in enumerate(_ORDER)}
+_READY, _ENDED = 0, 2
+_NO_RUN = -1
+
+
+@dataclass(kw_only=True)
+class RunPart:
+    """One run of a recording.
+
+    Attributes:
+        name: names it among the others: its id, with its namespace where there are several, and
+            with ``#2`` where it is the second of that id.
+        run_id, namespace: as recorded; the namespace with its slash, or ''.
+        stamps_ns: simulated times of which there is a ground truth [ns].
+        scenario: the message that tells what is run, or None.
+        outcome: how it ended, or '' where the recording does not tell.
+        told: whether its end or its verdict is in the recording.
+        unclear: one line on what cannot be told of it, or ''.
+    """
+
+    name: str
+    run_id: str
+    namespace: str
+    stamps_ns: set[int] = field(default_factory=set)
+    scenario: StoredMessage | None = None
+    outcome: str = ''
+    told: bool = False
+    unclear: str = ''
+    first: int = -1
+    last: int = -1
+
+    @property
+    def absent(self) -> bool:
+        """Whether the recording tells how it ended, and has not one step of it.
+
+        A recorder that joins a graph late is told of the last runs before; and a run may have
+        broken before its first step.
+        """
+        return self.told and not self.stamps_ns
+
+    def words(self) -> str:
+        """For people: name, and how much of it there is."""
+        if not self.stamps_ns:
+            return f'{self.name} (no step of it)'
+        low, high = min(self.stamps_ns) / NS_PER_S, max(self.stamps_ns) / NS_PER_S
+        return f'{self.name} ({low:g}-{high:g} s)'
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunsWithin:
+    """What runs a bag holds.
+
+    Attributes:
+        runs: in the order in which they were first heard of.
+        plain: whether it is one run and nothing else, logged as our recorder does.
+        owners: for each message on a topic of a run, which run it belongs to, -1 for none.
+        broken: the messages that are not what their topics say.
+    """
+
+    runs: tuple[RunPart, ...]
+    plain: bool
+    owners: Sequence[int]
+    broken: tuple[BagError, ...]
+
+
+def tell_runs_apart(contents: Contents) -> RunsWithin:
+    """Find out which runs a bag holds.
+
+    Args:
+        contents: of the bag, with every message on a topic of a run; of frames the head is enough.
+    """
+    broken: list[BagError] = []
+    index = _RunsReader()
+    for stored in contents.messages:
+        try:
+            index.note(stored)
+        except BagError as error:  # A message that is not what its topic says belongs to no run.
+            broken.append(type(error)(f'{contents.path}: {error}', path=contents.path))
+            index.broken.add(len(index.owners) - 1)
+    # Of transforms, odometry tells ours, and others' are no affair of a run.
+    others = any(
+        count and not topic_parts(name)[0] and not is_of_frames(name)
+        for name, count in contents.counts.items()
+    )
+    return index.found(tuple(broken), others=others)
+
+
+def messages_of_runs(
+    messages: Iterable[StoredMessage], owners: Sequence[int],
+    wanted: Callable[[int, str], bool] = lambda run, topic: True,
+) -> Iterator[tuple[int, StoredMessage]]:
+    """The messages of all runs in the order of the recording, as our recorder would have them.
+
+    That is under their names without a namespace, stamped with the simulated time that they belong
+    to, and of the reports of nodes and of the run's state only those that a run's bag keeps.
+
+    Args:
+        messages: of the recording; those on topics of others are passed over.
+        owners: see :class:`RunsWithin`.
+        wanted: whether a run, by its number, needs a topic, by its relative name.
+
+    Yields:
+        The number of the run, and a message of it.
+    """
+    place = 0
+    for stored in messages:
+        relative, _ = topic_parts(stored.topic.name)
+        if not relative:
+            continue
+        owner = owners[place]
+        place += 1
+        if owner != _NO_RUN and wanted(owner, relative):
+            stamp_ns = 0 if relative in (SCENARIO, NODE_STATUS) else stamp_of_cdr(stored.cdr)
+            yield owner, StoredMessage(_renamed(stored.topic, relative), stamp_ns, stored.cdr)
+
+
+class _RunsReader:
+    """What the messages have told so far."""
+
+    def __init__(self) -> None:
+        self.owners: list[int] = []
+        self.runs: list[RunPart] = []
+        self.broken: set[int] = set()
+        self._current: dict[tuple[str, str], int] = {}
+        self._stretches: dict[tuple[str, str], list[_Stretch]] = {}
+        self._ready: set[tuple[int, str]] = set()
+        self._restamped = False
+        self._named = False
+
+    def note(self, stored: StoredMessage) -> None:
+        """Take in a message."""
+        relative, namespace = topic_parts(stored.topic.name)
+        if not relative:
+            return
+        self._named |= bool(namespace)
+        place = len(self.owners)
+        self.owners.append(_NO_RUN)
+        if relative in _WITHOUT_RUN_ID:
+            stamp_ns = stamp_of_cdr(stored.cdr)
+            stretches = self._stretches.setdefault((namespace, relative), [])
+            if not stretches or stamp_ns <= stretches[-1].last_ns:
+                stretches.append(_Stretch())
+            stretches[-1].places.append(place)
+            stretches[-1].last_ns = stamp_ns
+            self._restamped |= stamp_ns != stored.stamp_ns
+            return
+        message = decode(stored.topic, stored.cdr)
+        run_id = getattr(message, 'run_id', None)
+        if not isinstance(run_id, str):
+            return  # a topic of that name, of somebody else
+        number = self._run(namespace, run_id, fresh=relative == SCENARIO)
+        run = self.runs[number]
+        if relative in _STEPPED:
+            stamp_ns = stamp_of_cdr(stored.cdr)
+            self._restamped |= stamp_ns != stored.stamp_ns
+            run.first, run.last = place if run.first < 0 else run.first, place
+            if relative == TRUTH:
+                run.stamps_ns.add(stamp_ns)
+        elif not self._keep(number, relative, stored, message):
+            return
+        self.owners[place] = number
+
+    def found(self, broken: tuple[BagError, ...], *, others: bool) -> RunsWithin:
+        """All of it; ``others`` says whether it holds messages on topics of no run."""
+        # What is said in a namespace without scenario and truth, as what a player repeats under
+        # another name, is no run.
+        real = [run.scenario is not None or bool(run.stamps_ns) for run in self.runs]
+        self._find_owners(real)
+        numbers = {old: new for new, old in enumerate(i for i, is_run in enumerate(real) if is_run)}
+        runs = [run for run, is_run in zip(self.runs, real, strict=True) if is_run]
+        _name_runs(runs)
+        stray = any(
+            owner == _NO_RUN and place not in self.broken
+            for place, owner in enumerate(self.owners)
+        )
+        return RunsWithin(
+            runs=tuple(runs), broken=broken,
+            owners=[numbers.get(owner, _NO_RUN) for owner in self.owners],
+            plain=len(runs) == 1 and not (self._restamped or self._named or others or stray),
+        )
+
+    def _run(self, namespace: str, run_id: str, *, fresh: bool) -> int:
+        """Number of the run that a message names; a second scenario of that id begins another."""
+        number = self._current.get((namespace, run_id))
+        if number is None or (fresh and self.runs[number].scenario is not None):
+            number = self._current[namespace, run_id] = len(self.runs)
+            self.runs.append(RunPart(name='', run_id=run_id, namespace=namespace))
+        return number
+
+    def _keep(self, number: int, relative: str, stored: StoredMessage, message: Any) -> bool:
+        """Whether a message that comes once belongs into the bag of its run."""
+        run = self.runs[number]
+        if relative == SCENARIO:
+            run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
+        elif relative == NODE_STATUS:
+            report = (number, str(getattr(message, 'node', '')))
+            if getattr(message, 'state', None) != _READY or report in self._ready:
+                return False
+            self._ready.add(report)
+        elif relative == RUN_STATUS:
+            if getattr(message, 'state', None) != _ENDED:
+                return False
+            run.outcome, run.told = str(getattr(message, 'outcome', '')), True
+        else:
+            run.told = True
+        return True
+
+    def _find_owners(self, real: Sequence[bool]) -> None:
+        """Give the stretches of topics that name no run to the runs that were stepping then."""
+        stepping = [i for i, run in enumerate(self.runs) if real[i] and run.first >= 0]
+        for i in stepping:
+            run = self.runs[i]
+            mixed = [
+                other.run_id for j in stepping if j != i
+                for other in (self.runs[j],) if other.namespace == run.namespace
+                and _overlap(run.first, run.last, other) > min(
+                    run.last - run.first, other.last - other.first) / 2 > 0
+            ]
+            if mixed:
+                run.unclear = (
+                    f'its messages lie among those of {mixed[0]}; odometry and frames name no run, '
+                    'so whose they are cannot be told'
+                )
+        namespaces = {self.runs[i].namespace for i in stepping}
+        for (namespace, relative), stretches in self._stretches.items():
+            shared = relative == CLOCK and namespace not in namespaces and len(namespaces) == 1
+            here = [i for i in range(len(self.runs))
+                    if real[i] and (shared or self.runs[i].namespace == namespace)]
+            mine = [i for i in here if i in stepping] or here
+            for stretch in stretches:
+                first, last = stretch.places[0], stretch.places[-1]
+                best = max(mine, key=lambda i: _overlap(first, last, self.runs[i]), default=None)
+                if best is not None and not self.runs[best].unclear:
+                    for place in stretch.places:
+                        self.owners[place] = best
+
+
+@dataclass
+class _Stretch:
+    """Messages of one topic over which time goes on: their places, and the last stamp [ns]."""
+
+    places: list[int] = field(default_factory=list)
+    last_ns: int = -1
+
+
+def _overlap(first: int, last: int, run: RunPart) -> int:
+    """How many places of the recording two stretches share; negative: how far they are apart."""
+    return min(last, run.last) - max(first, run.first)
+
+
+def _name_runs(runs: Sequence[RunPart]) -> None:
+    """Give each run a name that no other has."""
+    several = len({run.namespace for run in runs}) > 1
+    seen: dict[str, int] = {}
+    for run in runs:
+        name = f'{run.namespace}/{run.run_id}'.removeprefix('/') if several else run.run_id
+        seen[name] = seen.get(name, 0) + 1
+        run.name = name if seen[name] == 1 else f'{name}#{seen[name]}'
+
+
+def is_run_topic(name: str) -> bool:
+    """Whether a topic is one that a run's bag has, with or without namespace and first slash."""
+    return bool(topic_parts('/' + name.lstrip('/'))[0])
+
+
+@lru_cache(maxsize=256)
+def topic_parts(name: str) -> tuple[str, str]:
+    """Relative name and namespace of a run's topic; '' twice for any other."""
+    relative = next((topic for topic in _ORDER if is_topic(name, topic)), '')
+    namespace = name.removesuffix(relative).rstrip('/')
+    return (relative, namespace) if relative else ('', '')
+
+
+@lru_cache(maxsize=256)
+def _renamed(topic: TopicInfo, relative: str) -> TopicInfo:
+    return dataclasses.replace(topic, name=f'/{relative}')

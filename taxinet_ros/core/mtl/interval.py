@@ -1,0 +1,124 @@
+"""Robust satisfaction interval: all values that the robustness of a formula can still take.
+
+While a run goes on it is known only that rho lies between two bounds (Deshmukh et al., Formal
+Methods in System Design 51, 2017). Of a whole run both are rho; of one that was stopped early, or
+broke off, an interval is all there is.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, Self
+
+from taxinet_ros.errors import UsageError
+
+
+class Verdict(enum.IntEnum):
+    """What an interval of robustness says. Only SATISFIED is a success."""
+
+    UNKNOWN = 0
+    SATISFIED = 1
+    VIOLATED = 2
+    MARGINAL = 3
+    """Robustness exactly zero; tables count it as a failure, as VerifAI does."""
+
+
+class RobustnessInterval(NamedTuple):
+    """Bounds on the robustness of one formula on one run, in the unit of its predicate.
+
+    Attributes:
+        lower, upper: least and greatest robustness; equal where rho is known.
+    """
+
+    lower: float
+    upper: float
+
+    @classmethod
+    def exactly(cls, rho: float) -> Self:
+        """The interval of a robustness that is known."""
+        return cls(rho, rho)
+
+    @property
+    def exact(self) -> bool:
+        """Whether rho is known."""
+        return self.lower == self.upper
+
+    @property
+    def unclear(self) -> bool:
+        """Whether the windows alone decide: they are empty, so no sample made rho what it is."""
+        return self.exact and math.isinf(self.lower)
+
+    @property
+    def satisfied(self) -> bool:
+        """Whether robustness > 0 is certain."""
+        return self.lower > 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether robustness > 0 is out of reach."""
+        return self.upper <= 0
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is certain if robustness > 0 or not."""
+        return self.satisfied or self.failed
+
+    @property
+    def nearest_to_zero(self) -> float | None:
+        """The bound that is nearer to zero, with the sign of rho; None where that is not known."""
+        return self.upper if self.failed else self.lower if self.satisfied else None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the interval says.
+
+        An infinite rho rests on empty windows: nothing was judged, and so the verdict is UNKNOWN.
+
+        Raises:
+            UsageError: a bound is NaN, or the interval is empty.
+        """
+        lower, upper = self
+        if not lower <= upper:
+            raise UsageError(f'robustness: [{lower}, {upper}] is no interval')
+        if lower == upper and math.isinf(lower):
+            return Verdict.UNKNOWN
+        if lower > 0:
+            return Verdict.SATISFIED
+        if upper < 0:
+            return Verdict.VIOLATED
+        return Verdict.MARGINAL if lower == upper else Verdict.UNKNOWN
+
+    def words(self, digits: str = '.3f', width: int = 0) -> str:
+        """E.g. ``rho -0.500`` or ``rho within [-inf, -0.500]``.
+
+        Args:
+            digits: format of a number, without its sign.
+            width: least width of a rho that is known.
+        """
+        if self.exact:
+            return f'rho {self.lower:+{width}{digits}}'
+        return f'rho within [{self.lower:+{digits}}, {self.upper:+{digits}}]'
+
+    def bound_words(self, width: int = 0) -> str:
+        """E.g. ``rho -0.50``, ``rho <=-0.50``, or ``rho -1.00 to +2.00``; for tables.
+
+        Args:
+            width: least width of rho, or of its only finite bound.
+        """
+        if not self.exact and math.isfinite(self.lower) and math.isfinite(self.upper):
+            return f'rho {self.lower:+.2f} to {self.upper:+.2f}'
+        sign = '' if self.exact else '<=' if self.upper < math.inf else '>='
+        value = self.lower if sign == '>=' else self.upper
+        return f'rho {sign}{value:+{max(width - len(sign), 0)}.2f}'
+
+
+def exact_intervals(rho: Mapping[str, float]) -> dict[str, RobustnessInterval]:
+    """Intervals of robustness that is known, by the formula's name."""
+    return {name: RobustnessInterval.exactly(value) for name, value in rho.items()}
+
+
+def exact_rho(robustness: Mapping[str, RobustnessInterval]) -> dict[str, float]:
+    """Robustness by the formula's name, of those whose rho is known."""
+    return {name: interval.lower for name, interval in robustness.items() if interval.exact}

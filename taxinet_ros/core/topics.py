@@ -1,0 +1,222 @@
+"""The one table of the graph: every topic's name, type, quality of service, and who speaks to whom.
+
+It is data, and needs no ROS: nodes, recorder, readers of bags, docs and tests go by it, and no
+other line spells a topic's name. ``nodes/interface.py`` makes rclpy's objects of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+SIMULATOR = 'simulator'
+PERCEPTION = 'perception'
+STEERING_CONTROLLER = 'steering_controller'
+MTL_MONITOR = 'mtl_monitor'
+RECORDER = 'recorder'
+SCENARIO_SAMPLER = 'scenario_sampler'
+SCENE_MARKERS = 'scene_markers'
+SUPERVISOR = 'supervisor'
+
+PARTICIPANTS = (PERCEPTION, STEERING_CONTROLLER, MTL_MONITOR, RECORDER)
+"""Nodes that take part in the lockstep beside the simulator, which keeps it."""
+
+CHAIN = (PERCEPTION, STEERING_CONTROLLER)
+"""Nodes that answer one another within a control step."""
+
+FOLLOWERS = (MTL_MONITOR, RECORDER)
+"""Nodes that only listen, and report progress."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Quality:
+    """Quality of service, in the words of rosbag2 and rclpy, lower case."""
+
+    depth: int
+    history: str = 'keep_last'
+    reliability: str = 'reliable'
+    durability: str = 'volatile'
+
+    @property
+    def latched(self) -> bool:
+        """Whether those who come late get what was said before."""
+        return self.durability == 'transient_local'
+
+
+# Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
+LOCKSTEP = Quality(depth=16)
+# What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
+NEWEST = Quality(depth=1)
+# Depth counts messages of all publishers together, and several nodes share node_status.
+LATCHED = Quality(depth=16, durability='transient_local')
+# Whoever looks on asks for nothing twice, so that nobody waits for him.
+LOOKING_ON = Quality(depth=16, reliability='best_effort')
+# As tf2_ros has it.
+TF2 = Quality(depth=100)
+PER_STEP = 'per step'
+PER_SPEC = 'per step and formula'
+PER_RUN = 'per run'
+PER_NODE = 'per run and participant'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """One topic of the graph.
+
+    Attributes:
+        name: relative name, so that a whole graph can be put into a namespace.
+        type_name: ROS name of the type, e.g. ``sensor_msgs/msg/Image``.
+        quality: quality of service of both ends.
+        publishers: names of the nodes that speak.
+        subscribers: names of the nodes that must hear every message; the recorder is implied
+            where ``recorded``.
+        recorded: how many messages a run's bag holds, or None where the topic is not recorded.
+        carries: one line for people.
+    """
+
+    name: str
+    type_name: str
+    quality: Quality
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    recorded: str | None
+    carries: str
+
+    @property
+    def each_step(self) -> bool:
+        """Whether there are messages in every control step, by the recorder's account."""
+        return self.recorded in (PER_STEP, PER_SPEC)
+
+    def listeners(self, participants: Sequence[str]) -> set[str]:
+        """Those of the nodes of a run that subscribe, the recorder included."""
+        names = set(self.subscribers) | ({RECORDER} if self.recorded else set())
+        return names & {SIMULATOR, *participants}
+
+    def speakers(self, participants: Sequence[str]) -> set[str]:
+        """Those of the nodes of a run that publish, one end each."""
+        if self.recorded == PER_NODE:
+            return {SIMULATOR, *participants}
+        return set(self.publishers) & {SIMULATOR, *participants}
+
+
+SCENARIO = Topic(
+    name='scenario', type_name='taxinet_msgs/msg/Scenario', quality=LATCHED,
+    publishers=(SIMULATOR,), subscribers=PARTICIPANTS, recorded=PER_RUN,
+    carries='the test case; every participant sets itself up for it',
+)
+NODE_STATUS = Topic(
+    name='node_status', type_name='taxinet_msgs/msg/NodeStatus', quality=LATCHED,
+    publishers=(SIMULATOR, *PARTICIPANTS), subscribers=(SIMULATOR,), recorded=PER_NODE,
+    carries='ready, done or error of one participant, with implementation and weights hash',
+)
+CLOCK = Topic(
+    name='/clock', type_name='rosgraph_msgs/msg/Clock', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_STEP,
+    carries='simulated time, from 0 at the start of every run',
+)
+IMAGE = Topic(
+    name='camera/image_raw', type_name='sensor_msgs/msg/Image', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(PERCEPTION,), recorded=PER_STEP,
+    carries='wing-camera frame, 200 x 360 rgb8',
+)
+CAMERA_INFO = Topic(
+    name='camera/camera_info', type_name='sensor_msgs/msg/CameraInfo', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_STEP,
+    carries='intrinsics that agree with the pixels',
+)
+ODOMETRY = Topic(
+    name='ground_truth/odom', type_name='nav_msgs/msg/Odometry', quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(MTL_MONITOR,), recorded=PER_STEP,
+    carries='true pose in map and velocity in base_link',
+)
+TRUTH = Topic(
+    name='ground_truth/tracking_error', type_name='taxinet_msgs/msg/TrackingError',
+    quality=LOCKSTEP,
+    publishers=(SIMULATOR,), subscribers=(PERCEPTION, MTL_MONITOR), recorded=PER_STEP,
+    carries='true cross-track and heading error; only a ground-truth perception reads it',
+)
+ESTIMATE = Topic(
+    name='perception/tracking_error', type_name='taxinet_msgs/msg/TrackingError',
+    quality=LOCKSTEP,
+    publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
+    recorded=PER_STEP,
+    carries="the perception's estimate for the frame that it names",
+)
+COMMAND = Topic(
+    name='taxi_command', type_name='taxinet_msgs/msg/TaxiCommand', quality=LOCKSTEP,
+    publishers=(STEERING_CONTROLLER,), subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
+    carries='steering angle and speed for the frame that it names',
+)
+ROBUSTNESS = Topic(
+    name='monitor/robustness', type_name='taxinet_msgs/msg/Robustness', quality=LOCKSTEP,
+    publishers=(MTL_MONITOR,), subscribers=(), recorded=PER_SPEC,
+    carries='robust satisfaction interval of one formula so far',
+)
+VERDICT = Topic(
+    name='monitor/verdict', type_name='taxinet_msgs/msg/Verdict', quality=LATCHED,
+    publishers=(MTL_MONITOR,), subscribers=(SIMULATOR,), recorded=PER_RUN,
+    carries='judgement of the whole run',
+)
+PROGRESS = Topic(
+    name='lockstep/progress', type_name='taxinet_msgs/msg/NodeStatus', quality=LOCKSTEP,
+    publishers=FOLLOWERS, subscribers=(SIMULATOR,), recorded=None,
+    carries='how far monitor and recorder have come',
+)
+RUN_STATUS = Topic(
+    name='run_status', type_name='taxinet_msgs/msg/RunStatus', quality=LATCHED,
+    publishers=(SIMULATOR,), subscribers=(RECORDER,), recorded=PER_RUN,
+    carries='preparing, running, or how the run ended',
+)
+TIMING = Topic(
+    name='timing', type_name='taxinet_msgs/msg/Timing', quality=LATCHED,
+    publishers=(SIMULATOR,), subscribers=FOLLOWERS, recorded=None,
+    carries='of a free run alone: which frames have no answer, and how it went',
+)
+OBITUARY = Topic(
+    name='obituary', type_name='taxinet_msgs/msg/NodeStatus', quality=LATCHED,
+    publishers=(SCENARIO_SAMPLER, SUPERVISOR), subscribers=(SIMULATOR, RECORDER), recorded=None,
+    carries='a node that is dead (DIED) or a simulator that is silent (ERROR)',
+)
+"""What is said of nodes by those who look after them; it ends a run, and gives it no verdict.
+
+So anybody may speak here, where on each of :data:`TOPICS` only the nodes of the run may.
+"""
+TOPICS = (
+    SCENARIO, NODE_STATUS, CLOCK, IMAGE, CAMERA_INFO, ODOMETRY, TRUTH, ESTIMATE, COMMAND,
+    ROBUSTNESS, VERDICT, PROGRESS, TIMING, RUN_STATUS,
+)
+TF_STATIC = Topic(
+    name='tf_static', type_name='tf2_msgs/msg/TFMessage', quality=LATCHED,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_RUN,
+    carries='where camera_optical is in base_link',
+)
+TF = Topic(
+    name='tf', type_name='tf2_msgs/msg/TFMessage', quality=TF2,
+    publishers=(SIMULATOR,), subscribers=(), recorded=PER_STEP,
+    carries='where base_link is in map, as odometry says',
+)
+TRANSFORMS = (TF_STATIC, TF)
+"""Where the frames are, for whoever draws them or asks tf2.
+
+By convention anybody may speak here, of frames of his own. So no node of a run goes by them, and
+the recorder does not listen: what a bag has of them is made of its odometry.
+"""
+DIAGNOSTICS = Topic(
+    # Not relative: robots gather all diagnostics there, and names tell whose they are.
+    name='/diagnostics', type_name='diagnostic_msgs/msg/DiagnosticArray', quality=LOCKSTEP,
+    publishers=(SIMULATOR, *PARTICIPANTS), subscribers=(), recorded=None,
+    carries='how each node is doing, by the wall clock; anybody may speak here',
+)
+SCENE_RUNWAY = Topic(
+    name='scene/runway', type_name='visualization_msgs/msg/MarkerArray', quality=LATCHED,
+    publishers=(SCENE_MARKERS,), subscribers=(), recorded=None,
+    carries='pavement, crossing and paint, in map',
+)
+SCENE_AIRCRAFT = Topic(
+    name='scene/aircraft', type_name='visualization_msgs/msg/MarkerArray', quality=LOCKSTEP,
+    publishers=(SCENE_MARKERS,), subscribers=(), recorded=None,
+    carries='the aircraft and its path so far, in map',
+)
+SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
+"""What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
+EVERY_TOPIC = (*TOPICS, *TRANSFORMS, OBITUARY, DIAGNOSTICS, *SCENE)
