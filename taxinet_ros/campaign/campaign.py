@@ -21,7 +21,7 @@ from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_dura
 from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import timing_words
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -130,7 +130,7 @@ class Campaign:
         self.book.keep(row)
 
 
-def exit_code(rows: list[RunRow]) -> int:
+def exit_code(rows: list[RunRow]) -> ExitCode:
     """The exit code that a campaign's rows ask for.
 
     Returns:
@@ -141,12 +141,12 @@ def exit_code(rows: list[RunRow]) -> int:
     """
     outcomes = {row.outcome for row in rows}
     if Outcome.INTERRUPTED in outcomes:
-        return 130
+        return ExitCode.INTERRUPTED
     if Outcome.INFRA_ERROR in outcomes:
-        return 4
+        return ExitCode.INFRA
     if Outcome.FAIL in outcomes:
-        return 1
+        return ExitCode.VIOLATED
     if Outcome.PASS not in outcomes:
         why = f'; the first: {rows[0].detail}' if rows else ''
         raise UsageError(f'no run could be judged: every scene was rejected{why}')
-    return 0
+    return ExitCode.OK

@@ -19,20 +19,26 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judge import SpecCheck, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
-from taxinet_ros.core.mtl import SIGNALS, Assumptions, parse_assumptions, parse_formula, parse_spec
+from taxinet_ros.core.mtl import (
+    SHIPPED,
+    SIGNALS,
+    Assumptions,
+    parse_assumptions,
+    parse_formula,
+    parse_spec,
+)
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
-from taxinet_ros.files.plain_values import read_yaml
+from taxinet_ros.files.plain_values import Section, read_yaml
 
 SUFFIXES = ('.yaml', '.yml')
 _KEYS = ('predicates', 'specs')
@@ -56,7 +62,11 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
             texts += _read(Path(word.strip()), predicates)
         else:
             spec = parse_spec(word, predicates)
-            texts.append(_written_out('--spec', spec.name, spec.text) if predicates else word)
+            # What a package calls by a name is to be read where it is not installed, too.
+            elsewhere = spec.name == word.strip() not in SHIPPED
+            texts.append(
+                _written_out('--spec', spec.name, spec.text) if predicates or elsewhere else word
+            )
     names = [parse_spec(text).name for text in texts]
     for name in names:
         if names.count(name) > 1:
@@ -68,27 +78,28 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
 
 def _read(path: Path, predicates: dict[str, str]) -> list[str]:
     """Texts of a file's formulas; its predicates are added to ``predicates``."""
-    content = _mapping(path, '', read_yaml(path, option='--spec', mend=_BRACKETS))
-    for key in content:
-        if key not in _KEYS:
-            raise UsageError(f'{path}: unknown key {key!r}; known: {", ".join(_KEYS)}')
-    for name, text in _mapping(path, 'predicates', content.get('predicates')).items():
+    top = Section(path, read_yaml(path, option='--spec', mend=_BRACKETS), _KEYS)
+    given = top.section('predicates', optional=True)
+    for name in given:
         if name in predicates:
-            raise UsageError(f'{path}: predicates.{name}: there is one by that name already')
+            raise given.wrong('there is one by that name already', name)
         where = f'{path}: predicates.{name}'
-        formula = parse(_text(where, text), SIGNALS, predicates, where)
+        formula = parse(given.text(name, kind='a formula'), SIGNALS, predicates, where)
         _check_name(where, name)
         predicates[name] = str(formula)
-    specs = _mapping(path, 'specs', content.get('specs'))
-    if not specs and not predicates:
+    specs = top.section('specs', optional=True)
+    texts = [
+        _spec_text(f'{path}: specs.{name}', name, specs.text(name, kind='a formula'), predicates)
+        for name in specs
+    ]
+    if not texts and not predicates:
         raise UsageError(f'{path}: holds no formula; write specs: {{NAME: FORMULA}}')
-    return [_spec_text(f'{path}: specs.{name}', name, text, predicates)
-            for name, text in specs.items()]
+    return texts
 
 
-def _spec_text(where: str, name: str, text: object, predicates: Mapping[str, str]) -> str:
+def _spec_text(where: str, name: str, text: str, predicates: Mapping[str, str]) -> str:
     # Parsed by itself first, for an error message whose column is that in the file's text.
-    return _written_out(where, name, str(parse(_text(where, text), SIGNALS, predicates, where)))
+    return _written_out(where, name, str(parse(text, SIGNALS, predicates, where)))
 
 
 def _written_out(where: str, name: str, formula: str) -> str:
@@ -107,21 +118,6 @@ def _check_name(where: str, name: str) -> None:
         raise UsageError(
             f'{where}: choose another name: letters, digits and _, and no signal or operator'
         ) from None
-
-
-def _mapping(path: Path, key: str, value: object) -> dict[str, Any]:
-    if value is None and key:
-        return {}
-    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
-        where = f'{path}: {key}' if key else f'{path}'
-        raise UsageError(f'{where}: expected names with a formula each, NAME: FORMULA')
-    return value
-
-
-def _text(where: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise UsageError(f"{where}: expected a formula, got {value!r:.60}; put it in '…' quotes")
-    return value
 
 
 DEFAULT_SPECS = ('phi_eventually',)

@@ -13,7 +13,6 @@ import dataclasses
 import json
 import os
 import select
-import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -27,7 +26,10 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
+from taxinet_ros.processes.child import (
+    ChildProcess,
+    open_pipe,
+)
 
 
 def encode_line(message: Mapping[str, Any]) -> bytes:
@@ -107,25 +109,19 @@ class WorkerProcess:
         """Start it.
 
         Args:
-            command: arguments; ``--parent=<pid>`` and ``--answers=<descriptor>`` are added.
+            command: arguments; ``--answers=<descriptor>`` is added.
             log: file that takes, at its end, what the process prints.
         """
         self.request: RunRequest | None = None
         self.seq = -1
         self.silent_since = time.monotonic()
-        self._log = log
         self._unread = b''
-        fill_standard_descriptors()
-        self.answers, answers_write = os.pipe()
-        own = [f'--parent={os.getpid()}', f'--answers={answers_write}']
+        self.answers, answers_write = open_pipe()
         try:
-            with log.open('ab') as printed:
-                self._process = subprocess.Popen(
-                    [*command, *own], stdin=subprocess.PIPE, stdout=printed,
-                    stderr=subprocess.STDOUT, pass_fds=(answers_write,), env=child_environment(),
-                    # Ctrl-C in the terminal is for the campaign, which then ends its workers.
-                    start_new_session=True,
-                )
+            self._child = ChildProcess(
+                'worker', [*command, f'--answers={answers_write}'], log=log,
+                stdin=subprocess.PIPE, descriptors=(answers_write,), killed_with_parent=True,
+            )
         except BaseException:
             os.close(self.answers)
             raise
@@ -135,12 +131,12 @@ class WorkerProcess:
     @property
     def pid(self) -> int:
         """Number of the process."""
-        return self._process.pid
+        return self._child.pid
 
     @property
     def alive(self) -> bool:
         """Whether it is still there."""
-        return self._process.poll() is None
+        return not self._child.dead
 
     def give(self, request: RunRequest) -> None:
         """Have it run something; if it is dead, its answers' end says so."""
@@ -166,41 +162,33 @@ class WorkerProcess:
                 self.seq, self.silent_since = message['seq'], time.monotonic()
         return messages
 
-    def bury(self, kind: str, detail: str = '') -> RunResult:
+    def end_broken_run(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
-        return RunResult.infra_error(kind, 'worker', detail or self._how_it_died(), self.seq)
+        return RunResult.infra_error(
+            kind, 'worker', detail or self._child.how_it_ended(), self.seq
+        )
 
-    def hang_up(self) -> None:
+    def close_input(self) -> None:
         """Tell it that there is no more to do."""
         with contextlib.suppress(BrokenPipeError):
-            assert self._process.stdin is not None
-            self._process.stdin.close()
+            assert self._child.process.stdin is not None
+            self._child.process.stdin.close()
 
     def end(self, grace_s: float = _GRACE_S) -> None:
         """Wait for it to leave, at most ``grace_s``, then kill it."""
-        self.hang_up()
-        try:
-            self._process.wait(grace_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self.close_input()
+        self._child.wait(grace_s)
+        self._child.end(())
         if self.answers >= 0:
             os.close(self.answers)
         self.answers = -1
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        assert self._process.stdin is not None
+        assert self._child.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write(encode_line(message))
-            self._process.stdin.flush()
-
-    def _how_it_died(self) -> str:
-        code = self._process.returncode
-        if code < 0:
-            return f'killed by {signal.Signals(-code).name}'
-        lines = self._log.read_text(errors='replace').strip().splitlines()
-        return f'exit code {code}' + (f': {lines[-1]}' if lines and code > 0 else '')
+            self._child.process.stdin.write(encode_line(message))
+            self._child.process.stdin.flush()
 
 
 SILENCE_S = 120.0
@@ -227,7 +215,7 @@ class WorkerPool:
         """Nothing is started before the first :meth:`give`.
 
         Args:
-            command: what starts a worker, see :class:`.worker_process.WorkerProcess`.
+            command: what starts a worker, see :class:`WorkerProcess`.
             size: most workers.
             logs: folder for what they print.
             silence_s: how long a run may get nowhere [s of wall clock].
@@ -258,7 +246,7 @@ class WorkerPool:
     ) -> None:
         """End them all: the idle ones in order, those at work at once."""
         for worker in self.workers:
-            worker.hang_up()
+            worker.close_input()
         for worker in self.workers:
             if worker.request is None:
                 worker.end()
@@ -342,7 +330,7 @@ class WorkerPool:
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request
         assert request is not None
-        result = worker.bury(kind, detail)
+        result = worker.end_broken_run(kind, detail)
         self.workers.remove(worker)
         if self.interrupted:
             result = RunResult(outcome=Outcome.INTERRUPTED, last_seq=worker.seq)
@@ -366,18 +354,18 @@ class RunSource(Protocol):
         """Take the answer to a run."""
 
 
-def run_search(search: RunSource, crew: WorkerPool) -> None:
+def run_search(search: RunSource, pool: WorkerPool) -> None:
     """Run a search to its end, or until it is interrupted and the runs under way have ended.
 
     Raises:
         UsageError: program or perception failed in a way that the user has to mend.
     """
     while True:
-        if search.interrupted and not crew.interrupted:
-            crew.interrupt()
-        while crew.free and (request := search.next()) is not None:
-            crew.give(request)
-        if not crew.busy:
+        if search.interrupted and not pool.interrupted:
+            pool.interrupt()
+        while pool.free and (request := search.next()) is not None:
+            pool.give(request)
+        if not pool.busy:
             return
-        for request, result in crew.answers(_POLL_S):
+        for request, result in pool.answers(_POLL_S):
             search.take(request, result)

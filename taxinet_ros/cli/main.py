@@ -11,6 +11,7 @@ import contextlib
 import errno
 import importlib
 import os
+import resource
 import signal
 import sys
 import tempfile
@@ -53,10 +54,9 @@ from taxinet_ros.cli.streams import (
 )
 from taxinet_ros.cli.study.commands import case_study, improve
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
-from taxinet_ros.errors import InfraError, RecordError, UsageError, plain_line
+from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
-    INTERRUPTED,
     interrupted_exit_code,
     lost_interrupts_resent,
     raise_interrupt,
@@ -89,8 +89,8 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
-USAGE, INFRA = 2, 4
-UNREAD = 128 + signal.SIGPIPE
+_FILES_OF_A_NODE = 12
+"""What a node opens at once, about: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: nobody reads it any more'
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
@@ -208,7 +208,7 @@ def node(
     try:
         start_node(name, context.args)
     except SystemExit as end:  # as every node ends
-        raise typer.Exit(end.code if isinstance(end.code, int) else INFRA) from None
+        raise typer.Exit(end.code if isinstance(end.code, int) else ExitCode.INFRA) from None
 
 
 @app.callback(invoke_without_command=True)
@@ -227,7 +227,7 @@ def main() -> None:
     """Entry point of ``taxinet``."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, raise_interrupt)
-    code = INTERRUPTED
+    code: int = ExitCode.INTERRUPTED
     with (
         contextlib.suppress(KeyboardInterrupt),
         lost_interrupts_resent(),
@@ -255,9 +255,10 @@ def _delivered(code: int) -> int:
     try:
         flush_output()
     except OutputUnreadError:
-        return code if code == UNREAD else _complain(_NOBODY_READS, UNREAD)
+        return code if code == ExitCode.UNREAD else _complain(_NOBODY_READS, ExitCode.UNREAD)
     except OSError as error:
-        return code if code == INFRA else _complain(f'output: {disk_words(error)}', INFRA)
+        if code != ExitCode.INFRA:
+            return _complain(f'output: {disk_words(error)}', ExitCode.INFRA)
     return code
 
 
@@ -286,23 +287,23 @@ def _exit_code(command: Callable[[], object]) -> int:
         code = command()
     except TyperException as error:
         text = getattr(error, 'format_message', error.__str__)()
-        return _complain(f'{text.rstrip(".")}; see taxinet --help', USAGE)
+        return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
     except UsageError as error:
-        return _complain(str(error), USAGE)
+        return _complain(str(error), ExitCode.USAGE)
     except (KeyboardInterrupt, typer.Abort):
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     except (InfraError, RecordError, BagError) as error:
-        return _complain(str(error), INFRA)
+        return _complain(str(error), ExitCode.INFRA)
     except OutputUnreadError:
-        return _complain(_NOBODY_READS, UNREAD)
+        return _complain(_NOBODY_READS, ExitCode.UNREAD)
     except OSError as error:
-        code = USAGE if error.errno in _PATH_ERRORS else INFRA
+        code = ExitCode.USAGE if error.errno in _PATH_ERRORS else ExitCode.INFRA
         return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
     except MemoryError:
-        return _complain('out of memory', INFRA)
+        return _complain('out of memory', ExitCode.INFRA)
     except BaseException as error:  # to be at its end without a result is nobody's success
-        return _complain(_unforeseen(error), INFRA)
-    return code if isinstance(code, int) else 0
+        return _complain(_unforeseen(error), ExitCode.INFRA)
+    return code if isinstance(code, int) else ExitCode.OK
 
 
 def _unforeseen(error: BaseException) -> str:
@@ -311,12 +312,31 @@ def _unforeseen(error: BaseException) -> str:
         traceback.print_exception(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
-    ours = isinstance(error, Exception)  # else it is SystemExit, as out of somebody's handler
-    what = 'this is a defect of taxinet' if ours else 'it ended what was at hand'
+    if scarce := _scarce_files():
+        what = scarce
+    elif isinstance(error, Exception):
+        what = 'this is a defect of taxinet'
+    else:  # it is SystemExit, as out of somebody's handler
+        what = 'it ended what was at hand'
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(TAXINET_TRACEBACK=1 shows where it comes from)'
     )
+
+
+def _scarce_files() -> str:
+    """What there is to say where there are hardly any files left to open; else ''.
+
+    ROS tells no reason where it has none for its sockets.
+    """
+    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    try:
+        in_use = len(os.listdir('/proc/self/fd'))
+    except OSError as error:
+        in_use = allowed if error.errno in (errno.EMFILE, errno.ENFILE) else 0
+    if in_use + _FILES_OF_A_NODE <= allowed:
+        return ''
+    return f'too many open files: ulimit -n is {allowed}, and {in_use} are open; raise it'
 
 
 def _complain(line: str, code: int) -> int:

@@ -203,7 +203,7 @@ class _Maker:
         bags = self.folder / way / word
         options = kind(perception=PERCEPTIONS[word], out=bags, images=images)
         graph = self._stack.enter_context(start(options))
-        pids = [child.process.pid for child in getattr(graph, 'children', ())]
+        pids = [child.pid for child in getattr(graph, 'children', ())]
         known = options.nodes()
         there = [name for name in interface.PARTICIPANTS if name in known]
         standing = self._stack.enter_context(StandingGraph(graph, there, bags))

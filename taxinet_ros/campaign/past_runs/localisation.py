@@ -11,10 +11,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -54,10 +52,10 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
-from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+from taxinet_ros.processes.pool import process_pool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,32 +149,22 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
         InfraError: a worker process died.
     """
     waiting = iter(tasks)
-    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of onnxruntime
-    with ProcessPoolExecutor(workers, context, _start_worker, (bench,)) as pool:
+    with process_pool(workers, 'trial worker', _start_worker, bench) as pool:
         under_way: set[Future[Trial]] = set()
-        try:
-            while True:
-                # One more than there are workers, so that none waits for us.
-                for task in itertools.islice(waiting, workers + 1 - len(under_way)):
-                    with interrupts_blocked():
-                        under_way.add(pool.submit(_trial, task))
-                if not under_way:
-                    return
-                done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-                yield from (future.result() for future in done)
-        except BrokenProcessPool as error:
-            raise InfraError(
-                InfraKind.DIED, 'trial worker', -1, 'see the messages above'
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+        while True:
+            # One more than there are workers, so that none waits for us.
+            for task in itertools.islice(waiting, workers + 1 - len(under_way)):
+                under_way.add(pool.submit(_trial, task))
+            if not under_way:
+                return
+            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            yield from (future.result() for future in done)
 
 _worker: list[tuple[TrialSetup, Perception, Controller]] = []
 """In a worker process: what it was started with, its network, and what steers."""
 
 
 def _start_worker(bench: TrialSetup) -> None:
-    end_with_parent()
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
     controller = make_controller(bench.controller, SteeringGains(**bench.gains))
@@ -329,7 +317,7 @@ def localize(
             timing=options.campaign.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
-            _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
+            _append(journal, {'event': 'trial', 'trial': trial.to_json()})
             kept[trial.run_id, trial.word] = trial
             on_trial(len(kept))
         return kept
@@ -457,12 +445,9 @@ def _begin_sitting(
 ) -> None:
     """Put down what the trials from here on are about, and what they are made on."""
     made_on = dict(provenance())
-    _append(options, journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
+    _append(journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
 
 
-def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:
-    try:
-        journal.append(event)
-        journal.sync()
-    except OSError as error:
-        raise disk_error(options.out / TRIALS_NAME, error) from error
+def _append(journal: Journal, event: Mapping[str, Any]) -> None:
+    journal.append(event)
+    journal.sync()

@@ -41,7 +41,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.files.atomic import disk_words, draft_path
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -109,7 +109,7 @@ def rename_broken(folder: Path) -> None:
     folder.rename(aside)
 
 
-_NOT_OF_A_RUN = frozenset({FACTS_NAME, f'{FACTS_NAME}.tmp', LEDGER_NAME, 'logs'})
+_NOT_OF_A_RUN = frozenset({FACTS_NAME, draft_path(Path(FACTS_NAME)).name, LEDGER_NAME, 'logs'})
 """What may lie in a campaign's folder before its first run."""
 
 

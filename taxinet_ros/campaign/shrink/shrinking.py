@@ -83,9 +83,9 @@ class Shrinking:
         Raises:
             UsageError: the folder cannot be used, or what it holds is something else.
         """
+        facts = self._facts()
         with contextlib.ExitStack() as opened:
             opened.enter_context(self.book)
-            facts = self._facts()
             before = read_same_campaign(self._campaign.out, facts)
             self._take_up(before)
             self.book.begin(facts, before)

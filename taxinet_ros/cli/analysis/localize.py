@@ -19,6 +19,7 @@ from taxinet_ros.analysis.fault_localisation import (
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
+from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -62,7 +63,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     if unfinished:
         left = options.wanted - len(trials)
         console.print(f'interrupted, {left} trials left; the same command goes on', soft_wrap=True)
-    return 130 if unfinished else 0
+    return ExitCode.INTERRUPTED if unfinished else ExitCode.OK
 
 
 def _heading(options: LocalizeOptions) -> str:

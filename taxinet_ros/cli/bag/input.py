@@ -17,31 +17,28 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
-from taxinet_ros.core.perception.perception import PERCEPTION, check_perception
+from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
-from taxinet_ros.errors import UsageError
-
-WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 2, 3, 4
-"""Exit codes. 1 is kept for verdicts and for recordings that differ."""
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.registry import CONTROLLERS, names
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
     """Do ``work`` on ``bag``; a typed error becomes one line and an exit code.
 
     Returns:
-        What ``work`` returned; or, after an error, :data:`LOSSY` where some of the bag could be
-        saved, :data:`UNREADABLE` where none could, :data:`NO_ROOM` where something could not be
-        written.
+        What ``work`` returned; or, after an error, INCOMPLETE where some of the bag could be saved,
+        USAGE where none could, INFRA where something could not be written.
     """
     try:
         return work()
     except BagWriteError as error:
-        return _complain(str(error), NO_ROOM)
+        return _complain(str(error), ExitCode.INFRA)
     except (BagTruncated, BagCorrupt) as error:
         save = f'save what is sound: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
-        return _complain(f'{error}; {save}', LOSSY)
+        return _complain(f'{error}; {save}', ExitCode.INCOMPLETE)
     except BagError as error:
-        return _complain(str(error), UNREADABLE)
+        return _complain(str(error), ExitCode.USAGE)
 
 
 def _complain(text: str, code: int) -> int:
@@ -128,7 +125,7 @@ def perception_of(
         UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
     """
     word = asked or run.perception
-    if not asked and word not in PERCEPTION:
+    if not asked and word not in perception_names():
         of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
         kind = f'{word!r}{of}, not one of ours' if word else 'not told'
         raise UsageError(
@@ -151,6 +148,9 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
     if asked:
         check_controller(asked, graph=graph)
         return asked
+    if run.controller in names(CONTROLLERS):
+        check_controller(run.controller, graph=graph)
+        return run.controller
     if run.controller:
         of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''
         raise UsageError(

@@ -25,7 +25,6 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.experiment import (
     JSON_NAME,
@@ -57,7 +56,8 @@ from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_word
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.runner import campaign_graph
 from taxinet_ros.nodes.graph.worker import worker_command
@@ -145,7 +145,7 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if search.interrupted and len(search.rows) < options.campaign.runs:
-        return 130
+        return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 
@@ -177,7 +177,6 @@ def _run_on_workers(search: Search | Shrinking) -> None:
         run_search(search, pool)
 
 
-INTERRUPTED, BROKEN = 130, 4
 
 
 def run_experiment(
@@ -203,16 +202,17 @@ def run_experiment(
         search = _run_arm(options, console, first=number == 1)
         if search.interrupted and len(search.rows) < options.campaign.runs:
             console.print('interrupted; --resume goes on')
-            return INTERRUPTED
+            return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
             console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
-            return BROKEN
+            return ExitCode.INFRA
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
     known = [row for arm in rows.values() for row in arm]
     with print_rows_if_lost(console, known, shown=True):
         _report(experiment, rows, out, console, as_json=as_json)
-    return BROKEN if any(row.outcome is Outcome.INFRA_ERROR for row in known) else 0
+    broken = any(row.outcome is Outcome.INFRA_ERROR for row in known)
+    return ExitCode.INFRA if broken else ExitCode.OK
 
 
 def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
@@ -246,7 +246,7 @@ def _report(
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
-    write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(pairs, lambda draft: frame.to_parquet(draft, index=False))
     # Two arms that change places would be sound campaigns, each with the other's name.
     write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [
@@ -294,7 +294,7 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
     _check_reproduced(options, found)
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
-    return 130 if found.state.end is End.NOT_YET else 0
+    return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:

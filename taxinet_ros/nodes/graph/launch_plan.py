@@ -27,7 +27,7 @@ from taxinet_ros.core.user_code import (
     names_user_code,
     node_command,
 )
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
 
@@ -58,17 +58,20 @@ ARGUMENTS = {
 }
 """Default and description of every launch argument."""
 
+_EITHER = (
+    ('perception', 'perception_cmd'), ('controller', 'controller_cmd'), ('scenario', 'program'),
+)
+
 RENAMED = {'weights': 'perception'}
 """Arguments of older launch files, with the one that takes their value now."""
 
 CLOCK_REMAP = ('/clock', 'clock')
 """Puts the clock into the node's namespace, where it has one."""
 
-NOT_STARTED = (2, 127)
+NOT_STARTED = (ExitCode.USAGE, 127)
 """Exit codes of a node that does not take what it was given, or of a command that is none."""
 
 _OF_LAUNCH = ('launch-prefix', 'launch-prefix-filter')
-_BROKEN = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +98,12 @@ def check_names(given: Sequence[str]) -> None:
         given: ``NAME:=VALUE`` each.
 
     Raises:
-        UsageError: names the first that is none, and the nearest that is.
+        UsageError: names the first that is none, and the nearest that is; or two that say the same.
     """
+    typed = {name: value for name, _, value in (text.partition(':=') for text in given) if value}
+    for one, other in _EITHER:
+        if one in typed and other in typed:
+            raise UsageError(_one_of_two(one, other, typed))
     for text in given:
         name = text.partition(':=')[0]
         if name in RENAMED:
@@ -212,10 +219,10 @@ class Ending:
         if self.code is not None or name not in self._names:
             return False
         if name == topics.SCENARIO_SAMPLER:
-            self.code = code if code >= 0 else _BROKEN
+            self.code = code if code >= 0 else ExitCode.INFRA
             self.why = f'the campaign has ended: exit code {code}'
         elif code in NOT_STARTED:
-            self.code = 2
+            self.code = ExitCode.USAGE
             self.why = f'{name} has refused what it was given'
         return self.code is not None
 
@@ -233,11 +240,15 @@ def _word_or_command(words: Mapping[str, str], role: str) -> str:
     """
     word, command = words[role], words[f'{role}_cmd']
     if command and word != ARGUMENTS[role][0]:
-        raise UsageError(f'{role}:={word} and {role}_cmd:={command}: give one of the two')
+        raise UsageError(_one_of_two(role, f'{role}_cmd', words))
     word = f'{COMMAND}{command}' if command else word
     if names_user_code(word):
         find_user_code(word, role)
     return word
+
+
+def _one_of_two(one: str, other: str, words: Mapping[str, str]) -> str:
+    return f'{one}:={words[one]} and {other}:={words[other]}: give one of the two'
 
 
 def _ours(name: str, **parameters: Any) -> NodePlan:
@@ -267,9 +278,7 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
     scenario = words['scenario']
     if words['program']:
         if scenario not in (ARGUMENTS['scenario'][0], words['program']):
-            raise UsageError(
-                f'scenario:={scenario} and program:={words["program"]}: give one of the two'
-            )
+            raise UsageError(_one_of_two('scenario', 'program', words))
         scenario = words['program']
     return {
         'program': scenario,

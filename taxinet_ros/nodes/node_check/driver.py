@@ -39,7 +39,7 @@ from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT
-from taxinet_ros.nodes.graph.node_process import NodeProcess, end_all
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.endpoints import NAMELESS, heard_by
 from taxinet_ros.nodes.messages.convert import header, scenario_message
@@ -221,7 +221,7 @@ class Stage:
     def close(self) -> None:
         """End the node, and take the rest of the graph down."""
         if self._process is not None:
-            end_all([self._process])
+            self._process.end()
         for node in self._nodes.values():
             self._executor.remove_node(node)
             node.destroy_node()
@@ -322,7 +322,7 @@ class Stage:
         if self._process is None:
             return False
         if self._process.dead and not self._record.died:
-            self._record.died = self._process.obituary()
+            self._record.died = self._process.how_it_ended()
             self._record.died_in = self._run.kind if self._run else ''
         return self._process.dead
 
@@ -622,7 +622,7 @@ class Stage:
         if self._process is None:
             return
         with contextlib.suppress(psutil.Error):
-            keeper = psutil.Process(self._process.process.pid)
+            keeper = psutil.Process(self._process.pid)
             nodes = keeper.children(recursive=True) or [keeper]
             self._record.memory_mb.append(sum(one.memory_info().rss for one in nodes) / 1e6)
 
@@ -635,9 +635,9 @@ class Stage:
         process.send(signal.Signals[name])
         self._until(lambda: process.dead, _ENDING_S)
         after_s: float | None = time.monotonic() - begun_s
-        if not process.dead or process.process.returncode == -signal.SIGKILL:
+        if not process.dead or process.code == -signal.SIGKILL:
             after_s = None
-        end_all([process])
+        process.end()
         with self._options.log.open('rb') as log:
             log.seek(max(printed, self._options.log.stat().st_size - _TAIL_BYTES))
             said = log.read(_TAIL_BYTES).decode(errors='replace')

@@ -11,7 +11,7 @@ from typing import Any
 
 from taxinet_ros import __version__
 from taxinet_ros.core.provenance import Provenance, begun_elsewhere, known, provenance
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import JournalOwner, damaged_line, open_journal, read_journal
 
 LOG_NAME = 'stages.jsonl'
@@ -72,8 +72,7 @@ class StageLog(JournalOwner):
         Raises:
             UsageError: another process has it open, or it is damaged.
         """
-        self._path = out / LOG_NAME
-        self._journal = open_journal(self._path, 'taxinet case-study or improve')
+        self._journal = open_journal(out / LOG_NAME, 'taxinet case-study or improve')
         sync_folder(out)
         self.records = read_records(out)
 
@@ -86,11 +85,8 @@ class StageLog(JournalOwner):
         }
         if event == 'begin':
             line['provenance'] = dict(provenance())
-        try:
-            self._journal.append(line)
-            self._journal.sync()
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal.append(line)
+        self._journal.sync()
         self.records.setdefault(stage, StageRecord()).take(line)
 
 

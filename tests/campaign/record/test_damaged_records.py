@@ -36,6 +36,7 @@ from taxinet_ros.campaign.record.table import (
 )
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import draft_path
 from taxinet_ros.files.journal import parse_journal, read_journal
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
@@ -642,10 +643,10 @@ def test_doctor_given_lines_doubled_and_in_another_order_then_all_are_put_right(
 
 def test_doctor_given_what_killed_processes_leave_then_it_is_named(campaign, taxinet):
     bag = campaign / read_table(campaign)['bag'][0]
-    (bag / f'{METADATA_FILE}.tmp').write_text('rosbag2_')
+    draft_path(bag / METADATA_FILE).write_text('rosbag2_')
     code, out, _ = taxinet('doctor', campaign)
     assert code == 3
-    assert f'{bag / METADATA_FILE}.tmp: left by a process that was killed' in out
+    assert f'{draft_path(bag / METADATA_FILE)}: left by a process that was killed' in out
     under_way(campaign)
     said = json.loads(taxinet('doctor', campaign, '--json')[1])
     assert not said['sound']
