@@ -5,6 +5,7 @@ Names and versions that ROS 2 tools read stand in package.xml; here they are onl
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,9 @@ from setuptools import Distribution, find_packages, setup
 
 NAME = 'taxinet_ros'
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from taxinet_ros.registry import SHIPPED  # noqa: E402 (a build does not look for us here itself)
 
 # Third-party libraries at work in taxinet_ros/; constraints.txt holds the tested versions. Optuna
 # asks for cmaes itself only as an extra, and is twice as fast with greenlet.
@@ -160,6 +164,10 @@ setup(
     python_requires='>=3.11,<3.14',
     install_requires=REQUIREMENTS,
     extras_require=EXTRAS,
+    entry_points={
+        f'{NAME}.{kind}': [f'{name} = {target}' for name, target in targets.items()]
+        for kind, targets in SHIPPED.items()
+    },
     scripts=['scripts/taxinet'],
     zip_safe=False,
 )

@@ -13,7 +13,7 @@ from taxinet_ros.bag.reader import StoredMessage, read_attachment, read_info, st
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.writer import RUN_METADATA, BagWriter
 from taxinet_ros.core.types import TaxiCommand, quaternion
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 
 GOLDEN = Path(__file__).parents[1] / 'bags' / 'golden'
 SEEN = GOLDEN / 'taxinet-broken-clouds'
@@ -26,7 +26,7 @@ PERIOD_NS = 100_000_000
 def driven_here(folder: Path) -> Path:
     """The first steps of the golden run as this machine drives them, which rounds as it does."""
     commands = open_recording(SEEN).columns
-    world = World(open_recording(SEEN).run.request.scenario, pictures=False)
+    world = SimulatedWorld(open_recording(SEEN).run.request.scenario, pictures=False)
     states = []
     for seq in range(STEPS):
         states.append(world.observe().state)

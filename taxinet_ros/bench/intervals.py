@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from taxinet_ros import registry
 from taxinet_ros.analysis.gate import bounds
 from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.campaign.rates import ProgramRate
@@ -116,7 +117,8 @@ def measure_intervals(
     words = list(dict.fromkeys(samplers)) or list(_USUAL)
     for word in words:
         if word not in SAMPLERS:
-            raise UsageError(f'sampler {word!r} is unknown; known: {", ".join(SAMPLERS)}')
+            raise UsageError(f'sampler {word!r} is unknown; known: '
+                             f'{registry.known(registry.SAMPLERS)}')
     if repeats < 1:
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
     cases = list(product(words, rates))

@@ -18,6 +18,7 @@ from itertools import product
 from statistics import fmean
 from typing import Any
 
+from taxinet_ros import registry
 from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG
@@ -279,7 +280,7 @@ def measure_searches(
     """
     for word in words:
         if word not in SAMPLERS and word not in LANDSCAPES:
-            known = ', '.join((*SAMPLERS, *LANDSCAPES))
+            known = registry.known(registry.SAMPLERS, *LANDSCAPES)
             raise UsageError(f'bench: sampler or landscape {word!r} is unknown; known: {known}')
     if repeats < 1:
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')

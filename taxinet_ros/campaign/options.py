@@ -24,7 +24,14 @@ from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_valu
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judge import SpecCheck, check_specs
 from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
-from taxinet_ros.core.mtl import SIGNALS, Assumptions, parse_assumptions, parse_formula, parse_spec
+from taxinet_ros.core.mtl import (
+    SHIPPED,
+    SIGNALS,
+    Assumptions,
+    parse_assumptions,
+    parse_formula,
+    parse_spec,
+)
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
@@ -55,7 +62,11 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
             texts += _read(Path(word.strip()), predicates)
         else:
             spec = parse_spec(word, predicates)
-            texts.append(_written_out('--spec', spec.name, spec.text) if predicates else word)
+            # What a package calls by a name is to be read where it is not installed, too.
+            elsewhere = spec.name == word.strip() not in SHIPPED
+            texts.append(
+                _written_out('--spec', spec.name, spec.text) if predicates or elsewhere else word
+            )
     names = [parse_spec(text).name for text in texts]
     for name in names:
         if names.count(name) > 1:
@@ -140,6 +151,7 @@ class CampaignOptions:
             so campaigns that differ in them only have otherwise equal scenes.
         timing: when answers take effect.
         arms: of an arm of an experiment: the folders of all arms beside each other, in order.
+        bags: whether its runs leave bags; those of closed loops without a graph do not.
     """
 
     program: str
@@ -156,6 +168,7 @@ class CampaignOptions:
     controller: str = STEERING
     timing: Timing = AT_ONCE
     arms: tuple[str, ...] = ()
+    bags: bool = True
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.

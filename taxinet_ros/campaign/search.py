@@ -17,8 +17,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.book import CampaignBook
-from taxinet_ros.campaign.record.facts import campaign_facts
+from taxinet_ros.campaign.record.book import (
+    CampaignBook,
+)
+from taxinet_ros.campaign.record.facts import (
+    campaign_facts,
+    extension_facts,
+)
 from taxinet_ros.campaign.record.resumption import (
     EarlierRuns,
     facts_of_graph,
@@ -300,8 +305,10 @@ class Search:
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign
         word = campaign.perception
+        facts = campaign_facts(campaign, self._source.program)
         return {
-            **campaign_facts(campaign, self._source.program),
+            **facts,
+            **extension_facts(facts, samplers=self.options.sampler),
             'first_runs': campaign.runs,
             'warnings': list(self.check.warnings),
             'perception_sha256': (

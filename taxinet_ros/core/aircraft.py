@@ -10,7 +10,8 @@ from pathlib import Path
 
 import jsbsim
 
-from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, kmwh_04
+from taxinet_ros.core.place.runway import KMWH_04, Runway
+from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind
@@ -130,6 +131,7 @@ class AircraftModel:
     it neither drops nor nods.
 
     Attributes:
+        name: of the model's folder, and of the file in it.
         folder: folder of model folders, None for the models that come with JSBSim.
         max_steering_rad: largest nose-wheel angle [rad].
         settled_z_m: centre of gravity above the ground [m].
@@ -137,6 +139,7 @@ class AircraftModel:
         speed_gains: tuning of the speed hold.
     """
 
+    name: str
     folder: Path | None
     max_steering_rad: float
     settled_z_m: float
@@ -146,6 +149,7 @@ class AircraftModel:
 
 MODELS = {
     'caravan': AircraftModel(
+        name='caravan',
         folder=_OWN_MODELS,
         max_steering_rad=math.radians(15.0),
         settled_z_m=1.55011,
@@ -156,6 +160,7 @@ MODELS = {
         ),
     ),
     'c172p': AircraftModel(
+        name='c172p',
         folder=None,
         max_steering_rad=math.radians(10.0),
         settled_z_m=1.32824,
@@ -176,12 +181,17 @@ class Aircraft:
         max_steering_rad: largest nose-wheel angle [rad]; commands are clipped to it.
     """
 
-    def __init__(self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS) -> None:
-        """Load the scenario's model and set it on the runway.
+    def __init__(
+        self, scenario: Scenario, *, period_ns: int = CONTROL_PERIOD_NS,
+        model: AircraftModel | None = None, runway: Runway = KMWH_04,
+    ) -> None:
+        """Load a model and set it on the runway.
 
         Args:
             scenario: start pose and kind of aircraft.
             period_ns: control period [ns], a whole number of physics steps.
+            model: that takes the place of the scenario's.
+            runway: that it is set on.
 
         Raises:
             ValueError: ``period_ns`` is not a positive whole number of physics steps.
@@ -192,11 +202,11 @@ class Aircraft:
             raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
         self._period_s = period_ns / NS_PER_S
         self._step = -1
-        self._frame = kmwh_04()
-        self._model = MODELS[scenario.aircraft]
+        self._frame = runway_frame(runway)
+        self._model = model or MODELS[scenario.aircraft]
         self.max_steering_rad = self._model.max_steering_rad
         self._hold = SpeedHold(self._model.speed_gains)
-        self._fdm = self._load(scenario.aircraft)
+        self._fdm = self._load(self._model.name)
         self._place(scenario)
         self._start_rolling()
         self._step = 0

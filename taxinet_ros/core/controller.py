@@ -7,8 +7,8 @@ nose wheel follows the difference between that heading and the present one.
 
 The exchangeable controllers: an estimate of the tracking error in, a taxi command out.
 
-One word chooses: ``steering``, the handwritten law with its gains, or a function in a Python file
-(``FILE.py:NAME``).
+One word chooses: ``steering``, the handwritten law with its gains, what an installed package adds
+(:mod:`taxinet_ros.registry`), or a function in a Python file (``FILE.py:NAME``).
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from taxinet_ros.core.user_code import (
     RunCode,
     UserCode,
     command_of,
+    find_plugin_code,
     find_user_code,
     is_node_elsewhere,
     names_user_code,
     pair_of_numbers,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import CONTROLLERS, find, known
 
 STOP = TaxiCommand(steering_rad=0.0, speed_mps=0.0)
 """The fail-safe: nose wheel straight, brakes on until standstill."""
@@ -141,9 +143,12 @@ class Controller(Protocol):
     """Answers one estimate per control step.
 
     Attributes:
-        fingerprint: SHA-256 of the Python file with those that it lists; empty for the law.
+        word: :data:`STEERING`, the name that a package gave it, or ``python`` for a file.
+        fingerprint: SHA-256 of the Python file with those that it lists, or of the package; empty
+            for the law.
     """
 
+    word: str
     fingerprint: str
 
     def begin(self) -> None:
@@ -162,6 +167,7 @@ class Controller(Protocol):
 class SteeringLaw(Controller):
     """The handwritten law of :mod:`taxinet_ros.core.controller`, which has no memory."""
 
+    word = STEERING
     fingerprint = ''
 
     def __init__(self, gains: SteeringGains) -> None:
@@ -186,6 +192,7 @@ class UserController(Controller):
         Raises:
             UsageError: the file's code fails.
         """
+        self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
 
@@ -209,17 +216,14 @@ def make_controller(word: str, gains: SteeringGains) -> Controller:
     """The controller of a word.
 
     Args:
-        word: :data:`STEERING` or ``FILE.py:NAME``.
+        word: :data:`STEERING`, a name that a package adds, or ``FILE.py:NAME``.
         gains: of the law.
 
     Raises:
-        UsageError: unknown word, or a file that cannot be used.
+        UsageError: unknown word, or what cannot be used.
     """
-    if word == STEERING:
-        return SteeringLaw(gains)
-    if names_user_code(word):
-        return UserController(find_user_code(word, 'controller'))
-    raise _unknown(word)
+    code = _code(word)
+    return SteeringLaw(gains) if code is None else UserController(code)
 
 
 def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool = False) -> str:
@@ -238,26 +242,36 @@ def check_controller(word: str, gains: Mapping[str, float] = {}, *, graph: bool 
     """
     if word == STEERING:
         SteeringGains(**gains)
-        return SteeringLaw.fingerprint
-    if gains:
+    elif gains:
         raise UsageError(
             f'--set steering.{min(gains)}: a gain of the steering law, which --controller {word} '
             'takes the place of'
         )
-    if names_user_code(word):
-        return find_user_code(word, 'controller').sha256
     if graph and is_node_elsewhere(word):
         command_of(word)
         return ''
-    raise _unknown(word)
+    code = _code(word)
+    return SteeringLaw.fingerprint if code is None else code.sha256
+
+
+def _code(word: str) -> UserCode | None:
+    """Somebody's code that a word names; None for the law.
+
+    Raises:
+        UsageError: unknown word, or what cannot be used.
+    """
+    extension = find(CONTROLLERS, word)
+    if extension is not None:
+        return None if extension.shipped else find_plugin_code(extension)
+    if names_user_code(word):
+        return find_user_code(word, 'controller')
+    if is_node_elsewhere(word):
+        raise UsageError(f'controller {word}: {NO_NODE_HERE}')
+    raise UsageError(
+        f'controller: {word!r} is unknown; known: {known(CONTROLLERS, "or FILE.py:NAME")}'
+    )
 
 
 def controller_options(word: str) -> list[str]:
     """What to type after ``taxinet run`` for the controller of a word."""
     return [] if word == STEERING else ['--controller', word]
-
-
-def _unknown(word: str) -> UsageError:
-    if is_node_elsewhere(word):
-        return UsageError(f'controller {word}: {NO_NODE_HERE}')
-    return UsageError(f'controller: {word!r} is unknown; known: {STEERING}, or FILE.py:NAME')

@@ -19,7 +19,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.core.world import Observation, World
+from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 """A lockstep run has a sample every control period; a longer gap means that one was lost."""
@@ -91,6 +91,7 @@ def run_closed_loop(
     on_step: Callable[[Step], None] | None = None,
     timing: Timing = AT_ONCE,
     draws: tuple[int, int] = (0, 0),
+    make_world: WorldMaker = SimulatedWorld,
 ) -> Judgement:
     """Run one scenario to its end.
 
@@ -104,6 +105,7 @@ def run_closed_loop(
         on_step: called with every step, in order, before the world moves on.
         timing: when answers take effect.
         draws: seed and index of the run, which determine latencies that are drawn.
+        make_world: makes the world that the run takes place in.
 
     Returns:
         The judgement over the run.
@@ -111,7 +113,7 @@ def run_closed_loop(
     controller = controller or SteeringLaw(SteeringGains())
     perception.begin()
     controller.begin()
-    world = World(scenario, pictures=perception.needs_image)
+    world = make_world(scenario, pictures=perception.needs_image)
     commands = LateCommands(timing, *draws)
     horizon_ns = world.last_seq * CONTROL_PERIOD_NS
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros import __version__
+from taxinet_ros.registry import plugins
 
 Provenance = Mapping[str, str]
 """Facts by name, as :func:`provenance` gives them."""
@@ -35,7 +36,7 @@ of a result depends, on the last those of a bag's bytes."""
 
 NAMES = (
     'processor', 'machine', 'processor_features', 'pixels', 'numpy_features', 'blas', 'environment',
-    'libc', 'python', *LIBRARIES, 'taxinet_ros', COMMIT,
+    'libc', 'python', *LIBRARIES, 'plugins', 'taxinet_ros', COMMIT,
 )
 """All facts that a record may have, in its order."""
 
@@ -59,8 +60,9 @@ def provenance() -> Provenance:
         ``processor_features`` (those that matter here), ``pixels``, ``numpy_features``, ``blas``
         (what our own compiled code, numpy and its BLAS make use of), ``environment`` (variables
         that hold them back), ``libc``, ``python``, each of :data:`LIBRARIES` that is installed,
-        ``taxinet_ros`` (version) and ``commit``, which ends with ``+changes`` where the checkout's
-        code has been edited since.
+        ``plugins`` (packages that add extensions, with their versions), ``taxinet_ros`` (version)
+        and ``commit``, which ends with ``+changes`` where the checkout's code has been edited
+        since.
     """
     facts = {
         'processor': processor(),
@@ -71,6 +73,7 @@ def provenance() -> Provenance:
         'libc': ' '.join(platform.libc_ver()).strip(),
         'python': platform.python_version(),
         **library_versions(),
+        'plugins': plugins(),
         'taxinet_ros': __version__,
         COMMIT: _commit(Path(__file__).parents[2]),
     }

@@ -29,6 +29,7 @@ from typing import Any, Final, TypeGuard, TypeVar
 
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.processes.interrupts import RECEIVED_STOPS, refuse_exits
+from taxinet_ros.registry import Extension
 
 EXTERNAL: Final = 'external'
 COMMAND: Final = 'cmd:'
@@ -113,6 +114,16 @@ class UserCode:
     name: str
     sha256: str
 
+    @property
+    def word(self) -> str:
+        """What a node that runs it says of itself."""
+        return IMPLEMENTATION
+
+    @property
+    def where(self) -> str:
+        """What complaints begin with."""
+        return str(self.path)
+
     def make(self) -> Callable[..., Any]:
         """What answers, made anew if the file has a maker of such.
 
@@ -124,7 +135,7 @@ class UserCode:
             made = found() if _is_maker(found) else found
         if not callable(made):
             raise UsageError(
-                f'{self.path}: {self.name}() gave {type(made).__name__}, which cannot be called; '
+                f'{self.where}: {self.name}() gave {type(made).__name__}, which cannot be called; '
                 'expected a function of one argument'
             )
         return made
@@ -153,10 +164,7 @@ class UserCode:
                 line = trace.tb_lineno
             trace = trace.tb_next
         place = f'{self.path}:{line}' if line else f'{self.path}: {self.name}'
-        text = _text(error, str).partition('\n')[0]
-        said = type(error).__name__ + (f': {text}' if text else '')
-        cut = f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
-        return plain_line(f'{place}: {cut}')
+        return plain_line(f'{place}: {_said(error)}')
 
     @cached_property
     def _found(self) -> Callable[..., Any]:
@@ -175,6 +183,66 @@ class UserCode:
             )
         function: Callable[..., Any] = found
         return function
+
+
+@dataclass(frozen=True)
+class PluginCode(UserCode):
+    """Something callable in an installed package, which has a name for it.
+
+    Attributes:
+        path: folder or only file of the package.
+        name: of the function or class.
+        sha256: of the whole package, see :attr:`.Extension.fingerprint`.
+        extension: where it comes from.
+    """
+
+    extension: Extension
+
+    @property
+    def word(self) -> str:
+        """What a node that runs it says of itself."""
+        return self.extension.name
+
+    @property
+    def where(self) -> str:
+        """What complaints begin with."""
+        return self.extension.words
+
+    def failure(self, error: BaseException) -> str:
+        """What to say of an exception of the package's: whose it is, and the last line in it."""
+        trace, place = error.__traceback__, ''
+        while trace is not None:
+            file = trace.tb_frame.f_code.co_filename
+            if Path(file).is_relative_to(self.path):
+                place = f'{file}:{trace.tb_lineno}: '
+            trace = trace.tb_next
+        return plain_line(f'{self.where}: {place}{_said(error)}')
+
+    @cached_property
+    def _found(self) -> Callable[..., Any]:
+        with _same_place():
+            found: Any = self.extension.load()
+        if not callable(found):
+            raise UsageError(
+                f'{self.where}: {self.extension.target} is {type(found).__name__}; expected a '
+                'function or class'
+            )
+        function: Callable[..., Any] = found
+        return function
+
+
+def find_plugin_code(extension: Extension) -> PluginCode:
+    """What is called for an extension of somebody's; its package is imported.
+
+    Raises:
+        UsageError: that fails, or it is nothing that can be called.
+    """
+    found = PluginCode(
+        path=extension.package or Path(), name=extension.target.partition(':')[2],
+        sha256=extension.fingerprint, extension=extension,
+    )
+    _ = found._found
+    return found
 
 
 class RunCode:
@@ -228,7 +296,7 @@ class RunCode:
             shown = _text(answer, repr)[:60] if found is None else ''
         if found is None:
             raise UserCodeError(plain_line(
-                f'{self.code.path}: {self.code.name} answered {shown}; expected {expected}'
+                f'{self.code.where}: {self.code.name} answered {shown}; expected {expected}'
             ))
         return found
 
@@ -331,6 +399,12 @@ def _let_pass(error: BaseException, heard: int) -> None:
     """
     if isinstance(error, KeyboardInterrupt) and len(RECEIVED_STOPS) > heard:
         raise error
+
+
+def _said(error: BaseException) -> str:
+    text = _text(error, str).partition('\n')[0]
+    said = type(error).__name__ + (f': {text}' if text else '')
+    return f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
 
 
 def _text(value: object, how: Callable[[object], str]) -> str:

@@ -1,9 +1,16 @@
-"""The simulated world of one run: the aircraft on its runway, and what its wing camera sees."""
+"""The world of one run, observed and advanced step by step.
+
+The simulated one is the aircraft on its runway, and what its wing camera sees. A package may bring
+another (:mod:`taxinet_ros.registry`).
+"""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +19,10 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.registry import WORLDS, Extension, find, known
+
+_T = TypeVar('_T')
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -47,20 +57,65 @@ def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
     return steps
 
 
-class World:
-    """One run's world, stepped from outside. A fresh one per run keeps runs bit-identical."""
+class World(Protocol):
+    """One run's world, stepped from outside. A fresh one per run keeps runs bit-identical.
 
-    def __init__(self, scenario: Scenario, *, pictures: bool = True) -> None:
-        """Set the aircraft on the runway; ``pictures`` False leaves the camera out."""
+    Attributes:
+        last_seq: number of the last control step, :func:`last_step` of the scenario.
+    """
+
+    last_seq: int
+
+    def observe(self, *, picture: bool = True) -> Observation:
+        """The present moment, as often as it is asked for; ``picture`` False saves the picture.
+
+        Raises:
+            InfraError: the world is broken.
+        """
+        ...
+
+    def advance(self, command: TaxiCommand) -> None:
+        """Let one control period pass under ``command``.
+
+        Raises:
+            InfraError: the world is broken.
+        """
+        ...
+
+
+class WorldMaker(Protocol):
+    """Makes the world of a run; what :func:`find_world` gives is one."""
+
+    def __call__(self, scenario: Scenario, *, pictures: bool = True) -> World:
+        """A world at its first control step; ``pictures`` False: no one will look at any."""
+        ...
+
+
+class SimulatedWorld(World):
+    """The aircraft on its runway, and its wing camera."""
+
+    def __init__(
+        self, scenario: Scenario, *, pictures: bool = True,
+        aircraft: Callable[[Scenario], Aircraft] = Aircraft,
+        camera: Callable[[Scenario], Camera] = Camera,
+    ) -> None:
+        """Set the aircraft on the runway.
+
+        Args:
+            scenario: where it starts, and in which light and weather.
+            pictures: False leaves the camera out.
+            aircraft: makes the aircraft.
+            camera: makes the camera, for the first picture.
+        """
         self.last_seq = last_step(scenario)
-        self._aircraft = Aircraft(scenario)
-        self._scenario, self._pictures = scenario, pictures
+        self._aircraft = aircraft(scenario)
+        self._scenario, self._pictures, self._make_camera = scenario, pictures, camera
         self._seq = 0
 
     @cached_property
     def _camera(self) -> Camera:
         # Made for the first picture: its ground takes longer than all else here, and 63 MB.
-        return Camera(self._scenario)
+        return self._make_camera(self._scenario)
 
     def observe(self, *, picture: bool = True) -> Observation:
         """Photograph the present moment; ``picture`` False saves the picture."""
@@ -73,3 +128,79 @@ class World:
         """Integrate one control period under ``command``."""
         self._aircraft.advance(command)
         self._seq += 1
+
+
+KMWH = 'kmwh'
+"""The name of :class:`SimulatedWorld`: an aircraft on runway 04 of Grant County airport."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChosenWorld:
+    """A world that a name chooses.
+
+    Attributes:
+        name: of it.
+        fingerprint: SHA-256 of the package that brings it; empty for the simulated one.
+        make: makes one for each run.
+    """
+
+    name: str
+    fingerprint: str
+    make: WorldMaker
+
+
+def find_world(name: str) -> ChosenWorld:
+    """The world of a name, ``kmwh`` or one that a package adds.
+
+    Raises:
+        UsageError: unknown name, or a package that cannot be imported or has nothing to call there.
+    """
+    extension = find(WORLDS, name)
+    if extension is None:
+        raise UsageError(f'world: {name!r} is unknown; known: {known(WORLDS)}')
+    made: Any = extension.load()
+    if extension.shipped:
+        return ChosenWorld(name=name, fingerprint='', make=made)
+    if not callable(made):
+        raise UsageError(
+            f'{extension.words}: {extension.target} is {type(made).__name__}; expected what makes '
+            'a world of a scenario'
+        )
+    return ChosenWorld(
+        name=name, fingerprint=extension.fingerprint, make=functools.partial(
+            _PluginWorld, extension, made
+        ),
+    )
+
+
+class _PluginWorld(World):
+    """A package's world: where its code fails, the bench is broken, and whose it is is told."""
+
+    def __init__(
+        self, extension: Extension, make: WorldMaker, scenario: Scenario, *, pictures: bool = True
+    ) -> None:
+        self._extension, self._seq = extension, -1
+        self.last_seq = last_step(scenario)
+        self._world = self._call(lambda: make(scenario, pictures=pictures))
+        self._seq = 0
+
+    def observe(self, *, picture: bool = True) -> Observation:
+        now = self._call(lambda: self._world.observe(picture=picture))
+        if now.seq != self._seq:
+            raise self._broken(f'observed step {now.seq}, expected {self._seq}')
+        return now
+
+    def advance(self, command: TaxiCommand) -> None:
+        self._call(lambda: self._world.advance(command))
+        self._seq += 1
+
+    def _call(self, work: Callable[[], _T]) -> _T:
+        try:
+            return work()
+        except (InfraError, UsageError):
+            raise
+        except Exception as error:
+            raise self._broken(str(self._extension.failure(error))) from error
+
+    def _broken(self, detail: str) -> InfraError:
+        return InfraError(InfraKind.SIM, 'simulator', self._seq, detail)

@@ -26,6 +26,7 @@ from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
+from taxinet_ros.core.world import KMWH, find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -75,6 +76,7 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     spoken,
 )
+from taxinet_ros.registry import WORLDS, names
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -114,6 +116,10 @@ _OPTIONS = (
         description='simulated seconds per second of a free run (lockstep false); 0: as fast as it '
         'goes',
     ),
+    Parameter(
+        name='world', default=KMWH, takes=', '.join(names(WORLDS)),
+        description='the world that runs take place in',
+    ),
 )
 
 USAGE = Usage(
@@ -140,6 +146,7 @@ class Simulator(Node):
             parse_latency([given['latency']]), lockstep=given['lockstep'],
             factor=given['real_time_factor'],
         )
+        self._world = find_world(given['world'])
         self._health = RunHealth()
         self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
@@ -234,7 +241,7 @@ class Simulator(Node):
         result = interface.RUN_SCENARIO_TYPE.Result()
         scenario = goal.request.scenario
         try:
-            run = ActiveRun(goal, self.executor, self._timing)
+            run = ActiveRun(goal, self.executor, self._timing, self._world.make)
         except Exception as error:
             result.status = not_begun(scenario.run_id, error)
             goal.abort()
@@ -263,10 +270,12 @@ class Simulator(Node):
         return result
 
     def _own_status(self, run: ActiveRun) -> NodeStatus:
-        """What goes into the run's bag of this node, where answers do not take effect at once."""
+        """What goes into the run's bag of this node: when answers take effect, and whose world."""
         return NodeStatus(
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
+            fingerprint=self._world.fingerprint,
+            detail='' if self._world.name == KMWH else self._world.name,
         )
 
     # What the graph says -----------------------------------------------------------------------

@@ -15,7 +15,6 @@ from taxinet_ros.core.controller import (
     check_controller,
     make_controller,
 )
-from taxinet_ros.core.user_code import IMPLEMENTATION
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
@@ -30,10 +29,12 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     spoken,
 )
+from taxinet_ros.registry import CONTROLLERS, names
 
 _OPTIONS = (
     Parameter(
-        name='controller', default=STEERING, takes='steering or FILE.py:NAME',
+        name='controller', default=STEERING,
+        takes=f'{", ".join(names(CONTROLLERS))} or FILE.py:NAME',
         description='the handwritten law, or a function',
     ),
     Parameter(
@@ -81,7 +82,7 @@ class SteeringController(Participant):
                 f'controller {word} has changed since this began: its sha256 is '
                 f'{self._controller.fingerprint[:12]}…, it was {sha256[:12]}…; put it back'
             )
-        self.implementation = gains_text(tuned) if word == STEERING else IMPLEMENTATION
+        self.implementation = gains_text(tuned) if word == STEERING else self._controller.word
         self.fingerprint = self._controller.fingerprint
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer, newest=True)

@@ -46,6 +46,8 @@ class RecordedRun:
         gains: steering gains that differed from the law's defaults.
         controller: what another controller than the steering law said of itself; '' for the law.
         controller_fingerprint: the sha256 that it told, or ''.
+        world, world_fingerprint: name of the world that a package brought, and its sha256; '' for
+            the simulated one.
         timing: when its answers took effect.
     """
 
@@ -55,6 +57,8 @@ class RecordedRun:
     gains: Mapping[str, float]
     controller: str = ''
     controller_fingerprint: str = ''
+    world: str = ''
+    world_fingerprint: str = ''
     timing: Timing = AT_ONCE
 
 
@@ -89,6 +93,8 @@ def recorded_run(recording: Recording) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
+            world=world.detail if world and world.fingerprint else '',
+            world_fingerprint=world.fingerprint if world else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
         raise BagForeign(f'{path}: /scenario or /node_status: {error}', path=path) from error

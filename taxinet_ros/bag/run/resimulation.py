@@ -19,8 +19,8 @@ from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON, LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import Observation, World
-from taxinet_ros.errors import InfraError
+from taxinet_ros.core.world import KMWH, Observation, World, find_world
+from taxinet_ros.errors import InfraError, UsageError
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.recording import Recording
@@ -31,9 +31,9 @@ class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
 
 def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
-    path, run = recording.path, recording.run
+    path = recording.path
     recorded, commands = _states_and_commands(recording)
-    world = World(run.request.scenario)
+    world = _world(recording)
     held = _held(recording, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
@@ -48,6 +48,25 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
             world.advance(command)
         except InfraError:  # The simulator broke here when it was recorded, too.
             return
+
+
+def _world(recording: Recording) -> World:
+    """The run's world at its beginning.
+
+    Raises:
+        UsageError: a package brought it that is not installed, or is another one now.
+    """
+    path, run = recording.path, recording.run
+    try:
+        chosen = find_world(run.world or KMWH)
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+    if chosen.fingerprint != run.world_fingerprint:
+        raise UsageError(
+            f'{path}: world {run.world} is {chosen.fingerprint[:12]} now, it was '
+            f'{run.world_fingerprint[:12]}'
+        )
+    return chosen.make(run.request.scenario)
 
 
 def _held(

@@ -56,7 +56,7 @@ def camera_transform() -> bytes:
     The optical frame is REP-103's: z ahead along the optical axis, x right and y down in the
     picture.
     """
-    pose = *camera.CAMERA_OFFSET_M, *camera.CAMERA_ATTITUDE
+    pose = *camera.WING_MOUNT.offset_m, *camera.WING_MOUNT.attitude
     return _transform(0, 0, BASE_FRAME, CAMERA_FRAME, *pose)
 
 

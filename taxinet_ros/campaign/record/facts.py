@@ -18,12 +18,16 @@ from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stac
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
+from taxinet_ros.registry import origins
 
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
 
 ARMS = 'experiment_arms'
 """The fact that names the folders of all arms of an experiment, of which the campaign is one."""
+
+EXTENSIONS = 'extensions'
+"""The fact that names the packages of what is not shipped, with their versions and hashes."""
 
 STACKS = 'stacks'
 """The fact that names every machine, with its libraries and code, on which runs were made."""
@@ -62,7 +66,20 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'processes': options.processes,
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
+        **({} if options.bags else {'bags': False}),
+        **extension_facts(perceptions=options.perception, controllers=options.controller),
     }
+
+
+def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, Any]:
+    """Where perception, controller or sampler come from, of those that a package has added.
+
+    Args:
+        before: facts that may tell of others already.
+        chosen: name by extension point.
+    """
+    found = {**before.get(EXTENSIONS, {}), **origins(**chosen)}
+    return {EXTENSIONS: found} if found else {}
 
 
 def this_stack() -> str:

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
+from taxinet_ros import registry
 from taxinet_ros.campaign.samplers import space_filling
 from taxinet_ros.campaign.samplers.active_search import ActiveSearch
 from taxinet_ros.campaign.samplers.histogram import Bandit, CrossEntropy, VerifaiRule
 from taxinet_ros.campaign.samplers.optuna_study import Bayes, cmaes, tpe
 from taxinet_ros.campaign.samplers.sampler import (
+    Exhausted,
     Lagged,
     Option,
+    Probabilities,
     Proposer,
     Sampler,
     WithDrawn,
     parse_options,
 )
-from taxinet_ros.campaign.samplers.space import Dimension, Space
+from taxinet_ros.campaign.samplers.space import Dimension, Point, Space
 from taxinet_ros.campaign.samplers.space_filling import Grid
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import Extension, Extensions
 
 Values = Mapping[str, float]
+_T = TypeVar('_T')
 
 
 def _floor_option(default: float, low: float = 0.0) -> Mapping[str, Option]:
@@ -76,111 +82,180 @@ _STARTUP = Option(
     default=10, low=2, high=1e6, whole=True,
 )
 
-SAMPLERS: Mapping[str, SamplerKind] = {
-    'random': SamplerKind(
-        meaning='independent draws from the program',
-        make=lambda space, seed, runs, values: space_filling.Random(space, seed),
-    ),
-    'halton': proposer_kind(
-        'evenly spread points (Halton, scrambled)',
-        lambda space, seed, runs, values: space_filling.halton(space, seed), floor=0.0,
-    ),
-    'sobol': proposer_kind(
-        'evenly spread points (Sobol, scrambled); best with 2^n runs',
-        lambda space, seed, runs, values: space_filling.sobol(space, seed), floor=0.0,
-    ),
-    'grid': proposer_kind(
-        'all combinations of even steps and categories, widely spaced ones first',
-        lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
-        floor=0.0,
-        options={
-            'points': Option(
-                meaning='steps of each continuous dimension; 0: as many as fit into the runs',
-                default=0, low=0, high=1e6, whole=True,
-            ),
-        },
-    ),
-    'active': proposer_kind(
-        'active search: finds rare failures, and all the regions of them',
-        lambda space, seed, runs, values: ActiveSearch(space, seed, radius=values['radius']),
-        floor=0.25,
-        options={
-            'radius': Option(
-                meaning='around a failure, where others are no news [quantiles]',
-                default=0.1, low=0.001, high=1.0,
-            ),
-        },
-    ),
-    'ce': SamplerKind(
-        meaning='cross-entropy with importance weights: learns where failures are',
-        make=lambda space, seed, runs, values: CrossEntropy(
-            space, seed, floor=values['floor'], every=int(values['every'])
+RANDOM = SamplerKind(
+    meaning='independent draws from the program',
+    make=lambda space, seed, runs, values: space_filling.Random(space, seed),
+)
+HALTON = proposer_kind(
+    'evenly spread points (Halton, scrambled)',
+    lambda space, seed, runs, values: space_filling.halton(space, seed), floor=0.0,
+)
+SOBOL = proposer_kind(
+    'evenly spread points (Sobol, scrambled); best with 2^n runs',
+    lambda space, seed, runs, values: space_filling.sobol(space, seed), floor=0.0,
+)
+GRID = proposer_kind(
+    'all combinations of even steps and categories, widely spaced ones first',
+    lambda space, seed, runs, values: Grid(space, seed, runs, points=int(values['points'])),
+    floor=0.0,
+    options={
+        'points': Option(
+            meaning='steps of each continuous dimension; 0: as many as fit into the runs',
+            default=0, low=0, high=1e6, whole=True,
         ),
-        options={
-            **_floor_option(0.3, low=0.01),
-            'every': Option(
-                meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
-            ),
-        },
-    ),
-    'ce-verifai': SamplerKind(
-        meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
-        make=lambda space, seed, runs, values: VerifaiRule(
-            space, seed, alpha=values['alpha'], floor=values['floor']
+    },
+)
+ACTIVE = proposer_kind(
+    'active search: finds rare failures, and all the regions of them',
+    lambda space, seed, runs, values: ActiveSearch(space, seed, radius=values['radius']),
+    floor=0.25,
+    options={
+        'radius': Option(
+            meaning='around a failure, where others are no news [quantiles]',
+            default=0.1, low=0.001, high=1.0,
         ),
-        options={
-            **_floor_option(0.0),
-            'alpha': Option(
-                meaning='what a failure leaves of the old histograms',
-                default=0.9, low=0.5, high=0.99999,
-            ),
-        },
+    },
+)
+CE = SamplerKind(
+    meaning='cross-entropy with importance weights: learns where failures are',
+    make=lambda space, seed, runs, values: CrossEntropy(
+        space, seed, floor=values['floor'], every=int(values['every'])
     ),
-    'mab': SamplerKind(
-        meaning='multi-armed bandit over buckets (upper confidence bound)',
-        make=lambda space, seed, runs, values: Bandit(
-            space, seed, floor=values['floor'], explore=values['explore']
+    options={
+        **_floor_option(0.3, low=0.01),
+        'every': Option(
+            meaning='results between two fits', default=50, low=1, high=1e6, whole=True,
         ),
-        options={
-            **_floor_option(0.1, low=0.01),
-            'explore': Option(
-                meaning='how much little-tried buckets are favoured', default=0.3, low=0, high=100,
-            ),
-        },
+    },
+)
+CE_VERIFAI = SamplerKind(
+    meaning='cross-entropy by the rule of VerifAI: heads for the likeliest failure',
+    make=lambda space, seed, runs, values: VerifaiRule(
+        space, seed, alpha=values['alpha'], floor=values['floor']
     ),
-    'bo': proposer_kind(
-        'Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
-        lambda space, seed, runs, values: Bayes(
-            space, seed, startup=int(values['startup']), window=int(values['window'])
+    options={
+        **_floor_option(0.0),
+        'alpha': Option(
+            meaning='what a failure leaves of the old histograms',
+            default=0.9, low=0.5, high=0.99999,
         ),
-        floor=0.1,
-        options={
-            'startup': _STARTUP,
-            'window': Option(
-                meaning='most results it is fitted to', default=100, low=10, high=1000, whole=True,
-            ),
-        },
+    },
+)
+MAB = SamplerKind(
+    meaning='multi-armed bandit over buckets (upper confidence bound)',
+    make=lambda space, seed, runs, values: Bandit(
+        space, seed, floor=values['floor'], explore=values['explore']
     ),
-    'tpe': proposer_kind(
-        'tree-structured Parzen estimator: towards a minimum, cheaply',
-        lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
-        floor=0.1,
-        options={'startup': _STARTUP},
-    ),
-    'cmaes': proposer_kind(
-        'evolution strategy CMA-ES: into one minimum',
-        lambda space, seed, runs, values: cmaes(
-            space, seed, population=int(values['population'])
+    options={
+        **_floor_option(0.1, low=0.01),
+        'explore': Option(
+            meaning='how much little-tried buckets are favoured', default=0.3, low=0, high=100,
         ),
-        floor=0.1,
-        options={
-            'population': Option(
-                meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
-                default=0, low=0, high=1e5, whole=True,
-            ),
-        },
+    },
+)
+BO = proposer_kind(
+    'Bayesian optimisation with a Gaussian process: fewest runs to a minimum',
+    lambda space, seed, runs, values: Bayes(
+        space, seed, startup=int(values['startup']), window=int(values['window'])
     ),
-}
+    floor=0.1,
+    options={
+        'startup': _STARTUP,
+        'window': Option(
+            meaning='most results it is fitted to', default=100, low=10, high=1000, whole=True,
+        ),
+    },
+)
+TPE = proposer_kind(
+    'tree-structured Parzen estimator: towards a minimum, cheaply',
+    lambda space, seed, runs, values: tpe(space, seed, startup=int(values['startup'])),
+    floor=0.1,
+    options={'startup': _STARTUP},
+)
+CMAES = proposer_kind(
+    'evolution strategy CMA-ES: into one minimum',
+    lambda space, seed, runs, values: cmaes(
+        space, seed, population=int(values['population'])
+    ),
+    floor=0.1,
+    options={
+        'population': Option(
+            meaning='runs per generation; 0: 4 + 3 ln(dimensions)',
+            default=0, low=0, high=1e5, whole=True,
+        ),
+    },
+)
+
+
+class PluginSampler(Sampler):
+    """A package's sampler: what its code does wrong is said in one line, and whose it is."""
+
+    def __init__(self, extension: Extension, make: Callable[[], Sampler], space: Space) -> None:
+        """Make it.
+
+        Args:
+            extension: where it comes from.
+            make: makes the package's own.
+            space: that its points have to be of.
+
+        Raises:
+            UsageError: its code fails, here as in every method.
+        """
+        self._extension, self._space = extension, space
+        self._sampler = self._call(make)
+
+    def ask(self) -> Point:
+        """See :class:`.Sampler`; so below."""
+        return self._checked(self._call(self._sampler.ask))
+
+    def again(self) -> Point:
+        """Another point for the same run."""
+        return self._checked(self._call(self._sampler.again))
+
+    def tell(self, index: int, rho: float | None) -> None:
+        """Pass a result on."""
+        self._call(lambda: self._sampler.tell(index, rho))
+
+    def weight(self, index: int) -> float | None:
+        """As its own."""
+        return self._call(lambda: self._sampler.weight(index))
+
+    def drawn(self, index: int) -> bool:
+        """As its own."""
+        return self._call(lambda: self._sampler.drawn(index))
+
+    def learned(self) -> Probabilities:
+        """As its own."""
+        return self._call(self._sampler.learned)
+
+    def _checked(self, point: Point) -> Point:
+        self._call(lambda: self._space.check(point))
+        return point
+
+    def _call(self, work: Callable[[], _T]) -> _T:
+        try:
+            return work()
+        except Exhausted:
+            raise
+        except Exception as error:
+            raise self._extension.failure(error) from error
+
+
+def _kind(extension: Extension, found: object) -> SamplerKind:
+    """The kind that a package gives a name, with what its code does wrong in one line."""
+    if not isinstance(found, SamplerKind):
+        raise UsageError(
+            f'{extension.words}: {extension.target} is {type(found).__name__}; expected a '
+            'SamplerKind (taxinet_ros.campaign.samplers.registry)'
+        )
+    if extension.shipped:
+        return found
+    return replace(found, make=lambda space, seed, runs, values: PluginSampler(
+        extension, lambda: found.make(space, seed, runs, values), space
+    ))
+
+
+SAMPLERS: Mapping[str, SamplerKind] = Extensions(registry.SAMPLERS, _kind)
 """Every sampler by its word."""
 
 
@@ -226,5 +301,5 @@ def check_sampler(name: str, options: Mapping[str, str | float]) -> Values:
     """
     kind = SAMPLERS.get(name)
     if kind is None:
-        raise UsageError(f'sampler {name!r} is unknown; known: {", ".join(SAMPLERS)}')
+        raise UsageError(f'sampler {name!r} is unknown; known: {registry.known(registry.SAMPLERS)}')
     return parse_options(name, kind.options, options)

@@ -25,6 +25,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from taxinet_ros import registry
 from taxinet_ros.errors import UsageError
 
 TYPE, PARAMS = 'verifaiSamplerType', 'verifaiSamplerParams'
@@ -145,7 +146,7 @@ def _check(word: str, options: Mapping[str, str], place: str) -> None:
     from taxinet_ros.campaign.samplers.registry import SAMPLERS, check_sampler
 
     if word not in SAMPLERS:
-        known = ', '.join(dict.fromkeys([*_HERE, *SAMPLERS]))
+        known = registry.known(registry.SAMPLERS)
         raise UsageError(f'{place}: {TYPE} = {word!r} is unknown; known: {known}')
     try:
         check_sampler(word, options)

@@ -17,9 +17,10 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
-from taxinet_ros.core.perception.perception import PERCEPTION, check_perception
+from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.registry import CONTROLLERS, names
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
@@ -124,7 +125,7 @@ def perception_of(
         UsageError: the run's own is a file, which nobody knows where to find; or a bad word.
     """
     word = asked or run.perception
-    if not asked and word not in PERCEPTION:
+    if not asked and word not in perception_names():
         of = f' of sha256 {run.fingerprint[:12]}…' if run.fingerprint else ''
         kind = f'{word!r}{of}, not one of ours' if word else 'not told'
         raise UsageError(
@@ -147,6 +148,9 @@ def controller_of(run: RecordedRun, asked: str | None, *, graph: bool = False) -
     if asked:
         check_controller(asked, graph=graph)
         return asked
+    if run.controller in names(CONTROLLERS):
+        check_controller(run.controller, graph=graph)
+        return run.controller
     if run.controller:
         of = f' of sha256 {run.controller_fingerprint[:12]}…' if run.controller_fingerprint else ''
         raise UsageError(

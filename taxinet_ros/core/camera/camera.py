@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -33,6 +35,7 @@ from taxinet_ros.core.camera.atmosphere import Atmosphere, RainSheet
 from taxinet_ros.core.camera.ground.atlas import grain_atlas, ground_atlas, uncrossed_atlas
 from taxinet_ros.core.camera.ground.view import GroundView
 from taxinet_ros.core.camera.light import CloudShade, ground_table, scenario_light
+from taxinet_ros.core.place.runway import KMWH_04, Runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion, quaternion_product
 
@@ -44,22 +47,10 @@ IMAGE_HEIGHT, IMAGE_WIDTH = 200, 360
 STAGES = ('ground', 'cloud shade', 'own shadow', 'atmosphere', 'rain', 'airframe')
 """Stages of a picture, in their order."""
 
-CAMERA_OFFSET_M = (0.085, -2.17, 0.50)
-"""Camera in the body frame (x forward, y left, z up) from the reference point."""
-
-CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD = 0.0, math.radians(10.42), math.radians(-4.15)
-"""Attitude of the mount (REP-103: pitch positive nose down, yaw positive left).
-
-The settled Caravan adds 0.11 degrees nose down: 10.53 degrees in all, as calibrated."""
-
 _SCREEN_FOCAL_PX = 1125.0
 _COLUMN_PX, _ROW_PX = 1720 / IMAGE_WIDTH, 730 / IMAGE_HEIGHT
 
 _OPTICAL_TO_LINK = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-CAMERA_ATTITUDE = quaternion_product(
-    quaternion(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD), (-0.5, 0.5, -0.5, 0.5)
-)
-"""That of ``camera_optical`` in ``base_link``, x, y, z, w: z ahead, x right, y down (REP-103)."""
 
 
 def intrinsics() -> NDArray[np.float64]:
@@ -83,13 +74,43 @@ def rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.fl
     ])  # fmt: skip
 
 
-_BODY_TO_OPTICAL = (
-    rotation(CAMERA_ROLL_RAD, CAMERA_PITCH_RAD, CAMERA_YAW_RAD) @ _OPTICAL_TO_LINK
-).T
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """Where a camera sits on the aircraft, and where it looks.
+
+    Attributes:
+        offset_m: camera in the body frame (x forward, y left, z up) from the reference point [m].
+        roll_rad, pitch_rad, yaw_rad: attitude (REP-103: pitch positive nose down, yaw positive
+            left) [rad].
+    """
+
+    offset_m: tuple[float, float, float]
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+
+    @property
+    def attitude(self) -> tuple[float, float, float, float]:
+        """That of ``camera_optical`` in ``base_link``: x, y, z, w; z ahead, x right, y down."""
+        turned = quaternion(self.roll_rad, self.pitch_rad, self.yaw_rad)
+        return quaternion_product(turned, (-0.5, 0.5, -0.5, 0.5))
+
+    @cached_property
+    def body_to_optical(self) -> NDArray[np.float64]:
+        """Rotation matrix (3, 3) from the body frame to the optical one."""
+        to_body = rotation(self.roll_rad, self.pitch_rad, self.yaw_rad) @ _OPTICAL_TO_LINK
+        return np.asarray(to_body.T)
+
+
+WING_MOUNT = Mount(
+    offset_m=(0.085, -2.17, 0.50), roll_rad=0.0, pitch_rad=math.radians(10.42),
+    yaw_rad=math.radians(-4.15),
+)
+"""The settled Caravan adds 0.11 degrees nose down: 10.53 degrees in all, as calibrated."""
 
 
 def pose(
-    state: AircraftState,
+    state: AircraftState, mount: Mount = WING_MOUNT
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Rotation body to ``map`` (3, 3), rotation ``map`` to optical (3, 3), camera in ``map`` (3,).
 
@@ -100,16 +121,16 @@ def pose(
     if not all(map(math.isfinite, numbers)):
         raise ValueError(f'camera: the pose is not finite: {state}')
     body = rotation(state.roll_rad, state.pitch_rad, state.yaw_rad)
-    camera = np.array(numbers[:3]) + body @ np.array(CAMERA_OFFSET_M)
+    camera = np.array(numbers[:3]) + body @ np.array(mount.offset_m)
     if camera[2] < 0.05:
         raise ValueError(
             f'camera: {camera[2]:.3f} m above ground, the aircraft is not on its wheels'
         )
-    return body, _BODY_TO_OPTICAL @ body.T, camera
+    return body, mount.body_to_optical @ body.T, camera
 
 
 def project(
-    state: AircraftState, points_map: NDArray[np.floating]
+    state: AircraftState, points_map: NDArray[np.floating], mount: Mount = WING_MOUNT
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where points in ``map`` lie in the picture.
 
@@ -117,7 +138,7 @@ def project(
 
     A pixel means something only where the depth is positive.
     """
-    _, to_optical, camera = pose(state)
+    _, to_optical, camera = pose(state, mount)
     points = (np.asarray(points_map, np.float64) - camera) @ to_optical.T
     with np.errstate(divide='ignore', invalid='ignore'):
         pixels = (points @ intrinsics().T)[:, :2] / points[:, 2:]
@@ -155,7 +176,10 @@ def prepare() -> None:
 class Camera:
     """The wing camera in one scenario's light and weather. Not to be shared between threads."""
 
-    def __init__(self, scenario: Scenario, ground: NDArray[np.uint8] | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, ground: NDArray[np.uint8] | None = None, *,
+        mount: Mount = WING_MOUNT, runway: Runway = KMWH_04,
+    ) -> None:
         """Work out everything that the scenario fixes; textures are made once per process.
 
         Args:
@@ -163,8 +187,12 @@ class Camera:
             ground: atlas of another look of the ground
                 (:mod:`taxinet_ros.core.camera.ground.atlas`), which then also decides whether
                 there is a crossing.
+            mount: where it sits; the aircraft's own parts in the picture, and what of the ground
+                they hide, are those of the wing's.
+            runway: whose sun it is; its paint is the atlas's.
         """
-        self._light = scenario_light(scenario)
+        self._mount = mount
+        self._light = scenario_light(scenario, runway)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)
         self._curve, gain = shared_curve(ground_table(self._light))
@@ -204,7 +232,7 @@ class Camera:
         Raises:
             ValueError: the pose is not finite or the camera would be below the ground.
         """
-        body, to_optical, camera = pose(state)
+        body, to_optical, camera = pose(state, self._mount)
         rays = to_optical.T @ self._to_ray
         colour = self._ground.render(rays, camera)
         mark('ground')

@@ -20,41 +20,41 @@ from numpy.typing import NDArray
 
 from taxinet_ros.core.camera import pixels
 from taxinet_ros.core.camera.texture import Floats, smooth_noise
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.runway import KMWH_04, Runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
 
-LOCAL_TIME = datetime.timezone(datetime.timedelta(hours=-8))
-"""Pacific standard time; the scenarios know no daylight saving."""
-_OBSERVER = Observer(runway.THRESHOLD_LAT_DEG, runway.THRESHOLD_LON_DEG, 0.0)
 
-
-def sun_position(date: str, time_of_day_s: float) -> tuple[float, float]:
+def sun_position(
+    date: str, time_of_day_s: float, runway: Runway = KMWH_04
+) -> tuple[float, float]:
     """Azimuth (clockwise from true north, 0..2 pi) and elevation of the sun [rad].
 
     Args:
         date: ISO date.
-        time_of_day_s: local standard time (UTC-8) after midnight [s].
+        time_of_day_s: local standard time after midnight [s]; there is no daylight saving.
+        runway: where it is looked up from.
 
     Raises:
         UsageError: the date or the time cannot be read.
     """
     if not math.isfinite(time_of_day_s):
         raise UsageError(f'sun: time of day is {time_of_day_s}, not a number of seconds')
+    local_time = datetime.timezone(datetime.timedelta(hours=runway.utc_offset_h))
     try:
-        day = datetime.datetime.fromisoformat(date).replace(tzinfo=LOCAL_TIME)
+        day = datetime.datetime.fromisoformat(date).replace(tzinfo=local_time)
     except ValueError as error:
         raise UsageError(f'sun: date is {date!r}, not YYYY-MM-DD') from error
     moment = day + datetime.timedelta(seconds=time_of_day_s)
-    return (
-        math.radians(azimuth(_OBSERVER, moment)),
-        math.radians(elevation(_OBSERVER, moment)),
-    )
+    observer = Observer(*runway.threshold_deg, 0.0)
+    return math.radians(azimuth(observer, moment)), math.radians(elevation(observer, moment))
 
 
-def sun_direction(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
+def sun_direction(
+    azimuth_rad: float, elevation_rad: float, runway: Runway = KMWH_04
+) -> NDArray[np.float64]:
     """Unit vector towards the sun in ``map`` (x along the runway, y left, z up), shape (3,)."""
-    yaw = runway.BEARING_RAD - azimuth_rad
+    yaw = runway.bearing_rad - azimuth_rad
     flat = math.cos(elevation_rad)
     return np.array([flat * math.cos(yaw), flat * math.sin(yaw), math.sin(elevation_rad)])
 
@@ -161,9 +161,9 @@ def air_mass(elevation_rad: float) -> float:
     return float(1 / (sine + 0.50572 * (degrees + 6.07995) ** -1.6364))
 
 
-def scenario_light(scenario: Scenario) -> Light:
-    """The light of a scenario's place, date, hour, clouds and rain."""
-    azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s)
+def scenario_light(scenario: Scenario, runway: Runway = KMWH_04) -> Light:
+    """The light of a place, and of a scenario's date, hour, clouds and rain."""
+    azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s, runway)
     direct, diffuse = _weathered(scenario, elevation)
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))
     level = float(LUMINANCE @ ((direct + diffuse) / reference))
@@ -171,7 +171,7 @@ def scenario_light(scenario: Scenario) -> Light:
     cloud, rain = _CLOUDS[scenario.clouds], scenario.rain_fraction
     low, high = _sky(cloud, diffuse * gain, direct * gain, elevation)
     return Light(
-        sun=sun_direction(azimuth, elevation),
+        sun=sun_direction(azimuth, elevation, runway),
         sun_elevation_rad=elevation,
         direct=direct * gain,
         diffuse=diffuse * gain,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from taxinet_ros import registry
 from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
@@ -58,8 +59,13 @@ class Spec:
     """
 
     name: str
-    formula: ast.Formula
+    formula: ast.Formula = field(repr=False)
     text: str
+
+    @classmethod
+    def parse(cls, text: str) -> Spec:
+        """Read a requirement as a user writes it; see :func:`parse_spec`."""
+        return parse_spec(text)
 
 
 def parse_formula(text: str, predicates: Mapping[str, str] | None = None) -> ast.Formula:
@@ -72,27 +78,19 @@ def _spec(name: str, formula: ast.Formula) -> Spec:
     return Spec(name=name, formula=formula, text=str(formula))
 
 
-def _shipped(name: str, text: str) -> tuple[str, Spec]:
-    return name, _spec(name, parse_formula(text))
-
-
-SHIPPED: Mapping[str, Spec] = MappingProxyType(
-    dict(
-        [
-            _shipped('phi_always', f'always(abs(cte) <= {CENTRELINE_TOLERANCE_M})'),
-            _shipped(
-                'phi_eventually',
-                f'eventually[0:{SETTLING_TIME_S}](always(abs(cte) <= {CENTRELINE_TOLERANCE_M}))',
-            ),
-            _shipped('on_runway', f'always(abs(cte) <= {HALF_WIDTH_M})'),
-            _shipped(
-                'usable',
-                f'always(estimate_gap <= {LONGEST_BLIND_S} and '
-                f'unusable_share <= {MOST_UNUSABLE_SHARE})',
-            ),
-        ]
-    )
+PHI_ALWAYS = f'always(abs(cte) <= {CENTRELINE_TOLERANCE_M})'
+PHI_EVENTUALLY = f'eventually[0:{SETTLING_TIME_S}]({PHI_ALWAYS})'
+ON_RUNWAY = f'always(abs(cte) <= {HALF_WIDTH_M})'
+USABLE = (
+    f'always(estimate_gap <= {LONGEST_BLIND_S} and unusable_share <= {MOST_UNUSABLE_SHARE})'
 )
+SHIPPED: Mapping[str, Spec] = MappingProxyType({
+    name: _spec(name, parse_formula(text))
+    for name, text in zip(
+        registry.SHIPPED[registry.REQUIREMENTS], (PHI_ALWAYS, PHI_EVENTUALLY, ON_RUNWAY, USABLE),
+        strict=True,
+    )
+})
 """The formulas that can be asked for by name. The paper prints ``CTE <= 1.5``; its tool monitors
 1.5 - |CTE| (VerifAI, examples/xplane), and so do these."""
 
@@ -106,9 +104,9 @@ def parse_spec(
     """Read a requirement as a user writes it.
 
     Args:
-        text: the name of a shipped formula, ``NAME=FORMULA``, or a bare formula. A bare formula is
-            named ``spec_`` and a hash of its parenthesised text, so its name does not depend on
-            spacing or aliases.
+        text: the name of a formula that is shipped or that a package has, ``NAME=FORMULA``, or a
+            bare formula. A bare formula is named ``spec_`` and a hash of its parenthesised text, so
+            its name does not depend on spacing or aliases.
         predicates: formulas by name that the formula may use.
         signals: names that the formula may read.
 
@@ -123,12 +121,32 @@ def parse_spec(
         # Spaces for the name keep the columns of error messages those of the typed text.
         return _named(named.group(1), ' ' * named.start(2) + named.group(2), predicates, signals)
     if word.isidentifier() and word not in (predicates or {}):
-        raise UsageError(
-            f'spec: unknown name {word!r}; known: {", ".join(SHIPPED)}; or write NAME=FORMULA'
-        )
+        return _readable(_of_package(word), signals)
     formula = parse(text, signals, predicates)
     digest = hashlib.sha256(str(formula).encode()).hexdigest()[:8]
     return _spec(f'spec_{digest}', formula)
+
+
+def _of_package(name: str) -> Spec:
+    """The requirement that an installed package has under a name.
+
+    Raises:
+        UsageError: there is none, its package cannot be imported, or it is no formula.
+    """
+    extension = registry.find(registry.REQUIREMENTS, name)
+    if extension is None:
+        raise UsageError(
+            f'spec: unknown name {name!r}; known: {registry.known(registry.REQUIREMENTS)}; or '
+            'write NAME=FORMULA'
+        )
+    text = extension.load()
+    if not isinstance(text, str):
+        raise UsageError(f'{extension.words}: {extension.target} is {type(text).__name__}; '
+                         'expected the text of a formula')
+    try:
+        return _named(name, text, None, SIGNALS)
+    except UsageError as error:
+        raise UsageError(f'{extension.words}: {error}') from None
 
 
 def _readable(spec: Spec, signals: Collection[str]) -> Spec:

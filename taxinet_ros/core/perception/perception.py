@@ -1,9 +1,10 @@
 """The exchangeable perceptions: a camera frame, or the truth, in; a tracking error out.
 
-One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, or a file:
-weights that ``taxinet train`` has written, anybody's network in ONNX, or a function in a Python
-file (``FILE.py:NAME``). A word that is not known is an error, for a test of the network that
-silently ran on the truth would prove nothing.
+One word chooses: ``truth``, a shipped network such as ``taxinet`` or ``original``, what an
+installed package adds (:mod:`taxinet_ros.registry`), or a file: weights that ``taxinet train`` has
+written, anybody's network in ONNX, or a function in a Python file (``FILE.py:NAME``). A word that
+is not known is an error, for a test of the network that silently ran on the truth would prove
+nothing.
 """
 
 from __future__ import annotations
@@ -17,20 +18,22 @@ from numpy.typing import NDArray
 from taxinet_ros.core.perception.network import ARCHITECTURES, TaxiNet, is_frame
 from taxinet_ros.core.perception.onnx.network import ONNX_SUFFIX
 from taxinet_ros.core.perception.onnx.trial import tried_network
-from taxinet_ros.core.perception.weights import SHIPPED, SUFFIX, Model, load_model
+from taxinet_ros.core.perception.weights import SUFFIX, load_model
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import (
-    IMPLEMENTATION,
     NO_NODE_HERE,
+    PluginCode,
     RunCode,
     UserCode,
     command_of,
+    find_plugin_code,
     find_user_code,
     is_node_elsewhere,
     names_user_code,
     pair_of_numbers,
 )
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import PERCEPTIONS, Extension, find, known, names
 
 NO_ESTIMATE = TrackingError(cte_m=0.0, he_rad=0.0, valid=False)
 """What a perception answers when it cannot tell."""
@@ -40,10 +43,10 @@ class Perception(Protocol):
     """Estimates the tracking error once per control step, from nothing but its arguments.
 
     Attributes:
-        word: ``truth`` or that of a shipped network; for a file ``weights``, ``onnx`` or
-            ``python``.
+        word: its name where it is shipped or comes with a package; for a file ``weights``,
+            ``onnx`` or ``python``.
         fingerprint: SHA-256 of the weights file, of the ONNX file with its description after it,
-            or of the Python file with those that it lists; empty for the truth.
+            of the Python file with those that it lists, or of the package; empty for the truth.
         needs_image: whether it looks at camera frames.
     """
 
@@ -124,14 +127,13 @@ class UserPerception(Perception):
     One that has ``needs_image = False`` is given the true :class:`TrackingError` instead.
     """
 
-    word = IMPLEMENTATION
-
     def __init__(self, code: UserCode) -> None:
         """Load it.
 
         Raises:
             UsageError: the file's code fails.
         """
+        self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)
         with code.running(UsageError):
@@ -153,10 +155,11 @@ class UserPerception(Perception):
             return NO_ESTIMATE
         else:
             argument = truth
-        return self._run.answer(argument, _read_estimate, 'a pair (cte_m, he_rad), or None')
+        return self._run.answer(argument, read_estimate, 'a pair (cte_m, he_rad), or None')
 
 
-def _read_estimate(answer: Any) -> TrackingError | None:
+def read_estimate(answer: Any) -> TrackingError | None:
+    """The estimate that a function of somebody's answered; None where it is none."""
     if answer is None:
         return NO_ESTIMATE
     if not isinstance(answer, TrackingError):
@@ -167,41 +170,33 @@ def _read_estimate(answer: Any) -> TrackingError | None:
     return answer if answer.usable else NO_ESTIMATE
 
 
-def _taxinet(word: str, model: Model) -> Perception:
-    """A network of ours."""
-    network = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
-    return NetworkPerception(network, word=word, fingerprint=model.card.weights_sha256)
-
-
-def _onnx(path: Path) -> Perception:
-    """A third party's network, once it has been tried."""
-    network, fingerprint = tried_network(path)
-    return NetworkPerception(network, word='onnx', fingerprint=fingerprint)
-
-
-PERCEPTION = ('truth', *SHIPPED)
-"""The words that choose a perception."""
+def perception_names() -> list[str]:
+    """The words that choose a perception: the truth, shipped networks, what packages add."""
+    return names(PERCEPTIONS)
 
 
 def make_perception(word_or_file: str) -> Perception:
-    """The perception of a word of :data:`PERCEPTION`, or the network in a file.
+    """The perception of a name, or the network in a file.
 
     Args:
-        word_or_file: the word; or a ``.safetensors`` file with its model card beside it, an
-            ``.onnx`` file with its description (:mod:`taxinet_ros.core.perception.onnx.sidecar`),
-            or a function in a Python file (:mod:`taxinet_ros.core.user_code`).
+        word_or_file: a name of :func:`perception_names`; or a ``.safetensors`` file with its model
+            card beside it, an ``.onnx`` file with its description
+            (:mod:`taxinet_ros.core.perception.onnx.sidecar`), or a function in a Python file
+            (:mod:`taxinet_ros.core.user_code`).
 
     Raises:
-        UsageError: unknown word (the known ones are listed), or a file that cannot be used.
+        UsageError: unknown word (the known ones are listed), or what cannot be used.
     """
-    if word_or_file == 'truth':
-        return GroundTruth()
+    extension = find(PERCEPTIONS, word_or_file)
+    if extension is not None:
+        found = _loaded(extension)
+        if isinstance(found, Path):
+            return _network(found, extension.name)
+        return UserPerception(found) if isinstance(found, PluginCode) else found
     if names_user_code(word_or_file):
         return UserPerception(find_user_code(word_or_file, 'perception'))
     path = _network_file(word_or_file)
-    if path.suffix == ONNX_SUFFIX:
-        return _onnx(path)
-    return _taxinet(word_or_file if word_or_file in SHIPPED else 'weights', load_model(path))
+    return _network(path, 'onnx' if path.suffix == ONNX_SUFFIX else 'weights')
 
 
 def check_perception(word_or_file: str, *, graph: bool = False) -> str:
@@ -217,27 +212,55 @@ def check_perception(word_or_file: str, *, graph: bool = False) -> str:
     Raises:
         UsageError: as :func:`make_perception`.
     """
+    extension = find(PERCEPTIONS, word_or_file)
+    if extension is not None:
+        found = _loaded(extension)
+        if isinstance(found, Path):
+            return _fingerprint(found)
+        return found.sha256 if isinstance(found, PluginCode) else found.fingerprint
     if graph and is_node_elsewhere(word_or_file):
         command_of(word_or_file)
         return ''
-    if word_or_file == 'truth':
-        return GroundTruth.fingerprint
     if names_user_code(word_or_file):
         return find_user_code(word_or_file, 'perception').sha256
-    path = _network_file(word_or_file)
+    return _fingerprint(_network_file(word_or_file))
+
+
+def _loaded(extension: Extension) -> Path | PluginCode | Perception:
+    """What stands behind a name: the file of a network, somebody's code, or a class of ours."""
+    found: Any = extension.load()
+    if isinstance(found, Path):
+        if found.suffix not in (SUFFIX, ONNX_SUFFIX):
+            raise UsageError(f'{extension.words}: {found}: expected a {SUFFIX} or {ONNX_SUFFIX} '
+                             'file')
+        return found
+    if not extension.shipped:
+        return find_plugin_code(extension)
+    perception: Perception = found()
+    return perception
+
+
+def _network(path: Path, word: str) -> Perception:
+    """The network in a file: one of ours, or a third party's once it has been tried."""
     if path.suffix == ONNX_SUFFIX:
-        return _onnx(path).fingerprint
+        theirs, fingerprint = tried_network(path)
+        return NetworkPerception(theirs, word=word, fingerprint=fingerprint)
+    model = load_model(path)
+    ours = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
+    return NetworkPerception(ours, word=word, fingerprint=model.card.weights_sha256)
+
+
+def _fingerprint(path: Path) -> str:
+    if path.suffix == ONNX_SUFFIX:
+        return tried_network(path)[1]
     return load_model(path).card.weights_sha256
 
 
 def _network_file(text: str) -> Path:
-    if text in SHIPPED:
-        return SHIPPED[text]
     if is_node_elsewhere(text):
         raise UsageError(f'perception {text}: {NO_NODE_HERE}')
     path = Path(text)
     if path.suffix not in (SUFFIX, ONNX_SUFFIX):
-        words = ', '.join(PERCEPTION)
-        raise UsageError(f'perception: {text!r} is unknown; known: {words}, a {SUFFIX} or '
-                         f'{ONNX_SUFFIX} file, or FILE.py:NAME')
+        words = known(PERCEPTIONS, f'a {SUFFIX} or {ONNX_SUFFIX} file', 'or FILE.py:NAME')
+        raise UsageError(f'perception: {text!r} is unknown; known: {words}')
     return path

@@ -19,6 +19,7 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
+from taxinet_ros import registry
 from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -156,10 +157,7 @@ def _errors(given: Section) -> dict[str, dict[str, float]]:
 SUFFIX = '.safetensors'
 SHIPPED = {
     word: Path(__file__).parent / 'weights' / f'{word}{SUFFIX}'
-    for word in (
-        'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
-        'iterative-crossing', 'iterative-learned',
-    )
+    for word in registry.SHIPPED[registry.PERCEPTIONS] if word != 'truth'
 }
 """Weights by the word that chooses them. ``original`` has learned in the part of S_falsif's world
 that the paper's network may have been trained in, ``broad`` in all of it, and ``taxinet``, which
@@ -167,6 +165,10 @@ began as ``broad``, further where that one failed. The others are the paper's: r
 of S_falsif, on those of a Halton sequence through it, and more where on the runway the original
 failed (section 3.4); and ``generic`` trained further on a fifth more scenes: of S_falsif, of the
 crossing, and of where it failed (appendix A.1)."""
+(
+    TAXINET, BROAD, ORIGINAL, GENERIC, HALTON, SPECIALISED, ITERATIVE_GENERIC, ITERATIVE_CROSSING,
+    ITERATIVE_LEARNED,
+) = SHIPPED.values()
 MAX_BYTES = 64 << 20
 """Largest file that is read; the shipped one is below 1 MiB."""
 Weights = Mapping[str, NDArray[np.float32]]

@@ -16,13 +16,38 @@ from functools import cache
 Polygon = tuple[tuple[float, float], ...]
 
 FOOT_M = 0.3048
-THRESHOLD_LAT_DEG, THRESHOLD_LON_DEG = 47.196736, -119.332917
-END_LAT_DEG, END_LON_DEG = 47.212778, -119.300297
-BEARING_RAD = math.radians(54.09)
-"""True bearing of the x axis, clockwise from north."""
 
-LENGTH_M = 3042.0
-WIDTH_M = 100 * FOOT_M
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Runway:
+    """Where a runway lies and how large it is, for whoever needs a place: aircraft, camera, sun.
+
+    Attributes:
+        threshold_deg: geodetic latitude and longitude of the origin of ``map`` [deg].
+        end_deg: the same of the far end of the centreline, on the x axis [deg].
+        elevation_m: height of the ground above the ellipsoid [m], the same everywhere.
+        bearing_rad: true bearing of the x axis [rad], clockwise from north.
+        length_m, width_m: of the pavement between its ends and edges [m].
+        utc_offset_h: local standard time less UTC [h].
+    """
+
+    threshold_deg: tuple[float, float]
+    end_deg: tuple[float, float]
+    elevation_m: float
+    bearing_rad: float
+    length_m: float
+    width_m: float
+    utc_offset_h: float
+
+
+KMWH_04 = Runway(
+    threshold_deg=(47.196736, -119.332917), end_deg=(47.212778, -119.300297), elevation_m=354.0,
+    bearing_rad=math.radians(54.09), length_m=3042.0, width_m=100 * FOOT_M, utc_offset_h=-8.0,
+)
+"""End points of the paper's simulator scenes. The ground is flat at the height of the threshold;
+the real runway climbs by 0.2 %."""
+
+LENGTH_M, WIDTH_M = KMWH_04.length_m, KMWH_04.width_m
 HALF_WIDTH_M = WIDTH_M / 2
 EDGE_STRIPE_Y_M = 14.7
 """Distance of the edge stripes' middle from the centreline."""

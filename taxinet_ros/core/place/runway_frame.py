@@ -16,6 +16,8 @@ from functools import cache
 
 import pymap3d
 
+from taxinet_ros.core.place.runway import KMWH_04, Runway
+
 Vector = tuple[float, float, float]
 
 
@@ -162,9 +164,6 @@ def _combine(a: float, u: Vector, b: float, v: Vector) -> Vector:
 
 
 @cache
-def kmwh_04() -> RunwayFrame:
-    """Grant County (KMWH) runway 04, with the end points of the paper's simulator scenes.
-
-    The ground is flat at 354 m, the height of the threshold; the real runway climbs by 0.2 %.
-    """
-    return RunwayFrame((47.196736, -119.332917), (47.212778, -119.300297), 354.0)
+def runway_frame(runway: Runway = KMWH_04) -> RunwayFrame:
+    """The ``map`` frame of a runway."""
+    return RunwayFrame(runway.threshold_deg, runway.end_deg, runway.elevation_m)

@@ -23,7 +23,7 @@ from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld, WorldMaker
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import Health, Pace, too_long
@@ -90,13 +90,16 @@ def chosen_timing(timing: Timing, *, lockstep: bool, factor: float) -> Timing:
 class ActiveRun:
     """The world, the lockstep's bookkeeping and the answer that a goal's client waits for."""
 
-    def __init__(self, goal: Any, executor: Any, timing: Timing) -> None:
+    def __init__(
+        self, goal: Any, executor: Any, timing: Timing, make_world: WorldMaker = SimulatedWorld
+    ) -> None:
         """Build the world that the goal's scenario describes.
 
         Args:
             goal: of the action.
             executor: of the node.
             timing: when answers take effect.
+            make_world: makes the world.
 
         Raises:
             UsageError: the scenario has a value out of range, no name that a folder can have, an
@@ -118,7 +121,7 @@ class ActiveRun:
         _ = judging.assumptions  # refused if they are none
         scenario = scenario_of(message)
         check_specs(judging.parsed_specs, scenario.duration_s)
-        self.world = World(scenario)
+        self.world = make_world(scenario)
         self.commands = LateCommands(timing, message.seed, message.index)
         may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:

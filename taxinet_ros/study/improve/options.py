@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
+from taxinet_ros import registry
 from taxinet_ros.campaign.samplers.registry import SAMPLERS
 from taxinet_ros.campaign.scenes.programs import find_program, known_programs
 from taxinet_ros.core.perception.weights import load_model, weights_path
@@ -82,7 +83,7 @@ class ImproveOptions:
             if not (math.isfinite(value) and low <= value <= high):
                 raise UsageError(f'improve: {name} is {value:g}, outside {low:g}..{high:g}')
         if self.sampler not in SAMPLERS:
-            known = ', '.join(SAMPLERS)
+            known = registry.known(registry.SAMPLERS)
             raise UsageError(f'improve: sampler {self.sampler!r} is unknown; known: {known}')
         if self.runs < 2:
             raise UsageError(

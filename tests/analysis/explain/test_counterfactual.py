@@ -14,7 +14,7 @@ from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 
 GAINS = SteeringGains()
 AFTERNOON = Scenario(time_of_day_s=16 * 3600.0, cross_track_m=2.0, clouds='clear')
@@ -23,7 +23,7 @@ WRONG_M = 4.0
 
 def moment_in(scenario, look):
     """The first moment of a scene, and what the network makes of it."""
-    now = World(scenario).observe()
+    now = SimulatedWorld(scenario).observe()
     truth = now.state.tracking_error
     estimate = look(now.image)
     return Moment(
@@ -42,7 +42,7 @@ def fooled_where(condition, truth):
 
 
 def truth_in(scenario):
-    return World(scenario).observe(picture=False).state.tracking_error
+    return SimulatedWorld(scenario).observe(picture=False).state.tracking_error
 
 
 def effects_on(scenario, condition):
@@ -53,7 +53,7 @@ def effects_on(scenario, condition):
 
 
 def test_given_a_network_fooled_only_by_the_shadow_then_the_shadow_is_blamed():
-    now = World(AFTERNOON).observe()
+    now = SimulatedWorld(AFTERNOON).observe()
     bare = Camera(dataclasses.replace(AFTERNOON, shadows=False)).render(now.state, 0)
     mask = changed_pixels(now.image, bare, levels=20)
     assert mask.mean() > 0.01  # there is a shadow in the picture
@@ -100,7 +100,7 @@ def test_given_a_network_wrong_whatever_the_scene_then_nothing_of_it_is_blamed()
 
 def test_given_a_change_that_takes_the_answer_away_then_it_takes_no_error_away():
     noon = Scenario()
-    shown = World(noon).observe().image
+    shown = SimulatedWorld(noon).observe().image
 
     def look(image):
         if not np.array_equal(image, shown):

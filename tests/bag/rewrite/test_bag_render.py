@@ -25,7 +25,7 @@ from taxinet_ros.bag.run.facts import gains_text, parse_gains
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 from taxinet_ros.errors import UsageError
 
 FRAMES = arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(3)))
@@ -60,7 +60,7 @@ def test_given_a_bag_without_frames_when_rendered_then_they_are_those_of_the_wor
     blind, rendered
 ):
     trace = open_recording(blind).columns
-    world = World(open_recording(blind).scenario)
+    world = SimulatedWorld(open_recording(blind).scenario)
     frames = [frame.image for frame in open_recording(rendered).frames(render=False)]
     assert len(frames) == STEPS
     for seq, frame in enumerate(frames):

@@ -18,7 +18,7 @@ from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 
 pytestmark = pytest.mark.ros
 
@@ -68,7 +68,7 @@ def dataset(tmp_path_factory):
     lines = ['image,cte_m,heading_error_deg']
     for number in range(6):
         scene = Scenario(cross_track_m=number - 3.0, distance_m=500.0 + number)
-        image = World(scene).observe().image
+        image = SimulatedWorld(scene).observe().image
         assert cv2.imwrite(str(folder / f'{number}.png'), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         lines.append(f'{number}.png,{number - 3.0},0')
     (folder / 'labels.csv').write_text('\n'.join(lines) + '\n')

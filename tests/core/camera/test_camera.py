@@ -182,7 +182,7 @@ def test_given_the_crossing_when_photographed_then_centreline_and_edges_are_not_
 def test_given_equal_inputs_when_rendered_in_two_processes_then_the_bytes_are_equal() -> None:
     code = (
         'import hashlib, cv2; cv2.setNumThreads(1)\n'
-        'from tests.core.test_camera import golden_shots\n'
+        'from tests.core.camera.test_camera import golden_shots\n'
         'print(hashlib.sha256(b"".join(p.tobytes() for p in golden_shots())).hexdigest())\n'
     )
     other = subprocess.run(
@@ -382,10 +382,11 @@ def test_given_any_number_of_threads_when_rendered_then_the_bytes_are_equal(thre
         cv2.setNumThreads(before)
 
 
-def test_given_a_world_that_nobody_photographs_then_no_camera_is_made(monkeypatch) -> None:
+def test_given_a_world_that_nobody_photographs_then_no_camera_is_made() -> None:
     made: list[Scenario] = []
-    monkeypatch.setattr(world, 'Camera', lambda scenario: made.append(scenario) or Camera(scenario))
-    seen = world.World(Scenario())
+    seen = world.SimulatedWorld(
+        Scenario(), camera=lambda scenario: made.append(scenario) or Camera(scenario)
+    )
     assert seen.observe(picture=False).image is None
     assert made == []
     assert seen.observe().image is not None

@@ -31,7 +31,7 @@ from taxinet_ros.core.perception.onnx.sidecar import parse_sidecar
 from taxinet_ros.core.perception.perception import NO_ESTIMATE, make_perception
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.core.world import World
+from taxinet_ros.core.world import SimulatedWorld
 
 Node = helper.make_node
 FLOAT, INT64 = TensorProto.FLOAT, TensorProto.INT64
@@ -69,7 +69,7 @@ def test_given_our_network_in_onnx_when_both_look_at_rendered_frames_then_they_a
     theirs = make_perception(str(save(tmp_path, network, our_scaling())))
     seen = []
     for place in ({'heading': 0}, {'heading': 20, 'cross_track': 6}, {'clouds': 'overcast'}):
-        image = World(scenario_from_human(place), pictures=True).observe().image
+        image = SimulatedWorld(scenario_from_human(place), pictures=True).observe().image
         assert image is not None
         estimate = theirs.estimate(image, None)
         assert estimate.usable

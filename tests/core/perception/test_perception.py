@@ -13,10 +13,10 @@ from onnx_samples import save
 from taxinet_ros.core.perception.network import CTE_SCALE_M, HE_SCALE_RAD
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
-    PERCEPTION,
     Perception,
     check_perception,
     make_perception,
+    perception_names,
 )
 from taxinet_ros.core.perception.weights import SHIPPED, digest
 from taxinet_ros.core.types import TrackingError
@@ -25,7 +25,7 @@ from taxinet_ros.errors import UsageError
 TRUTH = TrackingError(cte_m=-1.5, he_rad=0.2)
 
 
-@pytest.fixture(params=[*PERCEPTION, 'weights', 'onnx'])
+@pytest.fixture(params=[*perception_names(), 'weights', 'onnx'])
 def perception(request: pytest.FixtureRequest, tmp_path: Path) -> Perception:
     """The contract kit runs over every perception there is."""
     files = {'weights': save_sample, 'onnx': save}
@@ -69,7 +69,7 @@ def test_given_any_perception_when_it_has_nothing_to_go_by_then_the_estimate_is_
 def test_given_any_perception_when_described_then_word_fingerprint_and_need_agree(
     perception: Perception,
 ) -> None:
-    assert perception.word in (*PERCEPTION, 'weights', 'onnx')
+    assert perception.word in (*perception_names(), 'weights', 'onnx')
     assert perception.needs_image == (perception.word != 'truth')
     assert len(perception.fingerprint) == (64 if perception.needs_image else 0)
 
@@ -139,7 +139,7 @@ def test_given_an_unknown_word_when_chosen_then_the_known_ones_are_listed(
         choose(word)
     message = str(caught.value)
     assert repr(word) in message
-    assert all(known in message for known in (*PERCEPTION, '.safetensors', '.onnx'))
+    assert all(known in message for known in (*perception_names(), '.safetensors', '.onnx'))
     assert '\n' not in message
 
 
@@ -152,7 +152,7 @@ def test_given_a_missing_weights_file_when_chosen_then_there_is_no_fallback(
         choose(str(tmp_path / 'gone.safetensors'))
 
 
-@pytest.mark.parametrize('word', PERCEPTION)
+@pytest.mark.parametrize('word', perception_names())
 def test_given_a_known_word_when_checked_then_nothing_is_said(word: str) -> None:
     check_perception(word)
 

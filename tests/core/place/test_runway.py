@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymap3d.vincenty import vdist
 
 from taxinet_ros.core.place import runway
-from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, kmwh_04
+from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 
 
 def of_kind(kind: str) -> list[runway.Marking]:
@@ -21,17 +21,15 @@ def test_given_the_end_points_when_measured_on_the_ellipsoid_then_length_and_bea
     None
 ):
     east, north, _ = pymap3d.geodetic2enu(
-        runway.END_LAT_DEG,
-        runway.END_LON_DEG,
+        *runway.KMWH_04.end_deg,
         0.0,
-        runway.THRESHOLD_LAT_DEG,
-        runway.THRESHOLD_LON_DEG,
+        *runway.KMWH_04.threshold_deg,
         0.0,
     )
     # The published length is that of a great circle on a sphere, 0.2 % short here.
     assert math.hypot(east, north) == pytest.approx(runway.LENGTH_M, rel=3e-3)
     assert math.degrees(math.atan2(east, north)) == pytest.approx(
-        math.degrees(runway.BEARING_RAD), abs=0.2
+        math.degrees(runway.KMWH_04.bearing_rad), abs=0.2
     )
 
 
@@ -104,7 +102,7 @@ def on_the_ground(latitude_deg: float, longitude_deg: float) -> GeodeticPose:
     return GeodeticPose(
         latitude_rad=math.radians(latitude_deg),
         longitude_rad=math.radians(longitude_deg),
-        altitude_m=kmwh_04().elevation_m,
+        altitude_m=runway_frame().elevation_m,
         heading_rad=math.radians(54.0),
     )
 
@@ -118,8 +116,8 @@ def on_the_ground(latitude_deg: float, longitude_deg: float) -> GeodeticPose:
 def test_given_a_pose_when_placed_and_measured_then_it_is_the_same(
     x_m: float, y_m: float, z_m: float, yaw_rad: float
 ) -> None:
-    there = kmwh_04().to_geodetic(MapPose(x_m=x_m, y_m=y_m, z_m=z_m, yaw_rad=yaw_rad))
-    back = kmwh_04().to_map(there)
+    there = runway_frame().to_geodetic(MapPose(x_m=x_m, y_m=y_m, z_m=z_m, yaw_rad=yaw_rad))
+    back = runway_frame().to_map(there)
 
     assert back.x_m == pytest.approx(x_m, abs=1e-6)
     assert back.y_m == pytest.approx(y_m, abs=1e-6)
@@ -128,12 +126,12 @@ def test_given_a_pose_when_placed_and_measured_then_it_is_the_same(
 
 
 def test_given_the_published_end_points_when_measured_then_they_lie_on_the_x_axis() -> None:
-    threshold = kmwh_04().to_map(on_the_ground(*THRESHOLD))
-    far_end = kmwh_04().to_map(on_the_ground(*FAR_END))
+    threshold = runway_frame().to_map(on_the_ground(*THRESHOLD))
+    far_end = runway_frame().to_map(on_the_ground(*FAR_END))
 
     assert (threshold.x_m, threshold.y_m) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert far_end.y_m == pytest.approx(0.0, abs=1e-6)
-    assert far_end.x_m == pytest.approx(kmwh_04().length_m, abs=1e-6)
+    assert far_end.x_m == pytest.approx(runway_frame().length_m, abs=1e-6)
 
 
 def test_given_the_runway_when_its_length_is_taken_then_it_agrees_with_the_geodesic() -> None:
@@ -141,13 +139,13 @@ def test_given_the_runway_when_its_length_is_taken_then_it_agrees_with_the_geode
 
     # The geodesic runs on the ellipsoid, the runway 354 m above it.
     lifted_m = float(distance_m) * (1 + 354.0 / 6.378e6)
-    assert kmwh_04().length_m == pytest.approx(lifted_m, abs=0.02)
-    heading = kmwh_04().to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0)).heading_rad
+    assert runway_frame().length_m == pytest.approx(lifted_m, abs=0.02)
+    heading = runway_frame().to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0)).heading_rad
     assert math.degrees(heading) == pytest.approx(float(azimuth_deg), abs=1e-3)
 
 
 def test_given_points_off_the_centreline_when_placed_then_left_is_north_west() -> None:
-    frame = kmwh_04()
+    frame = runway_frame()
     centre = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0))
     left = frame.to_geodetic(MapPose(x_m=500, y_m=10, z_m=0, yaw_rad=0))
 
@@ -156,7 +154,7 @@ def test_given_points_off_the_centreline_when_placed_then_left_is_north_west() -
 
 
 def test_given_a_nose_to_the_left_when_placed_then_the_compass_turns_back() -> None:
-    frame = kmwh_04()
+    frame = runway_frame()
     straight = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0))
     left = frame.to_geodetic(MapPose(x_m=500, y_m=0, z_m=0, yaw_rad=0.3))
 
@@ -164,7 +162,7 @@ def test_given_a_nose_to_the_left_when_placed_then_the_compass_turns_back() -> N
 
 
 def test_given_both_ends_when_aligned_then_true_heading_grows_by_the_convergence() -> None:
-    frame = kmwh_04()
+    frame = runway_frame()
     start = frame.to_geodetic(MapPose(x_m=0, y_m=0, z_m=0, yaw_rad=0))
     end = frame.to_geodetic(MapPose(x_m=frame.length_m, y_m=0, z_m=0, yaw_rad=0))
 

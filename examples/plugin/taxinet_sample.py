@@ -1,0 +1,112 @@
+"""One of everything that a package can add to taxinet_ros; see docs/extending.md.
+
+Install it beside taxinet_ros (``pip install examples/plugin``), and the names in pyproject.toml
+work wherever the shipped ones do: ``taxinet run nominal --perception bright-paint --controller
+damped --spec gentle``, ``taxinet falsify s_falsif --sampler corners``.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from taxinet_ros.campaign.samplers.registry import proposer_kind
+from taxinet_ros.campaign.samplers.sampler import Option
+from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.types import AircraftState
+from taxinet_ros.core.world import Observation, last_step
+
+STEP_S, STEP_NS = 0.1, 100_000_000
+METRES_PER_PIXEL, RAD_PER_PIXEL = 0.04, 0.004
+WHEELBASE_M = 3.5
+
+
+def bright_paint(image):
+    """A frame in, (cte_m, he_rad) out, or None: the columns where the paint is, near and far."""
+    columns = []
+    for rows in (slice(60, 90), slice(120, 180)):
+        paint = image[rows, :, :].min(axis=(0, 2)) > 150
+        if not paint.any():
+            return None
+        columns.append(float(np.flatnonzero(paint).mean()))
+    far, near = columns
+    return METRES_PER_PIXEL * (near - 180), RAD_PER_PIXEL * (near - far)
+
+
+class Damped:
+    """A controller with a memory: it is made anew for each run, so no run depends on another."""
+
+    def __init__(self):
+        self.before_m = None
+
+    def __call__(self, estimate):
+        """An estimate in, (steering_rad, speed_mps) out."""
+        if not estimate.usable:
+            return 0.0, 0.0
+        rate_mps = 0.0 if self.before_m is None else (estimate.cte_m - self.before_m) / STEP_S
+        self.before_m = estimate.cte_m
+        steering_rad = -0.04 * estimate.cte_m - 0.1 * rate_mps - 0.8 * estimate.he_rad
+        return min(max(steering_rad, -0.2), 0.2), 5.0
+
+
+class Corners:
+    """Proposes points near the ends of all dimensions, of some at random."""
+
+    def __init__(self, space, seed, width):
+        self.space, self.width = space, width
+        self.chance = np.random.default_rng(seed)
+
+    def ask(self):
+        ends = self.chance.integers(0, 2, len(self.space)) * (1 - self.width)
+        return self.space.point(ends + self.width * self.chance.random(len(self.space)))
+
+    again = ask
+
+    def tell(self, index, rho):
+        """It learns nothing."""
+
+    def weight(self, index):
+        return None
+
+    def learned(self):
+        return {}
+
+
+CORNERS = proposer_kind(
+    'near the ends of all dimensions',
+    lambda space, seed, runs, values: Corners(space, seed, values['width']),
+    floor=0.2,
+    options={'width': Option(meaning='of an end [quantiles]', default=0.1, low=0.001, high=0.5)},
+)
+
+GENTLE = 'always(abs(steering) <= 12 deg)'
+
+
+class Bicycle:
+    """A world without flight dynamics: a bicycle on the shipped runway, seen by the shipped camera.
+
+    The nose wheel follows at once, and so does the speed.
+    """
+
+    def __init__(self, scenario, *, pictures=True):
+        self.last_seq, self.seq = last_step(scenario), 0
+        self.camera = Camera(scenario) if pictures else None
+        self.state = AircraftState(
+            x_m=scenario.distance_m, y_m=scenario.cross_track_m, z_m=1.55, roll_rad=0.0,
+            pitch_rad=0.0, yaw_rad=scenario.heading_rad, speed_mps=5.0, yaw_rate_radps=0.0,
+        )
+
+    def observe(self, *, picture=True):
+        stamp_ns = self.seq * STEP_NS
+        image = self.camera.render(self.state, stamp_ns) if picture and self.camera else None
+        return Observation(seq=self.seq, stamp_ns=stamp_ns, state=self.state, image=image)
+
+    def advance(self, command):
+        now, self.seq = self.state, self.seq + 1
+        rate_radps = command.speed_mps / WHEELBASE_M * math.tan(command.steering_rad)
+        self.state = dataclasses.replace(
+            now, yaw_rad=now.yaw_rad + rate_radps * STEP_S, yaw_rate_radps=rate_radps,
+            speed_mps=command.speed_mps,
+            x_m=now.x_m + command.speed_mps * math.cos(now.yaw_rad) * STEP_S,
+            y_m=now.y_m + command.speed_mps * math.sin(now.yaw_rad) * STEP_S,
+        )

@@ -1,0 +1,309 @@
+"""Extension points: perceptions, controllers, samplers, worlds and requirements by name.
+
+An installed package adds to them by entry points in the groups ``taxinet_ros.perceptions``,
+``taxinet_ros.controllers``, ``taxinet_ros.samplers``, ``taxinet_ros.worlds`` and
+``taxinet_ros.requirements``; docs/extending.md says what each has to be. What is shipped stands in
+the same groups. Nothing is imported until its name is asked for, so a package that is broken is
+heard of only by whoever names it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from taxinet_ros import __version__
+from taxinet_ros.errors import UsageError, plain_line
+from taxinet_ros.processes.interrupts import refuse_exits
+
+PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
+WORLDS, REQUIREMENTS = 'worlds', 'requirements'
+OURS = 'taxinet_ros'
+
+_NETWORKS = (
+    'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
+    'iterative-crossing', 'iterative-learned',
+)
+_SAMPLERS = (
+    'random', 'halton', 'sobol', 'grid', 'active', 'ce', 'ce-verifai', 'mab', 'bo', 'tpe', 'cmaes',
+)
+
+
+def _constants(module: str, names: tuple[str, ...]) -> dict[str, str]:
+    """Targets of names whose objects are constants of a module, in capitals."""
+    return {name: f'{module}:{name.upper().replace("-", "_")}' for name in names}
+
+
+SHIPPED: Mapping[str, Mapping[str, str]] = {
+    PERCEPTIONS: {
+        'truth': 'taxinet_ros.core.perception.perception:GroundTruth',
+        **_constants('taxinet_ros.core.perception.weights', _NETWORKS),
+    },
+    CONTROLLERS: {'steering': 'taxinet_ros.core.controller:SteeringLaw'},
+    SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
+    WORLDS: {'kmwh': 'taxinet_ros.core.world:SimulatedWorld'},
+    REQUIREMENTS: _constants(
+        'taxinet_ros.core.mtl.specs', ('phi_always', 'phi_eventually', 'on_runway', 'usable')
+    ),
+}
+"""What is shipped: target (``module:object``) by extension point and name, in the order in which
+people are told of it. setup.py makes entry points of them."""
+
+RESERVED = frozenset({'external', 'python', 'onnx', 'weights'})
+"""Words that mean something else where a name is given or recorded."""
+
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_-]*')
+_SAID_CHARACTERS = 300
+_T = TypeVar('_T')
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Extension:
+    """Something that a package provides under a name.
+
+    Attributes:
+        kind: extension point, one of :data:`SHIPPED`'s keys.
+        name: what people type.
+        target: where it is, ``module:object``.
+        distribution: the package that provides it, as it is installed.
+        version: of that.
+    """
+
+    kind: str
+    name: str
+    target: str
+    distribution: str
+    version: str
+
+    @property
+    def shipped(self) -> bool:
+        """Whether it is ours."""
+        return self.distribution == OURS
+
+    @property
+    def words(self) -> str:
+        """It and where it comes from, for people: ``controller pid of our-pids 1.2``."""
+        return f'{self.kind.removesuffix("s")} {self.name} of {self.distribution} {self.version}'
+
+    @property
+    def package(self) -> Path | None:
+        """Folder, or only file, of the package that it is in; None where that is not to be found.
+
+        Nothing is imported for it.
+        """
+        import importlib.util
+
+        with contextlib.suppress(ImportError, ValueError, AttributeError):
+            spec = importlib.util.find_spec(self.target.partition(':')[0].partition('.')[0])
+            if spec is not None and spec.origin is not None:
+                origin = Path(spec.origin)
+                return origin.parent if origin.name == '__init__.py' else origin
+        return None
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of its distribution's name and version and all files of its package.
+
+        Raises:
+            UsageError: the package is not there, or cannot be read.
+        """
+        package = self.package
+        if package is None:
+            raise UsageError(f'{self.words}: {self.target}: no such package')
+        files = sorted(
+            path for path in (package.rglob('*') if package.is_dir() else [package])
+            if path.is_file() and path.suffix != '.pyc'
+        )
+        digest = hashlib.sha256(f'{self.distribution} {self.version}\n'.encode())
+        for path in files:
+            try:
+                content = path.read_bytes()
+            except OSError as error:
+                raise UsageError(f'{self.words}: {path}: {error.strerror}') from error
+            name = path.relative_to(package.parent).as_posix()
+            digest.update(f'{name} {hashlib.sha256(content).hexdigest()}\n'.encode())
+        return digest.hexdigest()
+
+    def load(self) -> Any:
+        """The object itself.
+
+        Raises:
+            UsageError: its package cannot be imported, or has no such object.
+        """
+        import importlib
+
+        module, _, attributes = self.target.partition(':')
+        if not self.shipped:
+            refuse_exits()
+        try:
+            # What it prints is no result of ours.
+            with contextlib.redirect_stdout(sys.stderr):
+                return functools.reduce(
+                    getattr, attributes.split('.'), importlib.import_module(module)
+                )
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever its code raises, a SystemExit too
+            raise self.failure(error) from error
+
+    def failure(self, error: BaseException) -> UsageError:
+        """The complaint about an exception of its code."""
+        text = str(error).partition('\n')[0]
+        said = type(error).__name__ + (f': {text}' if text else '')
+        cut = f'{said[:_SAID_CHARACTERS]}…' if len(said) > _SAID_CHARACTERS else said
+        return UsageError(plain_line(f'{self.words}: {self.target}: {cut}'))
+
+
+def find(kind: str, name: str) -> Extension | None:
+    """What is installed under a name; None where nothing is.
+
+    Args:
+        kind: extension point.
+        name: as it was typed.
+
+    Raises:
+        UsageError: two packages provide it, or it is a name that nobody can be meant by.
+    """
+    found = [one for one in _all(kind) if one.name == name]
+    if not found:
+        return None
+    if len(found) > 1:
+        told = ' and '.join(f'{one.distribution} {one.version} ({one.target})' for one in found)
+        raise UsageError(f'{kind.removesuffix("s")} {name}: there are two, of {told}; '
+                         'uninstall one')
+    if not _NAME.fullmatch(name) or name in RESERVED:
+        raise UsageError(f'{found[0].words}: the name cannot be used: letters, digits, _ and - '
+                         f'only, and none of {", ".join(sorted(RESERVED))}')
+    return found[0]
+
+
+def names(kind: str) -> list[str]:
+    """The names that :func:`find` knows, what is shipped first."""
+    return list(dict.fromkeys(one.name for one in _all(kind)))
+
+
+def known(kind: str, *more: str) -> str:
+    """What to say after ``known:`` where a name is not: all names, then other words, then whence.
+
+    Args:
+        kind: extension point.
+        more: what else may be given, in words.
+    """
+    return f'{", ".join([*names(kind), *more])}; packages add more by {OURS}.{kind}'
+
+
+def plugins() -> str:
+    """Packages that add to any extension point, with their versions, for a record; or ''."""
+    return ', '.join(sorted({
+        f'{one.distribution} {one.version}' for kind in SHIPPED for one in _foreign(kind)
+    }))
+
+
+def origins(**chosen: str) -> dict[str, dict[str, str]]:
+    """Where the chosen extensions come from, for a record; what is shipped is left out.
+
+    Args:
+        chosen: name by extension point.
+    """
+    found = {kind: find(kind, name) for kind, name in chosen.items()}
+    return {
+        kind: {
+            'name': one.name, 'distribution': one.distribution, 'version': one.version,
+            'sha256': one.fingerprint,
+        }
+        for kind, one in found.items() if one is not None and not one.shipped
+    }
+
+
+class Extensions(Mapping[str, _T], Generic[_T]):
+    """All extensions of a kind by name, loaded when they are looked up."""
+
+    def __init__(self, kind: str, read: Callable[[Extension, Any], _T]) -> None:
+        """Keep what is needed to look one up.
+
+        Args:
+            kind: extension point.
+            read: makes of an extension and its object what is wanted, or raises UsageError.
+        """
+        self._kind, self._read = kind, read
+
+    def __getitem__(self, name: str) -> _T:
+        found = find(self._kind, name)
+        if found is None:
+            raise KeyError(name)
+        return self._read(found, found.load())
+
+    def __contains__(self, name: object) -> bool:
+        return name in names(self._kind)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(names(self._kind))
+
+    def __len__(self) -> int:
+        return len(names(self._kind))
+
+
+def _all(kind: str) -> list[Extension]:
+    ours = [
+        Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
+        for name, target in SHIPPED[kind].items()
+    ]
+    return [*ours, *_foreign(kind)]
+
+
+def _foreign(kind: str) -> tuple[Extension, ...]:
+    return _declared(tuple(sys.path)).get(kind, ())
+
+
+@functools.cache
+def _declared(folders: tuple[str, ...]) -> dict[str, tuple[Extension, ...]]:
+    """What installed packages other than ours declare, by kind.
+
+    ``importlib.metadata`` takes longer to import than all of ``taxinet --help``, so it is asked
+    only where a file of entry points has one of our groups. The same is done in each of our
+    processes.
+    """
+    if not any(map(_declares, folders)):
+        return {}
+    from importlib.metadata import entry_points
+
+    found = {}
+    for kind in SHIPPED:
+        entries = sorted(
+            entry_points(group=f'{OURS}.{kind}'), key=lambda one: (one.name, one.value)
+        )
+        found[kind] = tuple(
+            Extension(
+                kind=kind, name=entry.name, target=entry.value,
+                distribution=entry.dist.name, version=entry.dist.version,
+            )
+            for entry in entries
+            if entry.dist is not None and entry.dist.name.replace('-', '_') != OURS
+        )
+    return found
+
+
+def _declares(folder: str) -> bool:
+    """Whether a folder of packages has one, not ours, that adds to our extension points."""
+    try:
+        inside = os.listdir(folder or '.')
+    except OSError:
+        return False
+    for name in inside:
+        if not name.endswith(('.dist-info', '.egg-info')) or name.startswith(
+            (f'{OURS}-', f'{OURS}.egg')
+        ):
+            continue
+        with contextlib.suppress(OSError):
+            text = Path(folder or '.', name, 'entry_points.txt').read_bytes()
+            if f'[{OURS}.'.encode() in text:
+                return True
+    return False

@@ -1,0 +1,416 @@
+"""What an extension has to do, as checks that its author runs: the contract kit.
+
+Each check takes the name that people type (:mod:`taxinet_ros.registry`), or for perceptions and
+controllers anything else that may stand there, such as ``FILE.py:NAME``. It returns nothing, and
+raises :class:`ContractError` with one line where the contract is broken, so in a test one call is
+enough::
+
+    from taxinet_ros.testing import check_perception
+
+    def test_contract() -> None:
+        check_perception('my_name')
+
+Part of every check is that another process, with another order of hashes, gets the same answers:
+runs are made in worker processes, and have to come out the same there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import SteeringGains, make_controller
+from taxinet_ros.core.controller import check_controller as controller_fingerprint
+from taxinet_ros.core.judge import check_specs
+from taxinet_ros.core.mtl import parse_formula, parse_spec, robustness, signal_names
+from taxinet_ros.core.perception.perception import check_perception as perception_fingerprint
+from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+from taxinet_ros.core.user_code import UserCodeError
+from taxinet_ros.core.world import Observation, SimulatedWorld, find_world, last_step
+from taxinet_ros.errors import InfraError, UsageError
+
+MOST_CTE_M = 100.0
+"""Cross-track error [m] beyond which an estimate is taken for one in another unit."""
+
+MOST_SPEED_MPS = 60.0
+"""Commanded speed [m/s] beyond which it is taken for one in another unit: no taxiing aircraft."""
+
+_TRUTHS = tuple(
+    TrackingError(cte_m=cte_m, he_rad=math.radians(he_deg))
+    for cte_m, he_deg in ((0.0, 0.0), (-8.0, 20.0), (3.5, -30.0), (0.4, 1.0))
+)
+_UNUSABLE = (
+    TrackingError(cte_m=0.0, he_rad=0.0, valid=False),
+    TrackingError(cte_m=math.nan, he_rad=0.0),
+    TrackingError(cte_m=0.0, he_rad=math.inf),
+)
+_SPACES = (
+    Space((Dimension(name='x'), Dimension(name='kind', weights=(2, 0, 1)),
+           Dimension(name='y', buckets=3))),
+    Space((
+        Dimension(name='kind', weights=(3, 1)),
+        Dimension(name='dry', weights=(1, 1), when=(Branch('kind', (0,)),)),
+        Dimension(name='rain', buckets=4, when=(Branch('kind', (1,)),)),
+        Dimension(name='x'),
+    )),
+)
+_SCENE = Scenario(cross_track_m=2.0, heading_rad=0.1, duration_s=1.0)
+_ELSEWHERE_S = 600.0
+
+
+class ContractError(AssertionError):
+    """An extension breaks its contract; the line says which and how."""
+
+
+def check_perception(word: str) -> None:
+    """See that a perception can take part in runs.
+
+    For frames (200, 360, 3) uint8 RGB of a runway, and for some that show nothing, it answers each
+    with one :class:`.TrackingError` of plain floats, finite and in metres and radians or declared
+    invalid; leaves the frame as it is; has nothing to say where it has nothing to go by; and
+    answers equally in each run and in each process.
+
+    Raises:
+        ContractError: it does not.
+    """
+    with _Complaints(f'perception {word}') as complain:
+        found = make_perception(word)
+        told = perception_fingerprint(word)
+        complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
+        complain.unless(type(found.needs_image) is bool, 'needs_image is no bool')
+        for number, (frame, truth) in enumerate(_sights()):
+            found.begin()
+            before = frame.copy()
+            estimate = found.estimate(frame, truth)
+            complain.unless(np.array_equal(frame, before), f'writes on frame {number}')
+            _check_estimate(complain, number, estimate)
+        found.begin()
+        complain.unless(
+            not found.estimate(None, None).usable, 'has an estimate without frame and truth'
+        )
+        answers = _perceive(word)
+        complain.unless(answers == _perceive(word), 'answers differ from one making to the next')
+        complain.unless(answers == _elsewhere(_perceive, word), 'answers differ in a worker')
+
+
+def check_controller(word: str) -> None:
+    """See that a controller can take part in runs.
+
+    It answers every estimate, also one that is not usable, with one :class:`.TaxiCommand` of finite
+    numbers: a nose-wheel angle in radians, left positive, and a speed of 0 m/s or more; and equally
+    in each run and in each process.
+
+    Raises:
+        ContractError: it does not.
+    """
+    with _Complaints(f'controller {word}') as complain:
+        found = make_controller(word, SteeringGains())
+        told = controller_fingerprint(word)
+        complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
+        found.begin()
+        for estimate in (*_TRUTHS, *_UNUSABLE):
+            _check_command(complain, estimate, found.command(estimate))
+        answers = _steer(word)
+        complain.unless(answers == _steer(word), 'answers differ from one making to the next')
+        complain.unless(answers == _elsewhere(_steer, word), 'answers differ in a worker')
+
+
+def check_sampler(name: str, runs: int = 40, **options: str | float) -> None:
+    """See that a sampler can choose the runs of a campaign.
+
+    In a space of three dimensions and in one with idle ones, its points are quantiles in [0, 1)
+    that belong to the space, and follow from seed, options and results alone, in each process; what
+    it says of a run's weight is positive or None, and what it has learned are probabilities; a run
+    without a result does it no harm, and where it has learned anything it can be copied
+    (:func:`copy.deepcopy`).
+
+    Args:
+        name: of the sampler.
+        runs: how many points to ask for; more than it takes until it begins to learn.
+        options: of the sampler.
+
+    Raises:
+        ContractError: it does not.
+    """
+    with _Complaints(f'sampler {name}') as complain:
+        kind = SAMPLERS.get(name)
+        complain.unless(kind is not None, 'is not installed')
+        complain.unless(bool(kind and kind.meaning), 'does not say what it does (meaning)')
+        for number, space in enumerate(_SPACES):
+            points = _sample(name, number, 1, runs, options)
+            for index, point in enumerate(points):
+                _check_point(complain, space, index, point)
+            again = _sample(name, number, 1, runs, options)
+            complain.unless(points == again, 'equal seeds give different points')
+            other = _sample(name, number, 2, runs, options)
+            complain.unless(points != other, 'different seeds give equal points')
+            _check_book(complain, name, space, runs, options)
+        told = _elsewhere(_sample, name, 0, 1, runs, options)
+        here = _sample(name, 0, 1, runs, options)
+        complain.unless(json.loads(json.dumps(here)) == told, 'points differ in a worker')
+
+
+def check_world(name: str) -> None:
+    """See that runs can take place in a world.
+
+    It begins where the scenario says, at control step 0; observing it changes nothing; its states
+    are finite, and its pictures (200, 360, 3) uint8 RGB; a step takes it one control period on, to
+    the scenario's last; and equal scenarios and commands give equal states and pictures, to the
+    bit, in each process.
+
+    Raises:
+        ContractError: it does not.
+    """
+    with _Complaints(f'world {name}') as complain:
+        world = find_world(name).make(_SCENE)
+        complain.unless(world.last_seq == last_step(_SCENE), 'last_seq is not of the scenario')
+        for seq in range(world.last_seq + 1):
+            now = world.observe()
+            _check_observation(complain, seq, now)
+            equal = _plain(now) == _plain(world.observe())
+            complain.unless(equal, f'step {seq}: observing it twice gives two answers')
+            blank = world.observe(picture=False).image is None
+            complain.unless(blank, f'step {seq}: picture=False gives a picture')
+            if seq == 0:
+                here, there = now.state.tracking_error, _SCENE
+                near = math.isclose(here.cte_m, there.cross_track_m, abs_tol=0.05)
+                near &= math.isclose(here.he_rad, there.heading_rad, abs_tol=0.01)
+                complain.unless(near, f'begins at {here}, not where the scenario says')
+            world.advance(TaxiCommand(steering_rad=0.05, speed_mps=5.0))
+        blind = find_world(name).make(_SCENE, pictures=False)
+        complain.unless(blind.observe().image is None, 'pictures=False gives a picture')
+        states = _drive(name)
+        complain.unless(states == _drive(name), 'two worlds of one scenario differ')
+        complain.unless(states == _elsewhere(_drive, name), 'states differ in a worker')
+
+
+def check_requirement(name: str) -> None:
+    """See that runs can be judged by a requirement.
+
+    It is a formula that is read back as it is written, over signals that there are; runs of 30 s
+    are long enough for it, and nothing is doubtful about it there; and its robustness is a number
+    on traces of any course.
+
+    Raises:
+        ContractError: it does not.
+    """
+    with _Complaints(f'requirement {name}') as complain:
+        spec = parse_spec(name)
+        complain.unless(spec.name == name, f'is named {spec.name}')
+        complain.unless(parse_formula(spec.text) == spec.formula, 'is not read back as written')
+        doubts = check_specs([spec], 30.0).warnings
+        complain.unless(not doubts, f'may not say what is meant: {"; ".join(doubts)}')
+        stamps_ns = [seq * CONTROL_PERIOD_NS for seq in range(301)]
+        for level in (0.0, 1.0, -1.0):
+            trace = {one: [level] * len(stamps_ns) for one in signal_names(spec.formula)}
+            rho = robustness(spec.formula, stamps_ns, trace)
+            complain.unless(math.isfinite(rho), f'its robustness is {rho} where all signals are '
+                            f'{level:g}')
+
+
+class _Complaints:
+    """A context in which what is refused by anything becomes a complaint about one extension."""
+
+    def __init__(self, who: str) -> None:
+        self._who = who
+
+    def __enter__(self) -> _Complaints:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, UsageError | UserCodeError | InfraError | ValueError):
+            raise ContractError(f'{self._who}: {error}') from error
+
+    def unless(self, fine: bool, what: str) -> None:
+        """Complain unless all is well."""
+        if not fine:
+            raise ContractError(f'{self._who}: {what}')
+
+
+@functools.cache
+def _sights() -> list[tuple[NDArray[np.uint8], TrackingError]]:
+    """Frames with their truths: of a runway, black, white, and noise."""
+    sights = []
+    for truth in _TRUTHS:
+        scene = dataclasses.replace(
+            _SCENE, cross_track_m=truth.cte_m, heading_rad=truth.he_rad
+        )
+        image = SimulatedWorld(scene).observe().image
+        if image is not None:
+            sights.append((image, truth))
+    shape = (200, 360, 3)
+    noise = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
+    for image in (np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8), noise):
+        sights.append((image, _TRUTHS[0]))
+    return sights
+
+
+def _check_estimate(complain: _Complaints, number: int, estimate: TrackingError) -> None:
+    complain.unless(
+        isinstance(estimate, TrackingError),
+        f'answers frame {number} with {type(estimate).__name__}, not a TrackingError',
+    )
+    if not estimate.valid:
+        return
+    complain.unless(
+        (type(estimate.cte_m), type(estimate.he_rad)) == (float, float) and estimate.usable,
+        f'answers frame {number} with {estimate}, no two finite floats',
+    )
+    complain.unless(
+        abs(estimate.cte_m) <= MOST_CTE_M and abs(estimate.he_rad) <= math.pi,
+        f'answers frame {number} with {estimate}: in metres and radians?',
+    )
+
+
+def _check_command(complain: _Complaints, estimate: TrackingError, command: TaxiCommand) -> None:
+    complain.unless(
+        isinstance(command, TaxiCommand),
+        f'answers {estimate} with {type(command).__name__}, not a TaxiCommand',
+    )
+    fine = math.isfinite(command.steering_rad) and 0 <= command.speed_mps < math.inf
+    complain.unless(fine, f'answers {estimate} with {command}, which no aircraft can follow')
+    complain.unless(
+        abs(command.steering_rad) <= math.pi / 2 and command.speed_mps <= MOST_SPEED_MPS,
+        f'answers {estimate} with {command}: in radians and m/s?',
+    )
+
+
+def _check_point(complain: _Complaints, space: Space, index: int, point: Point) -> None:
+    try:
+        space.check(point)
+    except ValueError as error:
+        complain.unless(False, f'run {index}: {error}')
+    complain.unless(
+        all(quantile is None or type(quantile) is float for quantile in point),
+        f'run {index}: {point}: quantiles have to be plain floats',
+    )
+
+
+def _check_book(
+    complain: _Complaints, name: str, space: Space, runs: int, options: Mapping[str, str | float]
+) -> None:
+    """What a sampler says of runs, some of which have no result, and of what it has learned."""
+    sampler = make_sampler(name, space, 3, runs, **options)
+    for number in range(runs // 2):
+        index, point = sampler.next()
+        later, another = sampler.next()
+        sampler.tell(later, _bowl(another))
+        learned = sampler.learned()  # of a copy that knows more than the sampler
+        sampler.tell(index, None if number % 3 == 0 else _bowl(point))
+        weight = sampler.weight(index)
+        complain.unless(weight is None or 0 < weight < math.inf, f'run {index}: weight {weight}')
+        complain.unless(type(sampler.drawn(index)) is bool, f'run {index}: drawn is no bool')
+    for dimension, shares in learned.items():
+        known = any(dimension == one.name for one in space)
+        complain.unless(known, f'learned of {dimension!r}, which is no dimension')
+        whole = math.isclose(sum(shares), 1.0, abs_tol=1e-6) and min(shares) >= 0
+        complain.unless(whole, f'learned {dimension}: {shares} are no probabilities')
+
+
+def _check_observation(complain: _Complaints, seq: int, now: Observation) -> None:
+    stamp_ns = seq * CONTROL_PERIOD_NS
+    complain.unless(
+        (now.seq, now.stamp_ns) == (seq, stamp_ns),
+        f'is at step {now.seq}, {now.stamp_ns} ns, where it has to be at {seq}, {stamp_ns} ns',
+    )
+    state = now.state
+    complain.unless(
+        isinstance(state, AircraftState) and all(
+            type(value) is float and math.isfinite(value)
+            for value in dataclasses.astuple(state)
+        ), f'step {seq}: state {state} is not of finite floats',
+    )
+    image = now.image
+    complain.unless(
+        image is not None and image.shape == (200, 360, 3) and image.dtype == np.uint8,
+        f'step {seq}: no picture of (200, 360, 3) uint8',
+    )
+
+
+def _bowl(point: Point) -> float:
+    """A robustness that fails near 0.2 in every dimension."""
+    return sum((quantile - 0.2) ** 2 for quantile in point if quantile is not None) - 0.1
+
+
+def _plain(now: Observation) -> list[Any]:
+    image = '' if now.image is None else hashlib.sha256(now.image.tobytes()).hexdigest()
+    return [now.seq, *dataclasses.astuple(now.state), image]
+
+
+# What is done here and in a worker; numbers in JSON are exact.
+
+
+def _perceive(word: str) -> list[Any]:
+    found = make_perception(word)
+    found.begin()
+    answers = [found.estimate(frame, truth) for frame, truth in _sights()]
+    return [[repr(value) for value in dataclasses.astuple(answer)] for answer in answers]
+
+
+def _steer(word: str) -> list[Any]:
+    found = make_controller(word, SteeringGains())
+    found.begin()
+    answers = [found.command(estimate) for estimate in (*_TRUTHS, *_UNUSABLE, *_TRUTHS)]
+    return [list(dataclasses.astuple(answer)) for answer in answers]
+
+
+def _sample(
+    name: str, space: int, seed: int, runs: int, options: Mapping[str, str | float]
+) -> list[Point]:
+    sampler = make_sampler(name, _SPACES[space], seed, runs, **options)
+    points = []
+    for _ in range(runs):
+        index, point = sampler.next()
+        points.append(point)
+        sampler.tell(index, _bowl(point))
+    return points
+
+
+def _drive(name: str) -> list[Any]:
+    world = find_world(name).make(_SCENE)
+    seen = []
+    for seq in range(world.last_seq):
+        seen.append(_plain(world.observe(picture=seq % 5 == 0)))
+        world.advance(TaxiCommand(steering_rad=0.1 * (-1) ** seq, speed_mps=5.0))
+    return seen
+
+
+_CHILD = """
+import json, sys
+sys.path[:] = json.loads(sys.argv[1])
+from taxinet_ros import testing
+print(json.dumps(getattr(testing, sys.argv[2])(*json.loads(sys.argv[3]))))
+"""
+
+
+def _elsewhere(work: Callable[..., Sequence[Any]], *arguments: Any) -> Any:
+    """What a function of this module gives in another process.
+
+    Raises:
+        ValueError: it fails there.
+    """
+    done = subprocess.run(
+        [sys.executable, '-c', _CHILD, json.dumps(sys.path), work.__name__, json.dumps(arguments)],
+        capture_output=True, text=True, timeout=_ELSEWHERE_S, check=False,
+        env={**os.environ, 'PYTHONHASHSEED': '17'},
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or [f'exit code {done.returncode}']
+        raise ValueError(f'in a worker: {last[0]}')
+    return json.loads(done.stdout.splitlines()[-1])

@@ -1,0 +1,135 @@
+"""The sample package of docs/extending.md: installed by pip, checked, and used by its names."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+PLUGIN = REPOSITORY / 'examples' / 'plugin'
+PAGE = (REPOSITORY / 'docs' / 'extending.md').read_text(encoding='utf-8')
+MINE = ('--perception', 'bright-paint', '--controller', 'damped', '--spec', 'gentle')
+
+
+@pytest.fixture(scope='module')
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package alone in a folder; pip leaves build folders beside what it builds."""
+    folder = tmp_path_factory.mktemp('plugin')
+    source = shutil.copytree(PLUGIN, folder / 'source')
+    subprocess.run(
+        [sys.executable, '-m', 'pip', 'install', '-q', '--no-index', '--no-deps',
+         '--no-build-isolation', '--disable-pip-version-check', '--target', folder / 'site',
+         source],
+        check=True, capture_output=True,
+    )
+    return folder / 'site'
+
+
+def python(site: Path, *words: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, cwd=cwd,
+        env={**os.environ, 'PYTHONPATH': str(site), 'COLUMNS': '80'},
+    )
+
+
+def taxinet(site: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return python(site, '-c', 'from taxinet_ros.cli.main import main; main()', *words, cwd=cwd)
+
+
+def test_given_the_page_when_its_check_of_the_sample_is_run_then_it_passes(
+    site: Path, tmp_path: Path
+) -> None:
+    [code] = re.findall(r'```python\n(.*?)```', PAGE, re.DOTALL)
+    done = python(site, '-c', f'{code}\ntest_contracts()', cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_given_the_page_then_the_entry_points_that_it_shows_are_those_of_the_sample() -> None:
+    [shown] = re.findall(r'```toml\n(.*?)```', PAGE, re.DOTALL)
+    told = tomllib.loads((PLUGIN / 'pyproject.toml').read_text())
+    assert tomllib.loads(shown)['project']['entry-points'] == told['project']['entry-points']
+
+
+def test_given_the_sample_when_its_names_are_given_then_a_run_is_made_and_says_whose_they_are(
+    site: Path, tmp_path: Path
+) -> None:
+    done = taxinet(
+        site, 'run', 'nominal', *MINE, '--set', 'duration=1', '--runs', '1', '--out', 'c',
+        cwd=tmp_path,
+    )
+    assert done.returncode in (0, 1), done.stderr
+    facts = json.loads((tmp_path / 'c' / 'campaign.json').read_text())
+    assert list(facts['specs']) == ['gentle']
+    for kind, name in (('perceptions', 'bright-paint'), ('controllers', 'damped')):
+        found = facts['extensions'][kind]
+        assert (found['name'], found['distribution']) == (name, 'taxinet-sample')
+        assert found['version'] == '0.1.0'
+        assert len(found['sha256']) == 64
+    assert facts['controller_sha256'] == facts['extensions']['controllers']['sha256']
+    [stack] = facts['stacks'].values()
+    assert stack['plugins'] == 'taxinet-sample 0.1.0'
+    [bag] = [path for path in (tmp_path / 'c').iterdir() if path.is_dir()]
+    told = taxinet(site, 'bag', 'info', str(bag), cwd=tmp_path)
+    assert 'bright-paint' in told.stdout
+    assert 'damped' in told.stdout
+    # Its own perception and controller are known by their names, so it can be made once more.
+    again = taxinet(site, 'run', '--from', str(bag), cwd=tmp_path)
+    assert again.returncode == 0, again.stdout + again.stderr
+
+
+def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
+    site: Path, tmp_path: Path
+) -> None:
+    options = ('falsify', 's_falsif', '--sampler', 'corners', '--sampler-option', 'width=0.05',
+               '--perception', 'truth', '--set', 'duration=1', '--out', 'f')
+    done = taxinet(site, *options, '--runs', '3', cwd=tmp_path)
+    assert done.returncode in (0, 1), done.stderr
+    facts = json.loads((tmp_path / 'f' / 'campaign.json').read_text())
+    assert facts['extensions']['samplers']['name'] == 'corners'
+    more = taxinet(site, *options, '--runs', '4', '--resume', cwd=tmp_path)
+    assert more.returncode in (0, 1), more.stderr
+    with (site / 'taxinet_sample.py').open('a') as file:
+        file.write('\n# changed\n')
+    try:
+        changed = taxinet(site, *options, '--runs', '5', '--resume', cwd=tmp_path)
+    finally:
+        text = (site / 'taxinet_sample.py').read_text()
+        (site / 'taxinet_sample.py').write_text(text.removesuffix('\n# changed\n'))
+    assert changed.returncode == 2
+    assert 'was begun with extensions' in changed.stderr
+
+
+def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_known(
+    site: Path, tmp_path: Path
+) -> None:
+    done = taxinet(site, 'run', 'nominal', '--perception', 'bright', cwd=tmp_path)
+    assert done.returncode == 2
+    said = ' '.join(done.stderr.split())
+    assert 'iterative-learned, bright-paint' in said
+    assert 'packages add more by taxinet_ros.perceptions' in said
+
+
+def test_given_a_broken_package_when_not_named_then_all_else_goes_on(
+    site: Path, tmp_path: Path
+) -> None:
+    broken = shutil.copytree(site, tmp_path / 'site')
+    (broken / 'taxinet_sample.py').write_text('import no_such_module\n')
+    done = taxinet(broken, 'run', 'nominal', *MINE, cwd=tmp_path)
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert 'of taxinet-sample 0.1.0' in line
+    assert "No module named 'no_such_module'" in line
+    fine = taxinet(
+        broken, 'run', 'nominal', '--perception', 'truth', '--set', 'duration=0.5', '--runs', '1',
+        '--out', 'c', cwd=tmp_path,
+    )
+    assert fine.returncode in (0, 1), fine.stderr
+    assert taxinet(broken, 'falsify', '--help', cwd=tmp_path).returncode == 0

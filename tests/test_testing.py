@@ -1,0 +1,171 @@
+"""The contract kit: everything that is shipped passes it, and what breaks a contract does not."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from plugins import lay_down
+
+from taxinet_ros import registry
+from taxinet_ros.testing import (
+    ContractError,
+    check_controller,
+    check_perception,
+    check_requirement,
+    check_sampler,
+    check_world,
+)
+
+LEARNERS = {'bo': {'startup': 5}, 'tpe': {'startup': 5}, 'ce': {'every': 10}}
+
+
+@pytest.mark.parametrize('name', registry.names(registry.PERCEPTIONS))
+def test_given_a_shipped_perception_when_checked_then_it_passes(name: str) -> None:
+    check_perception(name)
+
+
+@pytest.mark.parametrize('name', registry.names(registry.CONTROLLERS))
+def test_given_a_shipped_controller_when_checked_then_it_passes(name: str) -> None:
+    check_controller(name)
+
+
+@pytest.mark.parametrize('name', registry.names(registry.SAMPLERS))
+def test_given_a_shipped_sampler_when_checked_then_it_passes(name: str) -> None:
+    check_sampler(name, 12 if name == 'bo' else 40, **LEARNERS.get(name, {}))
+
+
+@pytest.mark.parametrize('name', registry.names(registry.WORLDS))
+def test_given_a_shipped_world_when_checked_then_it_passes(name: str) -> None:
+    check_world(name)
+
+
+@pytest.mark.parametrize('name', registry.names(registry.REQUIREMENTS))
+def test_given_a_shipped_requirement_when_checked_then_it_passes(name: str) -> None:
+    check_requirement(name)
+
+
+PERCEPTIONS = {
+    'degrees': ('return 0.1, 20.0', 'in metres and radians'),
+    'centimetres': ('return 250.0, 0.1', 'in metres and radians'),
+    'chance': ('import random; return random.random(), 0.0', 'differ from one making'),
+    'hash order': ('return float(hash("a") % 97), 0.0', 'differ in a worker'),
+    'three numbers': ('return 0, 0, 0', 'expected a pair'),
+    'failure': ('return 1 / 0', 'ZeroDivisionError'),
+}
+
+
+@pytest.mark.parametrize('case', PERCEPTIONS)
+def test_given_a_wrong_perception_when_checked_then_it_is_told_how(
+    case: str, tmp_path: Path
+) -> None:
+    body, said = PERCEPTIONS[case]
+    (tmp_path / 'mine.py').write_text(f'def look(image):\n    {body}\n')
+    with pytest.raises(ContractError, match=f'perception .*mine.py:look: .*{said}'):
+        check_perception(f'{tmp_path}/mine.py:look')
+
+
+CONTROLLERS = {
+    'degrees': ('return 20.0, 5.0', 'in radians and m/s'),
+    'backwards': ('return 0.0, -1.0', 'no aircraft can follow'),
+    'passes NaN on': ('return -estimate.cte_m, 5.0', 'no aircraft can follow|in radians'),
+    'no command': ('return None', 'expected a pair'),
+    'chance': ('import random; return random.random(), 5.0', 'differ from one making'),
+}
+
+
+@pytest.mark.parametrize('case', CONTROLLERS)
+def test_given_a_wrong_controller_when_checked_then_it_is_told_how(
+    case: str, tmp_path: Path
+) -> None:
+    body, said = CONTROLLERS[case]
+    (tmp_path / 'mine.py').write_text(f'def steer(estimate):\n    {body}\n')
+    with pytest.raises(ContractError, match=f'controller .*mine.py:steer: .*({said})'):
+        check_controller(f'{tmp_path}/mine.py:steer')
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+SAMPLERS = {
+    'outside': ('return tuple(1.5 for _ in self.space)', 'within'),
+    'too_few': ('return ()', 'quantiles for 3 dimensions'),
+    'no_seed': ('return self.space.point([0.5 for _ in self.space])', 'give equal points'),
+    'no_order': (
+        'import random; return self.space.point([random.random() for _ in self.space])',
+        'give different points',
+    ),
+}
+
+
+@pytest.mark.parametrize('case', SAMPLERS)
+def test_given_a_wrong_sampler_when_checked_then_it_is_told_how(case: str, site: Path) -> None:
+    body, said = SAMPLERS[case]
+    code = f"""
+from taxinet_ros.campaign.samplers.registry import SamplerKind
+
+class Wrong:
+    def __init__(self, space):
+        self.space = space
+    def ask(self):
+        {body}
+    def tell(self, index, rho):
+        pass
+    def weight(self, index):
+        return None
+    def drawn(self, index):
+        return False
+    def learned(self):
+        return {{}}
+
+WRONG = SamplerKind(meaning='wrong', make=lambda space, seed, runs, values: Wrong(space))
+"""
+    lay_down(site, f'sampler-{case}', code, samplers=f'{case} = WRONG')
+    with pytest.raises(ContractError, match=f'sampler {case}: .*({said})'):
+        check_sampler(case, 8)
+
+
+WORLDS = {
+    'skips': ('self.seq += 2', 'observed step 2, expected 1'),
+    'fails': ('1 / 0', 'world .* of world-fails 1.2: .*ZeroDivisionError'),
+    'stands': ('pass', 'observed step 0, expected 1'),
+}
+
+
+@pytest.mark.parametrize('case', WORLDS)
+def test_given_a_wrong_world_when_checked_then_it_is_told_how(case: str, site: Path) -> None:
+    body, said = WORLDS[case]
+    code = f"""
+import dataclasses
+from taxinet_ros.core.world import SimulatedWorld
+
+class Wrong:
+    def __init__(self, scenario, *, pictures=True):
+        self.inner, self.seq = SimulatedWorld(scenario, pictures=pictures), 0
+        self.last_seq = self.inner.last_seq
+    def observe(self, *, picture=True):
+        seen = self.inner.observe(picture=picture)
+        return dataclasses.replace(seen, seq=self.seq, stamp_ns=self.seq * 100_000_000)
+    def advance(self, command):
+        {body}
+"""
+    lay_down(site, f'world-{case}', code, worlds=f'{case} = Wrong')
+    with pytest.raises(ContractError, match=f'world {case}: .*{said}'):
+        check_world(case)
+
+
+def test_given_requirements_that_cannot_judge_when_checked_then_it_is_told_how(site: Path) -> None:
+    lay_down(site, 'our-late', 'LATE = "always[40:60](cte <= 1)"\n', requirements='late = LATE')
+    with pytest.raises(ContractError, match='requirement late: '):
+        check_requirement('late')
+    with pytest.raises(ContractError, match=r'requirement nobody: .*unknown name'):
+        check_requirement('nobody')
+
+
+def test_given_the_kit_when_imported_then_pytest_is_not_needed() -> None:
+    assert 'taxinet_ros.testing' in sys.modules
+    assert 'import pytest' not in Path(sys.modules['taxinet_ros.testing'].__file__).read_text()
