@@ -62,9 +62,6 @@ _AFTER_RHO = {
     'real_time_factor': 'float64',
 }
 
-_ATTRIBUTES = {field.column: field.key for field in SCENARIO_FIELDS}
-"""A row names these as people set them, without their units."""
-
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
     """One line per run, by index.
@@ -288,7 +285,7 @@ def _line(
     row: RunRow, specs: Sequence[str], dimensions: Sequence[str], figures: Sequence[str]
 ) -> dict[str, Any]:
     values = {
-        name: getattr(row, _ATTRIBUTES.get(name, name))
+        name: getattr(row, name)
         for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
     }
     values['outcome'] = row.outcome.value
