@@ -87,7 +87,7 @@ def test_given_a_run_then_its_frames_are_those_that_the_perception_saw():
         frame[:] = 0  # what it writes is its own affair
         return 0.0, 0.0
 
-    run = tx.run(tx.Scenario(cross_track_m=2.0, clouds='broken', rain=0.5, duration_s=1.0),
+    run = tx.run(tx.Scenario(cross_track_m=2.0, clouds='broken', rain_fraction=0.5, duration_s=1.0),
                  perception=look)
     frames = list(run.frames())
     assert len(frames) == len(seen) == 11

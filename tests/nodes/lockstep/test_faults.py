@@ -178,7 +178,7 @@ def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_re
         message.cross_track_m = 99.0
         return message
 
-    import taxinet_ros.nodes.scenario_sampler as sampler
+    import taxinet_ros.nodes.lockstep.sampler as sampler
 
     sampler.scenario_message, kept = broken, sampler.scenario_message
     try:
