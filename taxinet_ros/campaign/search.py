@@ -17,13 +17,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.book import (
-    CampaignBook,
-)
-from taxinet_ros.campaign.record.facts import (
-    campaign_facts,
-    extension_facts,
-)
+from taxinet_ros.campaign.record.book import CampaignBook
+from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import (
     EarlierRuns,
     facts_of_graph,
