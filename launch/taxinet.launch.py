@@ -28,7 +28,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.utilities import prefix_namespace
 
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.launch_plan import (
     ARGUMENTS,
     CLOCK_REMAP,
@@ -99,7 +99,7 @@ def graph(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHandler]
         more, nodes = environment(words), plan(words)
     except UsageError as error:
         print(f'error: {error}', file=sys.stderr)
-        raise SystemExit(2) from None
+        raise SystemExit(ExitCode.USAGE) from None
     processes = {process(node, params, words['namespace'], more): node.name for node in nodes}
     return [*until_the_end(Ending(nodes), processes), *processes]
 

@@ -1,15 +1,46 @@
-"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's."""
+"""The kinds of trouble: the user's (mend the input), the bench's (a part failed), the disk's.
+
+And the exit codes that commands and nodes end with.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import enum
+import signal
 import sys
+from enum import IntEnum, unique
 
 MAX_CHARACTERS = 2000
 """Of a message; somebody has to read it."""
 
 _WARNED: set[str] = set()
+
+
+@unique
+class ExitCode(IntEnum):
+    """What the end of a command, or of a node, says.
+
+    Attributes:
+        OK: every run satisfied its specifications; what was asked for is done, and whole.
+        VIOLATED: a run violated one; what was compared differs.
+        USAGE: bad input, :class:`UsageError`.
+        INCOMPLETE: the answer stands on part of the data, or there is too little for one.
+        INFRA: the test bench or the disk failed, :class:`InfraError` and :class:`RecordError`.
+        INTERRUPTED: by Ctrl-C; as shells say it, with 128 and the signal's number (POSIX.1-2024,
+            XCU section 2.8.2).
+        TERMINATED: likewise by SIGTERM.
+        UNREAD: nobody reads the output any more.
+    """
+
+    OK = 0
+    VIOLATED = 1
+    USAGE = 2
+    INCOMPLETE = 3
+    INFRA = 4
+    INTERRUPTED = 128 + signal.SIGINT
+    UNREAD = 128 + signal.SIGPIPE
+    TERMINATED = 128 + signal.SIGTERM
 
 
 def plain_line(text: str) -> str:

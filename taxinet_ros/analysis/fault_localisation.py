@@ -29,12 +29,12 @@ from taxinet_ros.analysis.report.parts import (
     style_axes,
 )
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.past_runs.localisation import Trial, Trials
 from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.files.atomic import make_atomically
 
 
 class Blame(enum.StrEnum):
@@ -279,8 +279,8 @@ def write_cases(found: Localisation, folder: Path) -> tuple[Path, Path]:
     """Write the table of counterexamples as CSV and as Parquet."""
     frame = cases_frame(found)
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    write_whole(csv, lambda draft: frame.to_csv(draft, index=False))
-    write_whole(parquet, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(csv, lambda draft: frame.to_csv(draft, index=False))
+    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
     return csv, parquet
 
 # Sentences ---------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from taxinet_ros.bag.errors import BagCorrupt, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE, STORAGE_ID
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.core.provenance import known
-from taxinet_ros.files.yaml_text import MAX_CHARS, dump_yaml, load_yaml
+from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
 
 VERSION = 9
 ROS_DISTRO = 'jazzy'

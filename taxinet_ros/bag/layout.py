@@ -6,21 +6,14 @@ the folder. As there, ``metadata.yaml`` is written last: a folder without it was
 
 from __future__ import annotations
 
-import errno
-import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
-from taxinet_ros.bag.errors import BagEmpty, BagForeign, BagWriteError
+from taxinet_ros.bag.errors import BagEmpty, BagForeign
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import disk_words, sync_folder
 
 METADATA_FILE = 'metadata.yaml'
 STORAGE_ID = 'mcap'
-"""Errors of the operating system that no other path would mend."""
-T = TypeVar('T')
 _NUMBER = re.compile(r'_(\d+)$')
 _RUN_ID = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}')
 
@@ -85,33 +78,6 @@ def compressed(path: Path, mode: str) -> str:
         f'{path}: compressed by {mode}; make it plain: ros2 bag convert -i {path} -o OPTIONS.yaml '
         'with "output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]" in OPTIONS.yaml'
     )
-
-
-def write_whole(path: Path, write: Callable[[Path], T]) -> T:
-    """Have ``write`` make a file beside ``path`` and give it the name once it is safe on the disk.
-
-    Where anything goes wrong nothing is left behind.
-
-    Args:
-        path: the file that is wanted; its folder exists.
-        write: gets the draft's path, which has the same suffix.
-
-    Raises:
-        BagWriteError: it cannot be written.
-    """
-    draft = path.with_name(f'.{path.stem}.part{path.suffix}')
-    try:
-        result = write(draft)
-        with draft.open('rb') as file:
-            os.fsync(file.fileno())
-        draft.rename(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        text = f'{path}: cannot write: {disk_words(error)}'
-        raise BagWriteError(text, path=path, errno=error.errno or errno.EIO) from error
-    finally:
-        draft.unlink(missing_ok=True)
-    return result
 
 
 def _split_number(path: Path) -> tuple[int, str]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.yaml_text import dump_yaml, load_yaml
+from taxinet_ros.files.plain_values import dump_yaml, load_yaml
 
 _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*')

@@ -15,7 +15,6 @@ import random
 import resource
 import shutil
 import signal
-import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,12 +24,14 @@ from typing import Any
 
 import psutil
 
+from taxinet_ros.bench.processes import VERDICTS
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME, WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
+from taxinet_ros.processes.child import ChildProcess
 
 HANG_S = 900.0
 """A command that takes so long hangs, on however busy a machine: most take some seconds."""
@@ -189,7 +190,7 @@ class Chaos:
             with self.sit([*subject.words, '--out', 'c'], place) as sitting:
                 code = sitting.ended()
             rows = _rows(subject, sitting.out)
-            if code not in (0, 1) or len(rows) < subject.runs * len(subject.folders):
+            if code not in VERDICTS or len(rows) < subject.runs * len(subject.folders):
                 raise InfraError(
                     InfraKind.DIED, name, -1, f'ended with {code}: {sitting.last_line}'
                 )
@@ -209,11 +210,11 @@ class _Sitting:
         self._mark = f'{os.getpid()}-{place}-{time.monotonic_ns()}'
         self._printed = place / 'printed.txt'
         self.began = self._printed.stat().st_size if self._printed.exists() else 0
-        with self._printed.open('ab') as printed:
-            self.process = subprocess.Popen(
-                list(command), cwd=place, stdin=subprocess.DEVNULL, stdout=printed, stderr=printed,
-                env={**os.environ, _MARK: self._mark, 'COLUMNS': '200'}, start_new_session=True,
-            )
+        self._child = ChildProcess(
+            'taxinet', command, log=self._printed, folder=place,
+            environment={**os.environ, _MARK: self._mark, 'COLUMNS': '200'},
+        )
+        self.process = self._child.process
 
     def __enter__(self) -> _Sitting:
         return self
@@ -221,7 +222,7 @@ class _Sitting:
     def __exit__(self, *_: object) -> None:
         for process in self.left():
             _tell(process, signal.SIGKILL)
-        self.process.wait()
+        self._child.wait()
 
     @property
     def printed(self) -> str:
@@ -249,10 +250,7 @@ class _Sitting:
 
     def ended(self) -> int | None:
         """Its exit code; None where it hangs."""
-        try:
-            return self.process.wait(HANG_S)
-        except subprocess.TimeoutExpired:
-            return None
+        return self._child.wait(HANG_S)
 
     def orphans(self) -> list[str]:
         """What is left of it, some time after its end."""
@@ -315,13 +313,13 @@ class _Trial:
                 fault.act(sitting)
             code = sitting.ended()
             told = sitting.last_line
-            early = code == 2 and any(words in told for words in fault.too_early)
+            early = code == ExitCode.USAGE and any(words in told for words in fault.too_early)
             self._check(name, sitting, code, {*fault.codes, self._code, 0, 1, *([2] * early)})
         fault.afterwards(sitting)
         self._note(name, 'too early' if early else str(code) if in_time else 'too late')
-        if code == 2 and self._kept and not early:  # a damage that was refused by name
+        if code == ExitCode.USAGE and self._kept and not early:  # a damage that was refused by name
             return self._mended(name, sitting)
-        if self._kept and code not in (0, 1) and self._told() == before:
+        if self._kept and code not in VERDICTS and self._told() == before:
             return code  # it may have ended before it read what is damaged: the next one will
         self._kept.clear()  # a damage that was not refused has to leave the rows as they are
         self._check_rows(name, code)
@@ -334,7 +332,7 @@ class _Trial:
         with self._chaos.sit(self._words(), self._place) as sitting:
             code = sitting.ended()
             self._check('the last sitting', sitting, code, {self._code})
-        if code == 2 and self._kept:
+        if code == ExitCode.USAGE and self._kept:
             self._mended('the last sitting', sitting)
             self._undisturbed_end()
             return
@@ -381,7 +379,7 @@ class _Trial:
             twice = [key for key, times in _judged_times(self._out / folder).items() if times > 1]
             if twice:
                 self._broke('rows doubled', f'{name}: runs {twice} were judged again')
-        if code in (0, 1):
+        if code in VERDICTS:
             self._check_verdict(name, code, rows)
 
     def _rows(self, name: str) -> Rows:
@@ -443,8 +441,8 @@ class _Trial:
         """What ``taxinet bag doctor`` makes of a damaged bag."""
         with self._chaos.sit(['bag', 'doctor', str(path)], self._place) as sitting:
             code = sitting.ended()
-            self._check('bag doctor', sitting, code, {1, 2, 3})
-            if code == 0:
+            self._check('bag doctor', sitting, code, {ExitCode.USAGE, ExitCode.INCOMPLETE})
+            if code == ExitCode.OK:
                 self._broke('in silence', f'bag doctor calls {path.name} sound')
         del self._kept[path]  # no campaign reads it again
         return f'doctor {code}'
@@ -456,7 +454,7 @@ class _Trial:
         for path, data in self._kept.items():
             path.write_bytes(data)
         self._kept.clear()
-        return 2
+        return ExitCode.USAGE
 
 
 def _events(ledger: Path) -> int:
@@ -566,7 +564,7 @@ def _copy_over(sitting: _Sitting) -> None:
         (sitting.place / 'ledger').rename(ledger)
 
 
-_BROKEN = frozenset({4})
+_BROKEN = frozenset({ExitCode.INFRA})
 _NOTHING_THERE = ('no such file, so nothing was begun', 'c: holds no arm of experiment')
 
 FAULTS: Mapping[str, Fault] = {

@@ -6,14 +6,11 @@ one search, whose first 100, 400 and 1,000 runs are rated, by the functions that
 
 from __future__ import annotations
 
-import os
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -25,6 +22,7 @@ from taxinet_ros.campaign.rates import ProgramRate
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.pool import process_pool
 
 RUNS = (100, 400, 1000)
 RATES = (0.5, 0.1, 0.01, 0.001)
@@ -125,9 +123,7 @@ def measure_intervals(
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
     cases = list(product(words, rates))
     found = []
-    spawned = get_context('spawn')  # a progress bar has threads, which do not survive a fork
-    pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=spawned)
-    try:
+    with process_pool(workers, 'searching worker') as pool:  # after Ctrl-C, those at hand suffice
         for number, (word, rate) in enumerate(cases):
             search = partial(_search, word, rate, tuple(runs))
             done = []
@@ -138,8 +134,6 @@ def measure_intervals(
                 done.append(one)
                 progress(number * repeats + len(done), len(cases) * repeats)
             found.append(_held(word, rate, done))
-    finally:  # after Ctrl-C the searches at hand are enough
-        pool.shutdown(cancel_futures=True)
     return {
         'machine': machine_facts(), 'runs': list(runs), 'repeats': repeats, 'look': LOOK,
         'landscapes': list(LANDSCAPES), 'intervals': [asdict(one) for one in found],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -11,7 +10,8 @@ from pathlib import Path
 import psutil
 
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.errors import ExitCode, InfraError, InfraKind
+from taxinet_ros.processes.child import ChildProcess
 
 
 def processor_time_ns(pid: int) -> int:
@@ -38,6 +38,8 @@ def _peak(pid: int) -> int:
     return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith('VmHWM:'))
 
 
+VERDICTS = (ExitCode.OK, ExitCode.VIOLATED)
+"""Exit codes of a command whose runs have all been judged."""
 TAXINET = (sys.executable, '-P', '-c', 'from taxinet_ros.cli.main import main; main()')
 """What starts ``taxinet`` as people's shells do, with this Python."""
 LIMIT_S = 120.0
@@ -46,7 +48,7 @@ LOOK_S = 0.003
 """Time between two looks [s]."""
 
 
-def wait_for(process: subprocess.Popen[bytes], there: Callable[[], bool], who: str) -> int:
+def wait_for(process: ChildProcess, there: Callable[[], bool]) -> int:
     """Look until something is there.
 
     Returns:
@@ -57,21 +59,14 @@ def wait_for(process: subprocess.Popen[bytes], there: Callable[[], bool], who: s
     """
     deadline = time.monotonic() + LIMIT_S
     while not there():
-        if process.poll() is not None and not there():
-            raise InfraError(InfraKind.DIED, who, -1, exit_line(process))
+        if process.dead and not there():
+            raise InfraError(InfraKind.DIED, process.name, -1, process.how_it_ended())
         if time.monotonic() > deadline:
             raise InfraError(
-                InfraKind.NOT_READY, who, -1, f'nothing to be seen after {LIMIT_S:g} s'
+                InfraKind.NOT_READY, process.name, -1, f'nothing to be seen after {LIMIT_S:g} s'
             )
         time.sleep(LOOK_S)
     return time.perf_counter_ns()
-
-
-def exit_line(process: subprocess.Popen[bytes]) -> str:
-    """How a process that was started with a pipe for its errors has ended, in one line."""
-    said = process.stderr.read().decode(errors='replace').split('\n') if process.stderr else []
-    lines = [line for line in said if line.strip()]
-    return ': '.join([f'exit code {process.returncode}', *lines[-1:]])
 
 
 Amounts = dict[str, Callable[[], float]]

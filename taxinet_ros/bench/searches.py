@@ -8,16 +8,13 @@ that come as late as eight workers bring them, so with as little known as there 
 from __future__ import annotations
 
 import math
-import os
 import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from multiprocessing import get_context
 from statistics import fmean
 from typing import Any
 
@@ -27,6 +24,7 @@ from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.samplers.space import Branch, Dimension, Point, Space
 from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.pool import process_pool
 
 APART = 0.15
 """Two failures are distinct if a coordinate differs by more than this [quantiles]."""
@@ -292,8 +290,7 @@ def measure_searches(
     landscapes = [word for word in LANDSCAPES if word in words] or list(LANDSCAPES)
     cases = list(product(landscapes, samplers))
     found = []
-    spawned = get_context('spawn')  # a progress bar has threads, which do not survive a fork
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=spawned) as pool:
+    with process_pool(None, 'searching worker') as pool:
         for number, (landscape, word) in enumerate(cases):
             done = list(pool.map(partial(search, landscape, word), range(repeats)))
             found.append({'landscape': landscape, 'sampler': word, **asdict(_mean(done))})

@@ -23,6 +23,7 @@ import psutil
 from scipy import stats
 
 from taxinet_ros.bench.measure import machine_facts
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
@@ -280,7 +281,7 @@ class _Runs:
             yield RunRequest(
                 run_id=f'soak-{number}', index=number, program='', seed=SEED,
                 scenario=_scenario(rng, self._duration_s), participants=PARTICIPANTS,
-                specs=(SHIPPED['phi_eventually'].text,),
+                judging=Judging(specs=(SHIPPED['phi_eventually'].text,)),
             )
 
     def take(self, request: RunRequest, result: RunResult) -> bool:

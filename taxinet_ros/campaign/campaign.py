@@ -1,4 +1,4 @@
-"""One campaign on disk: draws the scenes, keeps the ledger, writes the table.
+"""A plain campaign: the scenes are drawn from the program, one after the other.
 
 A campaign's folder holds ``campaign.json`` (what was asked, and by which program text), one bag
 folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``runs.parquet``
@@ -7,21 +7,21 @@ folder per run, ``ledger.jsonl`` (append-only, the truth) and ``runs.csv``/``run
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
 from taxinet_ros.campaign.options import CampaignOptions
-from taxinet_ros.campaign.record.book import CampaignBook, finished_row, rejected_row, run_request
+from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, first_duration_s
 from taxinet_ros.core.judge import SpecCheck
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import timing_words
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2
 """After so many infrastructure errors in a row the bench is broken, not the run."""
@@ -33,7 +33,7 @@ class Campaign:
     Attributes:
         rows: one row per run taken, in order.
         notes: lines on what the program may mean otherwise than it is run; within the ``with``.
-        controller_sha256: of somebody's controller, as it is on record; only within the ``with``.
+        book: the campaign on disk.
         check: what is said of the requirements before the first run; only within the ``with``.
     """
 
@@ -53,18 +53,14 @@ class Campaign:
         self.options = options
         self.rows: list[RunRow] = []
         self.notes: tuple[str, ...] = ()
-        self.controller_sha256 = ''
         self.check: SpecCheck
-        self._participants = participants
-        self._on_row = on_row
+        self.book = CampaignBook(options, participants, on_row)
         self._source = SceneSource(
             options.program, seed=options.seed, overrides=options.overrides,
             laid_over=options.laid_over, meanwhile=meanwhile,
         )
-        self._specs = tuple(parse_spec(text) for text in options.specs)
         self._refused: dict[int, int] = {}
         self._next = 0
-        self._broken = 0
         self._interrupted = False
         self._timing: str | None = None
 
@@ -75,22 +71,14 @@ class Campaign:
             UsageError: the program does not compile, the requirements do not fit its runs, or the
                 folder cannot be made.
         """
-        self._source.__enter__()
-        try:
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(self._source)
             self.check = self.options.check(first_duration_s(self._source))
             self.notes = self._source.drawn_notes
             facts = campaign_facts(self.options, self._source.program)
-            self.controller_sha256 = facts['controller_sha256']
-            facts['warnings'] = list(self.check.warnings)
-            self._record = CampaignBook(self.options.out, [spec.name for spec in self._specs])
-            try:
-                self._record.facts(facts)
-            except BaseException:
-                self._record.close()
-                raise
-        except BaseException:
-            self._source.__exit__(None, None, None)
-            raise
+            opened.enter_context(self.book)
+            self.book.begin({**facts, 'warnings': list(self.check.warnings)})
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(
@@ -98,14 +86,14 @@ class Campaign:
         trace: TracebackType | None,
     ) -> None:
         """Write the table of what there is, whatever happened."""
-        self._source.__exit__(None, None, None)
-        self._record.__exit__(kind, error, trace)
+        self._opened.__exit__(kind, error, trace)
 
     @property
     def unfinished(self) -> bool:
         """Whether there are runs left that it makes sense to try."""
         return (
-            self._next < self.options.runs and self._broken < PATIENCE and not self._interrupted
+            self._next < self.options.runs and self.book.broken_in_a_row < PATIENCE
+            and not self._interrupted
         )
 
     def requests(self) -> Iterator[RunRequest]:
@@ -117,12 +105,10 @@ class Campaign:
                 scenario = self._source.scene(index)
             except Rejected as error:
                 self._refused[index] = error.refused
-                self._keep(rejected_row(self.options, index, str(error)))
+                self._keep(self.book.rejected_row(index, str(error)))
                 continue
             self._refused[index] = self._source.refused
-            request = run_request(self.options, index, scenario, self._participants)
-            self._record.intent(index, request.run_id)
-            yield request
+            yield self.book.begin_run(index, scenario)
 
     def take(self, request: RunRequest, result: RunResult) -> bool:
         """Keep one answer; False where the graph should be given up."""
@@ -134,22 +120,17 @@ class Campaign:
                     f'{timing_words(self._timing)}: they are not counted together; begin another '
                     'campaign'
                 )
-        self._keep(finished_row(self.options, request, result))
-        infra = result.outcome is Outcome.INFRA_ERROR
-        self._broken = self._broken + 1 if infra else 0
+        self._keep(self.book.finished_row(request, result))
         self._interrupted = result.outcome is Outcome.INTERRUPTED
-        return not infra and not self._interrupted
+        return result.outcome is not Outcome.INFRA_ERROR and not self._interrupted
 
     def _keep(self, row: RunRow) -> None:
         row = dataclasses.replace(row, refused=self._refused.pop(row.index, 0))
         self.rows.append(row)
-        try:
-            self._record.result(row)
-        finally:
-            self._on_row(row)
+        self.book.keep(row)
 
 
-def exit_code(rows: list[RunRow]) -> int:
+def exit_code(rows: list[RunRow]) -> ExitCode:
     """The exit code that a campaign's rows ask for.
 
     Returns:
@@ -160,12 +141,12 @@ def exit_code(rows: list[RunRow]) -> int:
     """
     outcomes = {row.outcome for row in rows}
     if Outcome.INTERRUPTED in outcomes:
-        return 130
+        return ExitCode.INTERRUPTED
     if Outcome.INFRA_ERROR in outcomes:
-        return 4
+        return ExitCode.INFRA
     if Outcome.FAIL in outcomes:
-        return 1
+        return ExitCode.VIOLATED
     if Outcome.PASS not in outcomes:
         why = f'; the first: {rows[0].detail}' if rows else ''
         raise UsageError(f'no run could be judged: every scene was rejected{why}')
-    return 0
+    return ExitCode.OK

@@ -50,7 +50,7 @@ from taxinet_ros.campaign.record.table import (
     write_tables,
 )
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import write_bytes_atomically
+from taxinet_ros.files.atomic import DRAFTS, write_atomically
 from taxinet_ros.files.journal import (
     JournalContent,
     JournalEnd,
@@ -68,7 +68,6 @@ _DATASET, _REQUEST, _STAGES = 'dataset.json', 'request.json', 'stages.jsonl'
 _RESUME = 'the command that made it, with --resume'
 _DERIVED = ('.html', '.png', '.svg', '.pdf', '.gif', '.mp4', '.xml', '.csv', '.scenic')
 _MOST_NAMED = 6
-_DRAFTS = ('*.tmp', '.*.part.*', '.*.draft')
 
 
 @dataclass(kw_only=True)
@@ -148,7 +147,7 @@ def mend(folder: Path) -> list[str]:
     done: list[str] = []
     for place in _places(folder):
         _check_regular(place)
-        for path in sorted(place.glob('*.jsonl')):
+        for path in sorted(place.glob('[!.]*.jsonl')):
             with _locked(path):
                 done += _mend_journal(path)
                 if path.name == LEDGER_NAME:
@@ -478,8 +477,8 @@ def _check_drafts(place: Path, found: Examination) -> None:
     """Files that a process was at when it was killed."""
     bags = {file.parent for file in place.glob(f'*/*.{STORAGE_ID}')}
     for folder in (place, *sorted(bags)):
-        for path in sorted({path for words in _DRAFTS for path in folder.glob(words)}):
-            mended = f'taxinet bag doctor {folder}' if path.name.startswith(METADATA_FILE) else ''
+        for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
+            mended = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
             found.wrong(path, 'left by a process that was killed; nothing reads it', mended)
 
 
@@ -517,7 +516,7 @@ def _mend_journal(path: Path) -> list[str]:
 
 def _write_anew(path: Path, events: list[dict[str, Any]], damaged: list[int], aside: Path) -> str:
     shutil.copyfile(path, aside)
-    write_bytes_atomically(path, b''.join(_chained(events)[0]))
+    write_atomically(path, b''.join(_chained(events)[0]))
     lost = f'; lost: line {ranges(damaged)}' if damaged else ''
     return f'{path}: kept as it was as {aside.name}; its sound lines were written anew{lost}'
 

@@ -29,7 +29,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from taxinet_ros.campaign.options import DEFAULT_SPECS, CampaignOptions, check_new, read_specs
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
@@ -42,10 +41,11 @@ from taxinet_ros.campaign.scenes.programs import SUFFIX as PROGRAM_SUFFIX
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import YamlFile, read_yaml
+from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
 SUFFIX = '.yaml'
 FOLDER = 'experiments'
@@ -141,139 +141,125 @@ def read_experiment(path: Path) -> Experiment:
     Raises:
         UsageError: one line with the file, the key, and what is expected there.
     """
-    return _Reader(path).experiment()
+    top = Section(path, read_yaml(path), _KEYS)
+    for key, kind in (('program', 'a word'), ('runs', 'a whole number'), ('arms', 'two or more')):
+        top.take(key, kind)
+    overrides, gains = _settings(top)
+    perception = _perception(top, 'taxinet')
+    controller = _controller(top, STEERING, gains)
+    arms = _arms(top.section('arms'), overrides, gains, perception, controller)
+    compare_to = top.text('compare_to', arms[0].name)
+    if compare_to not in [arm.name for arm in arms]:
+        names = ', '.join(arm.name for arm in arms)
+        raise top.wrong(f'expected one of the arms ({names}), got {compare_to}', 'compare_to')
+    sampler, options = _sampler(top)
+    over = top.text('over', '', empty=True)
+    if over and over not in HUMAN_KEYS:
+        raise top.wrong(f'expected one of {", ".join(HUMAN_KEYS)}, got {over}', 'over')
+    return Experiment(
+        name=path.stem, program=_program(top), runs=top.whole('runs', 1),
+        seed=top.whole('seed', 0, default=0), sampler=sampler, sampler_options=options,
+        specs=_specs(top), overrides=overrides, over=over, arms=arms, compare_to=compare_to,
+    )
 
 
-class _Reader(YamlFile):
-    """Reads one file."""
+def _arms(
+    given: Section, overrides: Mapping[str, str], gains: Mapping[str, float], perception: str,
+    controller: str,
+) -> tuple[Arm, ...]:
+    arms = []
+    for name in given:
+        if not _ARM_NAME.fullmatch(name):
+            raise given.wrong('expected a name of letters, digits, _ and -', name)
+        own = given.section(name, _ARM_KEYS, optional=True)
+        laid_over, own_gains = _settings(own)
+        own.check('set', partial(check_overrides, {**overrides, **laid_over}))
+        gains_here = {**gains, **own_gains}
+        arms.append(Arm(
+            name=name, laid_over=laid_over, gains=gains_here,
+            perception=_perception(own, perception),
+            controller=_controller(own, controller, gains_here),
+        ))
+    if len(arms) < 2:
+        raise given.wrong('expected two or more, NAME: {set: {KEY: VALUE}}')
+    return tuple(arms)
 
-    def experiment(self) -> Experiment:
-        content = self._mapping('', read_yaml(self._path), _KEYS)
-        for key in ('program', 'runs', 'arms'):
-            if key not in content:
-                raise self._wrong('', f'the key {key!r} is missing')
-        overrides, gains = self._settings('set', content.get('set'))
-        perception = self._perception('perception', content.get('perception', 'taxinet'))
-        controller = self._controller('controller', content.get('controller', STEERING), gains)
-        arms = self._arms(content['arms'], overrides, gains, perception, controller)
-        compare_to = self._word('compare_to', content.get('compare_to', arms[0].name))
-        if compare_to not in [arm.name for arm in arms]:
-            names = ', '.join(arm.name for arm in arms)
-            raise self._wrong('compare_to', f'expected one of the arms ({names}), got {compare_to}')
-        sampler, options = self._sampler(content)
-        over = self._word('over', content.get('over', ''), empty=True)
-        if over and over not in HUMAN_KEYS:
-            raise self._wrong('over', f'expected one of {", ".join(HUMAN_KEYS)}, got {over}')
-        return Experiment(
-            name=self._path.stem, program=self._program(content['program']),
-            runs=self._whole('runs', content['runs'], 1),
-            seed=self._whole('seed', content.get('seed', 0), 0),
-            sampler=sampler, sampler_options=options, specs=self._specs(content.get('specs')),
-            overrides=overrides, over=over, arms=arms, compare_to=compare_to,
-        )
 
-    def _arms(
-        self, value: object, overrides: Mapping[str, str], gains: Mapping[str, float],
-        perception: str, controller: str,
-    ) -> tuple[Arm, ...]:
-        arms = []
-        for name, content in self._mapping('arms', value).items():
-            where = f'arms.{name}'
-            if not _ARM_NAME.fullmatch(name):
-                raise self._wrong(where, 'expected a name of letters, digits, _ and -')
-            own = self._mapping(where, {} if content is None else content, _ARM_KEYS)
-            laid_over, own_gains = self._settings(f'{where}.set', own.get('set'))
-            self._checked(f'{where}.set', partial(check_overrides, {**overrides, **laid_over}))
-            gains_here = {**gains, **own_gains}
-            arms.append(Arm(
-                name=name, laid_over=laid_over, gains=gains_here,
-                perception=self._perception(
-                    f'{where}.perception', own.get('perception', perception)
-                ),
-                controller=self._controller(
-                    f'{where}.controller', own.get('controller', controller), gains_here
-                ),
-            ))
-        if len(arms) < 2:
-            raise self._wrong('arms', 'expected two or more, NAME: {set: {KEY: VALUE}}')
-        return tuple(arms)
+def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
+    """Scenario values and gains under the key ``set``."""
+    settings = given.section('set', optional=True)
+    texts = {key: _setting(settings, key) for key in settings}
+    overrides = {key: text for key, text in texts.items() if not key.startswith(_GAIN)}
+    given.check('set', lambda: check_overrides(overrides))
+    gains: dict[str, float] = {}
+    for key in texts.keys() - overrides.keys():
+        name = key.removeprefix(_GAIN)
+        if name not in SteeringGains.__dataclass_fields__:
+            known = ', '.join(SteeringGains.__dataclass_fields__)
+            raise settings.wrong(f'unknown gain; known: {known}', key)
+        try:
+            gains[name] = float(texts[key])
+        except ValueError:
+            raise settings.wrong(f'expected a number, got {texts[key]}', key) from None
+    given.check('set', lambda: SteeringGains(**gains))
+    return overrides, gains
 
-    def _settings(self, where: str, value: object) -> tuple[dict[str, str], dict[str, float]]:
-        settings = self._mapping(where, {} if value is None else value)
-        texts = {key: self._plain(f'{where}.{key}', one) for key, one in settings.items()}
-        overrides = {key: text for key, text in texts.items() if not key.startswith(_GAIN)}
-        self._checked(where, lambda: check_overrides(overrides))
-        gains: dict[str, float] = {}
-        for key in texts.keys() - overrides.keys():
-            name = key.removeprefix(_GAIN)
-            if name not in SteeringGains.__dataclass_fields__:
-                known = ', '.join(SteeringGains.__dataclass_fields__)
-                raise self._wrong(f'{where}.{key}', f'unknown gain; known: {known}')
-            try:
-                gains[name] = float(texts[key])
-            except ValueError:
-                what = f'expected a number, got {texts[key]}'
-                raise self._wrong(f'{where}.{key}', what) from None
-        self._checked(where, lambda: SteeringGains(**gains))
-        return overrides, gains
 
-    def _plain(self, where: str, value: object) -> str:
-        """A value as --set takes it: YAML has read off as false, and a date as a date."""
-        if isinstance(value, bool):
-            return 'on' if value else 'off'
-        if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
-            return value.isoformat()
-        if isinstance(value, str | int | float):
-            return str(value)
-        raise self._wrong(where, f'expected a number, a word, on or off, got {value!r:.60}')
+def _setting(given: Section, key: str) -> str:
+    """A value as --set takes it: YAML has read off as false, and a date as a date."""
+    kind = 'a number, a word, on or off'
+    value = given.take(key, kind)
+    if isinstance(value, bool):
+        return 'on' if value else 'off'
+    if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
+        return value.isoformat()
+    if isinstance(value, str | int | float):
+        return str(value)
+    raise given.wrong(expected(kind, value), key)
 
-    def _program(self, value: object) -> str:
-        word = self._word('program', value)
-        beside = self._path.parent / word
-        if word.endswith(PROGRAM_SUFFIX) and beside.is_file():
-            return str(beside)
-        self._checked('program', lambda: find_program(word))
-        return word
 
-    def _perception(self, where: str, value: object) -> str:
-        word = self._word(where, value)
-        self._checked(where, lambda: check_perception(word, graph=True))
-        return word
+def _program(given: Section) -> str:
+    word = given.text('program')
+    beside = given.path.parent / word
+    if word.endswith(PROGRAM_SUFFIX) and beside.is_file():
+        return str(beside)
+    given.check('program', lambda: find_program(word))
+    return word
 
-    def _controller(self, where: str, value: object, gains: Mapping[str, float]) -> str:
-        word = self._word(where, value)
-        self._checked(where, lambda: check_controller(word, gains, graph=True))
-        return word
 
-    def _specs(self, value: object) -> tuple[str, ...]:
-        words = [value] if isinstance(value, str) else value
-        if words is None:
-            return DEFAULT_SPECS
-        if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-            raise self._wrong('specs', f'expected a list of formulas, got {value!r:.60}')
-        found: list[str] = []
-        self._checked('specs', lambda: found.extend(read_specs(words)))
-        return tuple(found) or DEFAULT_SPECS
+def _perception(given: Section, default: str) -> str:
+    word = given.text('perception', default)
+    given.check('perception', lambda: check_perception(word, graph=True))
+    return word
 
-    def _sampler(self, content: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-        word = self._word('sampler', content.get('sampler', 'random'))
-        if word not in PAIRED_SAMPLERS:
-            raise self._wrong('sampler', f'expected one of {", ".join(PAIRED_SAMPLERS)}, for all '
-                              f'arms need the same scenes; got {word}')
-        given = self._mapping('sampler_options', content.get('sampler_options', {}))
-        options = {key: self._plain(f'sampler_options.{key}', v) for key, v in given.items()}
-        self._checked('sampler_options', lambda: check_sampler(word, options))
-        return word, options
 
-    def _word(self, where: str, value: object, *, empty: bool = False) -> str:
-        if not isinstance(value, str) or not (value or empty):
-            raise self._wrong(where, f'expected a word, got {value!r:.60}')
-        return value
+def _controller(given: Section, default: str, gains: Mapping[str, float]) -> str:
+    word = given.text('controller', default)
+    given.check('controller', lambda: check_controller(word, gains, graph=True))
+    return word
 
-    def _whole(self, where: str, value: object, least: int) -> int:
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self._wrong(where, f'expected a whole number, {least} or more, got {value!r:.60}')
-        return value
+
+def _specs(given: Section) -> tuple[str, ...]:
+    if 'specs' not in given:
+        return DEFAULT_SPECS
+    value = given.take('specs', 'formulas')
+    words = [value] if isinstance(value, str) else [] if value is None else value
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise given.wrong(expected('a list of formulas', value), 'specs')
+    found: list[str] = []
+    given.check('specs', lambda: found.extend(read_specs(words)))
+    return tuple(found) or DEFAULT_SPECS
+
+
+def _sampler(given: Section) -> tuple[str, dict[str, str]]:
+    word = given.text('sampler', 'random')
+    if word not in PAIRED_SAMPLERS:
+        raise given.wrong(f'expected one of {", ".join(PAIRED_SAMPLERS)}, for all arms need the '
+                          f'same scenes; got {word}', 'sampler')
+    settings = given.section('sampler_options', optional=True)
+    options = {key: _setting(settings, key) for key in settings}
+    given.check('sampler_options', lambda: check_sampler(word, options))
+    return word, options
 
 
 PAIRS_NAME, JSON_NAME, PAGE_NAME = 'pairs.parquet', 'experiment.json', 'experiment.html'
@@ -377,6 +363,6 @@ def _campaign(experiment: Experiment, arm: Arm, out: Path) -> CampaignOptions:
         program=experiment.program, runs=experiment.runs, seed=experiment.seed,
         perception=arm.perception, out=out / arm.name, overrides=experiment.overrides,
         controller=arm.controller, laid_over=arm.laid_over, gains=arm.gains,
-        specs=experiment.specs, images='none',
+        judging=Judging(specs=experiment.specs), images='none',
         arms=tuple(one.name for one in experiment.arms),
     )

@@ -19,11 +19,11 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from taxinet_ros.campaign.scenes.overrides import check_overrides, doubtful_values
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judge import SpecCheck, check_specs
+from taxinet_ros.core.judging import Judging, StopOn, parse_stop_on
 from taxinet_ros.core.mtl import (
     SHIPPED,
     SIGNALS,
@@ -33,13 +33,12 @@ from taxinet_ros.core.mtl import (
     parse_spec,
 )
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.outcome import StopOn, parse_stop_on
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
-from taxinet_ros.files.plain_values import read_yaml
+from taxinet_ros.files.plain_values import Section, read_yaml
 
 SUFFIXES = ('.yaml', '.yml')
 _KEYS = ('predicates', 'specs')
@@ -79,27 +78,28 @@ def read_specs(words: Iterable[str]) -> tuple[str, ...]:
 
 def _read(path: Path, predicates: dict[str, str]) -> list[str]:
     """Texts of a file's formulas; its predicates are added to ``predicates``."""
-    content = _mapping(path, '', read_yaml(path, option='--spec', mend=_BRACKETS))
-    for key in content:
-        if key not in _KEYS:
-            raise UsageError(f'{path}: unknown key {key!r}; known: {", ".join(_KEYS)}')
-    for name, text in _mapping(path, 'predicates', content.get('predicates')).items():
+    top = Section(path, read_yaml(path, option='--spec', mend=_BRACKETS), _KEYS)
+    given = top.section('predicates', optional=True)
+    for name in given:
         if name in predicates:
-            raise UsageError(f'{path}: predicates.{name}: there is one by that name already')
+            raise given.wrong('there is one by that name already', name)
         where = f'{path}: predicates.{name}'
-        formula = parse(_text(where, text), SIGNALS, predicates, where)
+        formula = parse(given.text(name, kind='a formula'), SIGNALS, predicates, where)
         _check_name(where, name)
         predicates[name] = str(formula)
-    specs = _mapping(path, 'specs', content.get('specs'))
-    if not specs and not predicates:
+    specs = top.section('specs', optional=True)
+    texts = [
+        _spec_text(f'{path}: specs.{name}', name, specs.text(name, kind='a formula'), predicates)
+        for name in specs
+    ]
+    if not texts and not predicates:
         raise UsageError(f'{path}: holds no formula; write specs: {{NAME: FORMULA}}')
-    return [_spec_text(f'{path}: specs.{name}', name, text, predicates)
-            for name, text in specs.items()]
+    return texts
 
 
-def _spec_text(where: str, name: str, text: object, predicates: Mapping[str, str]) -> str:
+def _spec_text(where: str, name: str, text: str, predicates: Mapping[str, str]) -> str:
     # Parsed by itself first, for an error message whose column is that in the file's text.
-    return _written_out(where, name, str(parse(_text(where, text), SIGNALS, predicates, where)))
+    return _written_out(where, name, str(parse(text, SIGNALS, predicates, where)))
 
 
 def _written_out(where: str, name: str, formula: str) -> str:
@@ -120,22 +120,8 @@ def _check_name(where: str, name: str) -> None:
         ) from None
 
 
-def _mapping(path: Path, key: str, value: object) -> dict[str, Any]:
-    if value is None and key:
-        return {}
-    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
-        where = f'{path}: {key}' if key else f'{path}'
-        raise UsageError(f'{where}: expected names with a formula each, NAME: FORMULA')
-    return value
-
-
-def _text(where: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise UsageError(f"{where}: expected a formula, got {value!r:.60}; put it in '…' quotes")
-    return value
-
-
 DEFAULT_SPECS = ('phi_eventually',)
+DEFAULT_JUDGING = Judging(specs=DEFAULT_SPECS)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
 """Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
@@ -154,9 +140,7 @@ class CampaignOptions:
             :mod:`taxinet_ros.core.user_code`; '' where a graph that runs already decides it.
         overrides: scenario values that replace what is drawn, human keys and units.
         gains: steering gains that differ from the defaults.
-        specs: formulas as text that needs no file; the first is the headline.
-        stop_on: what ends a run before its end.
-        bounds, rates: what is vouched for of the signals, as text.
+        judging: what decides the verdicts.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
         images: whose camera frames go into the bags, of :data:`IMAGES`.
@@ -176,10 +160,7 @@ class CampaignOptions:
     out: Path
     overrides: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
-    specs: tuple[str, ...] = DEFAULT_SPECS
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
+    judging: Judging = DEFAULT_JUDGING
     processes: bool = False
     images: str = 'all'
     laid_over: Mapping[str, str] = field(default_factory=dict)
@@ -198,7 +179,7 @@ class CampaignOptions:
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
-        found = check_specs([parse_spec(text) for text in self.specs], duration_s, gains)
+        found = check_specs(self.judging.parsed_specs, duration_s, gains)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 
@@ -242,15 +223,14 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
-    chosen = read_specs(specs) or DEFAULT_SPECS
-    rule = parse_stop_on(stop_on)
+    judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
         raise UsageError('--processes: no effect with --free, whose nodes are processes anyway')
-    if timing.free and rule is not StopOn.NEVER:
-        raise UsageError(f'--stop-on {rule}: not with --free, where nobody waits for the monitor')
-    bounds, rates = tuple(bounds), tuple(rates)
-    check_assumptions(bounds, rates)
+    if timing.free and judging.stop_on is not StopOn.NEVER:
+        raise UsageError(
+            f'--stop-on {judging.stop_on}: not with --free, where nobody waits for the monitor'
+        )
     if perception:
         check_perception(perception, graph=True)
     if images not in IMAGES:
@@ -265,10 +245,26 @@ def make_options(
         check_new(out)
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
-        overrides=overrides, gains=gains, specs=chosen, stop_on=rule, bounds=bounds,
-        rates=rates, processes=processes or timing.free, images=images,
-        controller=controller, timing=timing,
+        overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
+        images=images, controller=controller, timing=timing,
     )
+
+
+def make_judging(
+    specs: Iterable[str], stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
+    rates: Iterable[str] = (),
+) -> Judging:
+    """Check what a person typed of how runs are to be judged; as :func:`make_options`.
+
+    Raises:
+        UsageError: one line that names the option.
+    """
+    judging = Judging(
+        specs=read_specs(specs) or DEFAULT_SPECS, stop_on=parse_stop_on(stop_on),
+        bounds=tuple(bounds), rates=tuple(rates),
+    )
+    check_assumptions(judging.bounds, judging.rates)
+    return judging
 
 
 def check_timing(

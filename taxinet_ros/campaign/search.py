@@ -1,4 +1,4 @@
-"""A search on disk: a sampler chooses scenes, learns from their results, may be interrupted.
+"""A search: a sampler chooses scenes, learns from their results, may be interrupted.
 
 A search's folder is a campaign's (:mod:`.campaign`). The runs may be under way at once and end
 in any order; the sequence of scenes depends on neither, nor on how often the search was
@@ -7,34 +7,19 @@ resumed. The lines that a search prints stand at the end.
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import hashlib
 import json
 import statistics
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.book import (
-    CampaignBook,
-    check_resumable,
-    finished_row,
-    rejected_row,
-    rename_broken,
-    run_name,
-    run_request,
-)
-from taxinet_ros.campaign.record.facts import (
-    FACTS_NAME,
-    STACKS,
-    campaign_facts,
-    extension_facts,
-)
+from taxinet_ros.campaign.record.book import CampaignBook
+from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import (
-    UNTOLD,
     EarlierRuns,
     facts_of_graph,
     read_earlier_runs,
@@ -63,7 +48,6 @@ from taxinet_ros.campaign.summary import (
     table_line,
 )
 from taxinet_ros.core.judge import SpecCheck
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import Scenario
@@ -85,6 +69,7 @@ class Search:
         exhausted: whether that was for want of other points.
         interrupted: whether :meth:`interrupt` was called.
         check: what is said of the requirements before the first run; only within the ``with``.
+        book: the search on disk.
     """
 
     def __init__(
@@ -106,22 +91,18 @@ class Search:
         self.exhausted = False
         self.interrupted = False
         self._campaign = options.campaign
-        self._participants = participants
-        self._on_row = on_row
+        self.book = CampaignBook(
+            self._campaign, participants, on_row, resume=options.resume
+        )
         self._source = SceneSource(
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
         )
-        self._specs = tuple(parse_spec(text) for text in self._campaign.specs)
+        self._headline = self._campaign.judging.headline
         self._points: dict[int, Point] = {}
         self._refused: dict[int, int] = {}
-        self._again: list[RunRequest] = []
-        self._retried: set[int] = set()
         self._earlier = EarlierRuns()
-        self._attempts: Counter[int] = Counter()
         self._asked = 0
-        self._due = False
-        self._broken = 0
 
     def __enter__(self) -> Self:
         """Compile the program, draw the first scene, and only then touch the folder.
@@ -130,22 +111,15 @@ class Search:
             UsageError: the program does not compile or makes no choices, there is no such sampler,
                 the folder cannot be used, or what it holds is another search.
         """
-        out = self._campaign.out
-        if self.options.resume:
-            check_resumable(out)
-        self._source.__enter__()
-        try:
+        self.book.check_folder()
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(self._source)
             self._prepare()
-            names = [spec.name for spec in self._specs]
-            self._record = CampaignBook(out, names, resume=self.options.resume)
-            try:
-                self._take_up(self._asked_facts())
-            except BaseException:
-                self._record.close()
-                raise
-        except BaseException:
-            self._source.__exit__(None, None, None)
-            raise
+            opened.enter_context(self.book)
+            asked = self._asked_facts()
+            self._earlier = read_earlier_runs(self._campaign.out, asked)
+            self.book.begin({**asked, **self._earlier.facts}, self._earlier.content)
+            self._opened = opened.pop_all()
         self._begun = time.monotonic()
         return self
 
@@ -154,17 +128,12 @@ class Search:
         trace: TracebackType | None,
     ) -> None:
         """Write the table of what there is, whatever happened."""
-        self._source.__exit__(None, None, None)
         counted = {row.index for row in self.rows}
         self.rows += [
-            row for index, row in sorted(self._record.rows.items())
+            row for index, row in sorted(self.book.rows.items())
             if index not in counted and row.outcome is not Outcome.INTERRUPTED
         ]
-        try:
-            if error is None:
-                self._accept()
-        finally:
-            self._record.__exit__(kind, error, trace)
+        self._opened.__exit__(kind, error, trace)
 
     @property
     def space(self) -> SearchSpace:
@@ -177,8 +146,8 @@ class Search:
         Raises:
             UsageError: the program failed.
         """
-        if self._again and not self.interrupted:
-            return self._again.pop()
+        if not self.interrupted and (request := self.book.next_again()) is not None:
+            return request
         try:
             while self._sampler.ready and self._more():
                 index, point = self._sampler.next()
@@ -198,13 +167,10 @@ class Search:
         Raises:
             UsageError: it comes from another perception than those before; it is not kept.
         """
-        if news := facts_of_graph(self._campaign.out, self._facts, result):
-            self._put_down({**self._facts, **news})
-        if result.outcome is Outcome.INFRA_ERROR and request.index not in self._retried:
-            self._retried.add(request.index)
-            self._again.append(self._begin(request))
-            return
-        self._keep(finished_row(self._campaign, request, result))
+        if news := facts_of_graph(self._campaign.out, self.book.facts, result):
+            self.book.add_facts(news)
+        if not self.book.second_chance(request, result):
+            self._keep(self.book.finished_row(request, result))
 
     def interrupt(self) -> None:
         """Ask for no more runs, not for second chances either. A signal handler may call it."""
@@ -213,22 +179,12 @@ class Search:
     @property
     def perception(self) -> str:
         """Word of the perception that is searched; '' before the graph that has it answers."""
-        return str(self._facts['perception'])
+        return str(self.book.facts['perception'])
 
     @property
     def first_planned(self) -> int:
         """Number of runs that were planned before the first of them; only within the ``with``."""
-        return int(self._facts['first_runs'])
-
-    @property
-    def warning(self) -> str:
-        """One line where earlier runs were made on another machine or version, or ''."""
-        return self._earlier.warning
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """What ``campaign.json`` says of the search; only within the ``with``."""
-        return dict(self._facts)
+        return int(self.book.facts['first_runs'])
 
     def learned(self) -> Probabilities:
         """Where the sampler has found failures; empty where it has no idea."""
@@ -238,8 +194,8 @@ class Search:
 
     def _more(self) -> bool:
         """Whether one more run is wanted. What was begun before is always finished first."""
-        if self._broken >= PATIENCE:
-            self.stopped = f'{self._broken} runs in a row were broken by the bench'
+        if (broken := self.book.broken_in_a_row) >= PATIENCE:
+            self.stopped = f'{broken} runs in a row were broken by the bench'
         if self._asked >= self._campaign.runs or self.interrupted:
             return False
         if self._asked >= self._earlier.begun:
@@ -283,44 +239,26 @@ class Search:
             )
         except Rejected as error:
             self._refused[index] = error.refused
-            self._keep(rejected_row(self._campaign, index, str(error)))
+            self._keep(self.book.rejected_row(index, str(error)))
             return None
-        request = run_request(self._campaign, index, scenario, self._participants)
-        return self._begin(request, _digest(scenario))
-
-    def _begin(self, request: RunRequest, scenario_sha256: str = '') -> RunRequest:
-        """Put on record that a run begins, under the name that this attempt has."""
-        self._accept()
-        index = request.index
-        self._attempts[index] += 1
-        name = run_name(self._campaign, index, self._attempts[index])
-        rename_broken(self._campaign.out / name)
-        self._record.intent(index, name, scenario_sha256)
-        return dataclasses.replace(request, run_id=name)
+        return self.book.begin_run(index, scenario, _digest(scenario))
 
     # Answers -----------------------------------------------------------------------------------
 
     def _keep(self, row: RunRow) -> None:
-        self._accept()
-        row = row.chosen(
+        row = row.with_choice(
             sampler=self.options.sampler, point=self.space.named(self._points[row.index]),
             weight=self._weight(row.index), drawn=self._sampler.drawn(row.index),
             refused=self._refused[row.index], retries=self._retries(row.index),
         )
-        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench had a part
-            infra = row.outcome is Outcome.INFRA_ERROR
-            self._broken = self._broken + 1 if infra else 0
         self._remember(row)
-        try:
-            self._record.result(row)
-        finally:
-            self._on_row(row)
+        self.book.keep(row)
 
     def _retries(self, index: int) -> int:
         """How often a run was begun anew because the bench broke, in earlier sittings too."""
         before = self._earlier.again.get(index)
         broken = before is not None and before.outcome is Outcome.INFRA_ERROR
-        return (before.retries if before else 0) + broken + (index in self._retried)
+        return (before.retries if before else 0) + broken + self.book.was_retried(index)
 
     def _weight(self, index: int) -> float | None:
         """Density of the program's distribution over the sampler's at a run's point, if known.
@@ -335,8 +273,9 @@ class Search:
     def _remember(self, row: RunRow) -> None:
         self.rows.append(row)
         if row.outcome is not Outcome.INTERRUPTED:
-            untold = row.index in self._earlier.untold
-            self._sampler.tell(row.index, None if untold else row.told(self._specs[0].name))
+            unknown = row.index in self._earlier.unknown_to_sampler
+            known = None if unknown else row.robustness_for_sampler(self._headline)
+            self._sampler.tell(row.index, known)
 
     # Beginning ---------------------------------------------------------------------------------
 
@@ -357,31 +296,6 @@ class Search:
                 'all of its runs; add --sampler-option floor=0.3, or use failures=K'
             )
         self.check = campaign.check(first_duration_s(self._source))
-
-    def _take_up(self, asked: dict[str, Any]) -> None:
-        """Go on where an earlier sitting ended, if there was one."""
-        earlier = self._earlier = read_earlier_runs(self._campaign.out, asked)
-        self._attempts.update(earlier.attempts)
-        self._record.rows.update({**earlier.rows, **earlier.again})
-        untold = {UNTOLD: sorted(earlier.untold)} if earlier.untold else {}
-        self._facts = {
-            **asked, **earlier.facts, **untold, STACKS: {**earlier.stacks, **asked[STACKS]},
-        }
-        self._due = True
-        if not earlier.rows or not (self._campaign.out / FACTS_NAME).is_file():
-            self._put_down(self._facts)
-
-    def _put_down(self, facts: dict[str, Any]) -> None:
-        self._facts, self._due = facts, False
-        self._record.facts(facts)
-
-    def _accept(self) -> None:
-        """Put down what is asked for now, once something is added to what there is.
-
-        Until then a sampler that chooses other points than before refuses all of it.
-        """
-        if self._due:
-            self._put_down(self._facts)
 
     def _asked_facts(self) -> dict[str, Any]:
         campaign = self._campaign

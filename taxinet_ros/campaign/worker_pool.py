@@ -13,7 +13,6 @@ import dataclasses
 import json
 import os
 import select
-import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -21,12 +20,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
+from taxinet_ros.processes.child import (
+    ChildProcess,
+    open_pipe,
+)
 
 
 def encode_line(message: Mapping[str, Any]) -> bytes:
@@ -49,12 +52,14 @@ def request_from_json(values: Mapping[str, Any]) -> RunRequest:
     return RunRequest(**{
         **values,
         'scenario': Scenario(**values['scenario']),
-        'specs': tuple(values['specs']),
+        'judging': _judging_from_json(values['judging']),
         'participants': tuple(values['participants']),
-        'bounds': tuple(values['bounds']),
-        'rates': tuple(values['rates']),
-        'stop_on': StopOn(values['stop_on']),
     })
+
+
+def _judging_from_json(values: Mapping[str, Any]) -> Judging:
+    texts = {name: tuple(values[name]) for name in ('specs', 'bounds', 'rates')}
+    return Judging(**{**values, **texts, 'stop_on': StopOn(values['stop_on'])})
 
 
 def result_to_json(result: RunResult) -> dict[str, Any]:
@@ -104,25 +109,19 @@ class WorkerProcess:
         """Start it.
 
         Args:
-            command: arguments; ``--parent=<pid>`` and ``--answers=<descriptor>`` are added.
+            command: arguments; ``--answers=<descriptor>`` is added.
             log: file that takes, at its end, what the process prints.
         """
         self.request: RunRequest | None = None
         self.seq = -1
         self.silent_since = time.monotonic()
-        self._log = log
         self._unread = b''
-        fill_standard_descriptors()
-        self.answers, answers_write = os.pipe()
-        own = [f'--parent={os.getpid()}', f'--answers={answers_write}']
+        self.answers, answers_write = open_pipe()
         try:
-            with log.open('ab') as printed:
-                self._process = subprocess.Popen(
-                    [*command, *own], stdin=subprocess.PIPE, stdout=printed,
-                    stderr=subprocess.STDOUT, pass_fds=(answers_write,), env=child_environment(),
-                    # Ctrl-C in the terminal is for the campaign, which then ends its workers.
-                    start_new_session=True,
-                )
+            self._child = ChildProcess(
+                'worker', [*command, f'--answers={answers_write}'], log=log,
+                stdin=subprocess.PIPE, descriptors=(answers_write,), killed_with_parent=True,
+            )
         except BaseException:
             os.close(self.answers)
             raise
@@ -132,12 +131,12 @@ class WorkerProcess:
     @property
     def pid(self) -> int:
         """Number of the process."""
-        return self._process.pid
+        return self._child.pid
 
     @property
     def alive(self) -> bool:
         """Whether it is still there."""
-        return self._process.poll() is None
+        return not self._child.dead
 
     def give(self, request: RunRequest) -> None:
         """Have it run something; if it is dead, its answers' end says so."""
@@ -166,38 +165,30 @@ class WorkerProcess:
     def bury(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
-        return RunResult.infra_error(kind, 'worker', detail or self._how_it_died(), self.seq)
+        return RunResult.infra_error(
+            kind, 'worker', detail or self._child.how_it_ended(), self.seq
+        )
 
     def hang_up(self) -> None:
         """Tell it that there is no more to do."""
         with contextlib.suppress(BrokenPipeError):
-            assert self._process.stdin is not None
-            self._process.stdin.close()
+            assert self._child.process.stdin is not None
+            self._child.process.stdin.close()
 
     def end(self, grace_s: float = _GRACE_S) -> None:
         """Wait for it to leave, at most ``grace_s``, then kill it."""
         self.hang_up()
-        try:
-            self._process.wait(grace_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._child.wait(grace_s)
+        self._child.end(())
         if self.answers >= 0:
             os.close(self.answers)
         self.answers = -1
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        assert self._process.stdin is not None
+        assert self._child.process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write(encode_line(message))
-            self._process.stdin.flush()
-
-    def _how_it_died(self) -> str:
-        code = self._process.returncode
-        if code < 0:
-            return f'killed by {signal.Signals(-code).name}'
-        lines = self._log.read_text(errors='replace').strip().splitlines()
-        return f'exit code {code}' + (f': {lines[-1]}' if lines and code > 0 else '')
+            self._child.process.stdin.write(encode_line(message))
+            self._child.process.stdin.flush()
 
 
 SILENCE_S = 120.0

@@ -53,10 +53,9 @@ from taxinet_ros.cli.streams import (
 )
 from taxinet_ros.cli.study.commands import case_study, improve
 from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, train
-from taxinet_ros.errors import InfraError, RecordError, UsageError, plain_line
+from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
-    INTERRUPTED,
     interrupted_exit_code,
     lost_interrupts_resent,
     raise_interrupt,
@@ -89,8 +88,6 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
-USAGE, INFRA = 2, 4
-UNREAD = 128 + signal.SIGPIPE
 _NOBODY_READS = 'output: nobody reads it any more'
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
@@ -208,7 +205,7 @@ def node(
     try:
         start_node(name, context.args)
     except SystemExit as end:  # as every node ends
-        raise typer.Exit(end.code if isinstance(end.code, int) else INFRA) from None
+        raise typer.Exit(end.code if isinstance(end.code, int) else ExitCode.INFRA) from None
 
 
 @app.callback(invoke_without_command=True)
@@ -227,7 +224,7 @@ def main() -> None:
     """Entry point of ``taxinet``."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, raise_interrupt)
-    code = INTERRUPTED
+    code: int = ExitCode.INTERRUPTED
     with (
         contextlib.suppress(KeyboardInterrupt),
         lost_interrupts_resent(),
@@ -255,9 +252,10 @@ def _delivered(code: int) -> int:
     try:
         flush_output()
     except OutputUnreadError:
-        return code if code == UNREAD else _complain(_NOBODY_READS, UNREAD)
+        return code if code == ExitCode.UNREAD else _complain(_NOBODY_READS, ExitCode.UNREAD)
     except OSError as error:
-        return code if code == INFRA else _complain(f'output: {disk_words(error)}', INFRA)
+        if code != ExitCode.INFRA:
+            return _complain(f'output: {disk_words(error)}', ExitCode.INFRA)
     return code
 
 
@@ -286,23 +284,23 @@ def _exit_code(command: Callable[[], object]) -> int:
         code = command()
     except TyperException as error:
         text = getattr(error, 'format_message', error.__str__)()
-        return _complain(f'{text.rstrip(".")}; see taxinet --help', USAGE)
+        return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
     except UsageError as error:
-        return _complain(str(error), USAGE)
+        return _complain(str(error), ExitCode.USAGE)
     except (KeyboardInterrupt, typer.Abort):
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     except (InfraError, RecordError, BagError) as error:
-        return _complain(str(error), INFRA)
+        return _complain(str(error), ExitCode.INFRA)
     except OutputUnreadError:
-        return _complain(_NOBODY_READS, UNREAD)
+        return _complain(_NOBODY_READS, ExitCode.UNREAD)
     except OSError as error:
-        code = USAGE if error.errno in _PATH_ERRORS else INFRA
+        code = ExitCode.USAGE if error.errno in _PATH_ERRORS else ExitCode.INFRA
         return _complain(f'{error.filename or "output"}: {disk_words(error)}', code)
     except MemoryError:
-        return _complain('out of memory', INFRA)
+        return _complain('out of memory', ExitCode.INFRA)
     except BaseException as error:  # to be at its end without a result is nobody's success
-        return _complain(_unforeseen(error), INFRA)
-    return code if isinstance(code, int) else 0
+        return _complain(_unforeseen(error), ExitCode.INFRA)
+    return code if isinstance(code, int) else ExitCode.OK
 
 
 def _unforeseen(error: BaseException) -> str:

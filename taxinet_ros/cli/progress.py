@@ -21,7 +21,7 @@ from rich.progress import (
 from taxinet_ros.campaign.rates import count_outcomes
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
-from taxinet_ros.errors import RecordError
+from taxinet_ros.errors import ExitCode, RecordError
 from taxinet_ros.files.atomic import disk_words
 
 _PAGE_WIDTH = 100
@@ -71,12 +71,12 @@ def run_with_progress(
         found = measure(partial(bars, 'searching'))
     if as_json:
         print(json.dumps(found, indent=2))
-        return 0
+        return ExitCode.OK
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = _PAGE_WIDTH
     show(found, console)
-    return 0
+    return ExitCode.OK
 
 
 @contextlib.contextmanager

@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn
 
+from taxinet_ros.errors import ExitCode
+
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _END = os._exit  # as it is before somebody's code is loaded: see core.process_end
-_BROKEN = 4
 
 
 def main() -> NoReturn:
@@ -65,7 +66,7 @@ def _run(work: Callable[[], None]) -> NoReturn:
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    _END(code if isinstance(code, int) else 0 if code is None else _BROKEN)
+    _END(code if isinstance(code, int) else 0 if code is None else ExitCode.INFRA)
 
 
 @contextlib.contextmanager

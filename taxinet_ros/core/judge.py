@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.judging import StopOn, stops
 from taxinet_ros.core.mtl import (
     NO_ASSUMPTIONS,
     SIGNALS,
@@ -18,7 +19,6 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
-from taxinet_ros.core.outcome import StopOn, stops
 from taxinet_ros.core.run_statistics import (
     EstimateWatch,
     RunStatistics,

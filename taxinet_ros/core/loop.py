@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, TAXI_SPEED_MPS
 from taxinet_ros.core.controller import Controller, SteeringGains, SteeringLaw
 from taxinet_ros.core.judge import Judge, Judgement
+from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Reading, Spec
-from taxinet_ros.core.outcome import StopOn
 from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario

@@ -1,58 +1,19 @@
-"""How a run may end: the rule that stops it early, and its outcome, exactly one of five.
+"""How a run is asked for, and how it may end: with an outcome, exactly one of five.
 
-Only the first two outcomes carry a robustness. A run may end before its horizon as soon as what it
-was run for is decided. Robust satisfaction intervals make that sound: once an interval leaves zero
-behind, no completion of the run brings it back (Deshmukh et al., Formal Methods in System Design
-51, 2017).
+Only the first two outcomes carry a robustness.
 """
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
-from taxinet_ros.core.mtl import Reading, RobustnessInterval, exact_rho
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import RobustnessInterval, exact_rho
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
-
-
-class StopOn(enum.StrEnum):
-    """What ends a run early."""
-
-    NEVER = 'never'
-    VIOLATED = 'violated'
-    """The first formula, the headline, can no longer have robustness > 0: the run has failed."""
-    DECIDED = 'decided'
-    """Every formula is decided: robustness > 0 is certain, or out of reach."""
-
-
-def parse_stop_on(word: str) -> StopOn:
-    """The rule of this name; '' is never, as in recordings from before there was a choice.
-
-    Raises:
-        UsageError: there is none by that name.
-    """
-    try:
-        return StopOn(word or StopOn.NEVER)
-    except ValueError:
-        raise UsageError(f'--stop-on {word}: unknown; known: {", ".join(StopOn)}') from None
-
-
-def stops(stop_on: StopOn, readings: Sequence[Reading]) -> bool:
-    """Whether a run ends at the sample of these readings, though its horizon is not reached.
-
-    A run with an unusable sample is never stopped: it has no verdict, early or late.
-    """
-    if any(reading.final or not reading.valid or reading.interval.unclear for reading in readings):
-        return False
-    if stop_on is StopOn.VIOLATED:
-        return readings[0].interval.failed
-    if stop_on is StopOn.DECIDED:
-        return all(reading.interval.decided for reading in readings)
-    return False
 
 
 class Outcome(enum.StrEnum):
@@ -103,10 +64,8 @@ class RunRequest:
         program: Scenic program that the scenario was drawn from, or ''.
         seed: seed of the campaign.
         scenario: initial condition and environment.
-        specs: formulas to judge by, as text.
+        judging: what decides its verdict.
         participants: node names that take part in the lockstep.
-        stop_on: what ends the run before its end.
-        bounds, rates: what is vouched for of the signals, as text (:mod:`.mtl.assumptions`).
     """
 
     run_id: str
@@ -114,11 +73,8 @@ class RunRequest:
     program: str
     seed: int
     scenario: Scenario
-    specs: tuple[str, ...]
+    judging: Judging
     participants: tuple[str, ...]
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -131,7 +87,7 @@ class RunResult:
         detail: one line for people.
         last_seq: last control step reached, -1 before the first.
         robustness: of each formula, by name, the headline first; where judged.
-        stopped_early: whether it was, see :mod:`.stop_on`.
+        stopped_early: whether it was, see :mod:`.judging`.
         statistics: the run in a few figures, where judged.
         perception, fingerprint: which perception took part, and the hash of its weights.
         timing: when its answers took effect, in the words of :mod:`.timing`.

@@ -13,7 +13,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,20 @@ def differences(*records: Provenance) -> str:
             told.setdefault(name, {})[_short(value)] = None
     return ', '.join(f'{name} {" | ".join(values)}' for name, values in told.items()
                      if len(values) > 1)
+
+
+def begun_elsewhere(before: Sequence[Provenance], now: Provenance, what: str) -> str:
+    """One line where records of before are of another machine or version than now; else ''.
+
+    Args:
+        before: the records; an empty one is of a sitting of which nothing is known.
+        now: the record of this process.
+        what: was made on them, for the line: ``all the runs so far``.
+    """
+    if not all(before):
+        return f'nothing tells on which machine and versions {what} were made'
+    found = differences(*before, now)
+    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
 
 
 def words(facts: Provenance) -> str:

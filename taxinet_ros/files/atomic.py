@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
+T = TypeVar('T')
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -34,26 +37,59 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Put ``text`` at ``path`` so that a reader sees all of it or no file, come what may.
+DRAFTS = ('.*.part*', '*.tmp', '.*.draft')
+"""What :func:`draft_path` gives, and what drafts of earlier versions were called."""
+
+
+def draft_path(path: Path) -> Path:
+    """Where a file is written before it gets its name; by its suffix libraries know its format.
+
+    It is always the same, so that one left by a kill is used up by the next try.
+    """
+    return path.with_name(f'.{path.stem}.part{path.suffix}')
+
+
+def write_atomically(path: Path, data: str | bytes, *, sync: bool = True) -> None:
+    """Put ``data`` at ``path`` so that a reader sees all of it or no file, come what may.
+
+    Args:
+        path: the file; its folder exists.
+        data: text is written in UTF-8.
+        sync: False where many files are made safe from a loss of power together, afterwards.
 
     Raises:
-        OSError: it cannot be written; what was there before is there still.
+        OSError: it cannot be written, with its name; what was there before is there still.
     """
-    write_bytes_atomically(path, text.encode())
+    content = data.encode() if isinstance(data, str) else data
+    make_atomically(path, lambda draft: draft.write_bytes(content), sync=sync)
 
 
-def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Put ``data`` at ``path``, as :func:`write_atomically`."""
-    draft = path.with_name(path.name + '.tmp')
+def make_atomically(path: Path, make: Callable[[Path], T], *, sync: bool = True) -> T:
+    """Have ``make`` write a draft beside ``path``, which gets the name once it is safe on the disk.
+
+    Args:
+        path: the file; its folder exists.
+        make: gets the draft's path.
+        sync: as for :func:`write_atomically`.
+
+    Returns:
+        What ``make`` does.
+
+    Raises:
+        OSError: as :func:`write_atomically`; no draft is left then.
+    """
+    draft = draft_path(path)
     try:
-        with draft.open('wb') as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        draft.rename(path)
-        sync_folder(path.parent)
+        made = make(draft)
+        if sync:
+            with draft.open('rb') as file:
+                os.fsync(file.fileno())
+        draft.replace(path)
+        if sync:
+            sync_folder(path.parent)
     except OSError as error:
+        raise disk_error(path, error) from error
+    finally:
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
-        raise disk_error(path, error) from error
+    return made

@@ -127,8 +127,10 @@ class Journal:
         line, link = chained_line(self._link, event)
         try:
             if (written := os.write(self._fd, line)) != len(line):
-                what = f'only {written} of {len(line)} bytes fitted'
-                raise OSError(None, what, str(self._path))
+                raise OSError(None, f'only {written} of {len(line)} bytes fitted')
+        except OSError as error:
+            os.ftruncate(self._fd, self._size)
+            raise disk_error(self._path, error) from error
         except BaseException:
             os.ftruncate(self._fd, self._size)
             raise
@@ -150,8 +152,15 @@ class Journal:
             )
 
     def sync(self) -> None:
-        """Wait until what was written has reached the disk."""
-        os.fsync(self._fd)
+        """Wait until what was written has reached the disk.
+
+        Raises:
+            OSError: it has not, with the file's name.
+        """
+        try:
+            os.fsync(self._fd)
+        except OSError as error:
+            raise disk_error(self._path, error) from error
 
     def close(self) -> None:
         """Let others open it."""

@@ -2,15 +2,17 @@
 
 What such a text can do beyond being wrong is to grow when it is read (YAML's aliases and merge
 keys), to be nested deeper than Python's stack, or to take minutes. None of it gets so far here.
-A file that a person wrote gets one line with file, key and mend where something is wrong.
+Whatever is wrong with a file that a person wrote gets one line, with file, key and what is expected
+there.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Hashable
+import reprlib
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import yaml
 
@@ -18,6 +20,10 @@ from taxinet_ros.errors import UsageError
 
 MAX_DEPTH = 100
 """Brackets within brackets; PyYAML takes seconds for a thousand."""
+MAX_BYTES = 1 << 20
+"""Longer files of people are not read: YAML takes a second for some ten thousand characters."""
+MAX_CHARS = 2**22
+"""Likewise of texts in bags."""
 YAML_TROUBLES = (
     yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError,
     RecursionError,
@@ -37,67 +43,41 @@ def load_json(data: bytes | str) -> Any:
         raise ValueError('nested too deeply') from None
 
 
-def load_strict_yaml(text: str) -> Any:
-    """The plain values that a YAML text of a person's stands for.
+def load_yaml(text: str, *, aliases: bool = True) -> Any:
+    """The plain values of a YAML text in a bag, whoever wrote it.
+
+    Args:
+        text: from anywhere.
+        aliases: whether one part may stand in several places. Written out again, few lines with
+            aliases of aliases could be many gigabytes.
 
     Raises:
-        yaml.MarkedYAMLError: it is no YAML, gives a key twice, or has aliases or merge keys; for
-            what is YAML and refused all the same, its ConstructorError.
-        YAML_TROUBLES: it is no YAML of plain values.
+        ValueError: it is no YAML of plain values, or has merge keys, or is too long or too deep.
     """
-    check_depth(text)
-    return yaml.load(text, _StrictLoader)  # safe: a SafeLoader
+    if len(text) > MAX_CHARS:
+        raise ValueError(f'{len(text)} characters, more than the {MAX_CHARS} allowed')
+    try:
+        return _load(text, aliases=aliases, repeats=True)
+    except YAML_TROUBLES as error:
+        raise ValueError(f'not YAML of plain values: {text[:60]!r}') from error
 
 
-def check_depth(text: str) -> None:
-    """Refuse brackets within brackets without end, of whatever they are part.
-
-    Raises:
-        ValueError: there are more than :data:`MAX_DEPTH`.
-    """
-    depth = 0
-    for sign in text:
-        if sign in '[{':
-            depth += 1
-            if depth > MAX_DEPTH:
-                raise ValueError('nested too deeply')
-        elif sign in ']}':
-            depth = max(depth - 1, 0)
+def dump_yaml(value: Any) -> str:
+    """YAML of ``value`` in the order given and without aliases, which rosbag2's readers dislike."""
+    return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """Plain values, each where it stands."""
+# A base class that is chosen at run time has no type that mypy could know.
+class _PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    """YAML without anchors and aliases; libyaml, where it is there, writes the same text sooner."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """The next part, unless it is one from elsewhere."""
-        if self.check_event(yaml.events.AliasEvent):
-            problem = 'an alias (*) is not read; write it out'
-            raise yaml.constructor.ConstructorError(None, None, problem, self.get_mark())
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """The mapping, unless it gives a key twice, of which YAML would keep the last."""
-        seen = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue
-            if key.tag == 'tag:yaml.org,2002:merge':
-                problem = 'a merge key (<<) is not read; write it out'
-            elif key.value in seen:
-                problem = f'{key.value[:60]} is given twice'
-            else:
-                seen.add(key.value)
-                continue
-            raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-MAX_BYTES = 1 << 20
-"""Longer files are not read: YAML takes a second for some ten thousand characters."""
+    def ignore_aliases(self, data: Any) -> bool:
+        """Spell every value out, however often it occurs."""
+        return True
 
 
 def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
-    """What a file holds, as plain values.
+    """What a file of a person's holds, as plain values.
 
     Args:
         path: the file, UTF-8.
@@ -110,53 +90,262 @@ def read_yaml(path: Path, *, option: str = '', mend: str = '') -> object:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise UsageError(f'{path}: has more than {MAX_BYTES >> 20} MiB; is it the right file?')
-        return load_strict_yaml(path.read_bytes().decode('utf-8-sig'))
+        return parse_yaml(path, path.read_bytes(), mend=mend)
     except OSError as error:
         where = f'{option} {path}'.strip()
         raise UsageError(f'{where}: cannot be read: {error.strerror}') from error
+
+
+def parse_yaml(path: Path, data: bytes, *, about: str = '', mend: str = '') -> object:
+    """What ``data``, the bytes of a person's file, stands for.
+
+    Args:
+        path: the file, for the message.
+        data: all of it.
+        about: heads every complaint.
+        mend: as for :func:`read_yaml`.
+
+    Raises:
+        UsageError: it is not YAML of plain values, or gives a key twice.
+    """
+    try:
+        return _load(data.decode('utf-8-sig'), aliases=False, repeats=False)
     except UnicodeDecodeError:
-        raise UsageError(f'{path}: is not text in UTF-8; write it as YAML') from None
+        raise UsageError(f'{about}{path}: is not text in UTF-8; write it as YAML') from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         place = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
         syntax = not isinstance(error, yaml.constructor.ConstructorError)
-        raise UsageError(f'{path}: {place}{error.problem}{mend if syntax else ""}') from None
+        text = f'{about}{path}: {place}{error.problem}{mend if syntax else ""}'
+        raise UsageError(text) from None
     except YAML_TROUBLES as error:
-        raise UsageError(f'{path}: is not YAML: {" ".join(str(error).split())[:120]}') from None
+        text = ' '.join(str(error).split())[:120]
+        raise UsageError(f'{about}{path}: is not YAML: {text}') from None
 
 
-class YamlFile:
-    """A file whose values are checked one by one; every complaint is headed by it."""
+def _load(text: str, *, aliases: bool, repeats: bool) -> Any:
+    depth = 0
+    for sign in text:
+        if sign in '[{':
+            depth += 1
+            if depth > MAX_DEPTH:
+                raise ValueError('nested too deeply')
+        elif sign in ']}':
+            depth = max(depth - 1, 0)
+    loader = _StrictLoader(text)
+    loader.aliases, loader.repeats = aliases, repeats
+    return loader.get_single_data()
 
-    def __init__(self, path: Path) -> None:
-        """Read nothing yet."""
-        self._path = path
 
-    def _mapping(
-        self, where: str, value: object, known: tuple[str, ...] | None = None
-    ) -> dict[str, Any]:
-        """KEY: VALUE pairs, of known keys only if these are given."""
+class _StrictLoader(yaml.SafeLoader):
+    """Plain values only, and nothing that grows when it is read."""
+
+    aliases = repeats = False
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """The next part, unless it is one from elsewhere."""
+        if not self.aliases and self.check_event(yaml.events.AliasEvent):
+            problem = 'an alias (*) is not read; write it out'
+            raise yaml.constructor.ConstructorError(None, None, problem, self.get_mark())
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """The mapping, unless it gives a key twice, of which YAML would keep the last."""
+        seen = set()
+        for key, _ in node.value:
+            word = key.value if isinstance(key, yaml.ScalarNode) else None
+            if key.tag == 'tag:yaml.org,2002:merge':  # merged merges double with every line
+                problem = 'a merge key (<<) is not read; write it out'
+            elif word is not None and word in seen and not self.repeats:
+                problem = f'{word[:60]} is given twice'
+            else:
+                seen.add(word)
+                continue
+            raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+class Section:
+    """A mapping in somebody's file; hands out its values, each checked.
+
+    Every complaint is one line: the file, the keys that lead there, and what is expected.
+    """
+
+    def __init__(
+        self, path: Path, value: object, known: Sequence[str] | None = None, *, where: str = '',
+        about: str = '',
+    ) -> None:
+        """Take it.
+
+        Args:
+            path: of the file.
+            value: what stands there.
+            known: its keys; where None, any words.
+            where: the keys that lead to it, with dots; '' for the whole file.
+            about: heads every complaint.
+
+        Raises:
+            UsageError: it is no mapping, or has another key.
+        """
+        self.path = path
+        self._where, self._about = where, about
         if not isinstance(value, dict):
-            raise self._wrong(where, f'expected KEY: VALUE pairs, got {value!r:.60}')
+            keys = f' with the keys {", ".join(known)}' if known else ''
+            raise self.wrong(expected(f'KEY: VALUE pairs{keys}', value))
         for key in value:
             if not isinstance(key, str):  # YAML reads on, off, yes and no as switches
-                what = f"expected words as keys, got {key!r}; put it in '…' quotes"
-                raise self._wrong(where, what)
+                raise self.wrong(f"expected words as keys, got {shown(key)}; put it in '…' quotes")
         for key in value:
             if known is not None and key not in known:
-                inner = f'{where}.{key}' if where else key
-                raise self._wrong(inner, f'unknown key; known: {", ".join(known)}')
-        return value
+                raise self.wrong(f'unknown key; known: {", ".join(known)}', key)
+        self._values: dict[str, Any] = value
 
-    def _checked(self, where: str, check: Callable[[], object]) -> None:
-        """Have a value checked, and say in which place it is if it is wrong."""
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def wrong(self, what: str, key: str = '') -> UsageError:
+        """An error about a key, or about the section."""
+        where = self._inner(key)
+        return UsageError(f'{self._about}{self.path}: {where}: {what}' if where
+                          else f'{self._about}{self.path}: {what}')
+
+    def check(self, key: str, check: Callable[[], object]) -> None:
+        """Have a value checked elsewhere, and say in which place it is if it is wrong."""
         try:
             check()
         except UsageError as error:
-            raise self._wrong(where, str(error)) from None
+            raise self.wrong(str(error), key) from None
 
-    def _wrong(self, where: str, what: str) -> UsageError:
-        return UsageError(f'{self._path}: {where}: {what}' if where else f'{self._path}: {what}')
+    def take(self, key: str, kind: str) -> object:
+        """Any value; ``kind`` says what is expected where there is none."""
+        if key not in self._values:
+            raise self.wrong(f'the key {key!r} is missing; expected {kind}')
+        return self._values[key]
+
+    def section(
+        self, key: str, known: Sequence[str] | None = None, *, optional: bool = False
+    ) -> Section:
+        """A mapping inside this one; an empty one where it is left out and optional."""
+        keys = f' with the keys {", ".join(known)}' if known else ''
+        value = self._values.get(key) if optional else self.take(key, f'KEY: VALUE pairs{keys}')
+        return self._within(key, {} if value is None and optional else value, known)
+
+    def sections(self, key: str, known: Sequence[str]) -> list[Section]:
+        """A list of mappings, one at least."""
+        kind = f'a list of entries with the keys {", ".join(known)}'
+        value = self.take(key, kind)
+        if not isinstance(value, list) or not value:
+            raise self.wrong(expected(kind, value), key)
+        return [self._within(f'{key}[{index}]', entry, known) for index, entry in enumerate(value)]
+
+    def several(self, key: str) -> list[Section]:
+        """One value or a list of several, each once: sections that have one each under the key."""
+        value = self.take(key, 'one or several')
+        found = value if isinstance(value, list) else [value]
+        if not found or any(one in found[:at] for at, one in enumerate(found)):
+            raise self.wrong(expected('one or several, each once', value), key)
+        return [
+            Section(self.path, {key: one}, where=self._where, about=self._about) for one in found
+        ]
+
+    def text(
+        self, key: str, default: str | None = None, *, kind: str = 'a word', empty: bool = False
+    ) -> str:
+        """Any text; ``kind`` says what it is to be."""
+        if default is not None and key not in self._values:
+            return default
+        value = self.take(key, kind)
+        if not isinstance(value, str) or not (value or empty):
+            mend = "; put it in '…' quotes" if isinstance(value, int | float) else ''
+            raise self.wrong(expected(kind, value) + mend, key)
+        return value
+
+    def word(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
+        """One of some words."""
+        if default is not None and key not in self._values:
+            return default
+        kind = f'one of {", ".join(choices)}' if len(choices) > 1 else choices[0]
+        value = self.take(key, kind)
+        if not isinstance(value, str) or value not in choices:
+            raise self.wrong(expected(kind, value), key)
+        return value
+
+    def switch(self, key: str) -> bool:
+        """True or false."""
+        value = self.take(key, 'true or false')
+        if not isinstance(value, bool):
+            raise self.wrong(expected('true or false', value), key)
+        return value
+
+    def whole(
+        self, key: str, low: int, high: int | None = None, default: int | None = None
+    ) -> int:
+        """A whole number from ``low`` to ``high``."""
+        if default is not None and key not in self._values:
+            return default
+        kind = f'a whole number, {low} {"or more" if high is None else f"to {high}"}'
+        value = self.take(key, kind)
+        if not is_number(value, low, high) or not isinstance(value, int):
+            raise self.wrong(expected(kind, value), key)
+        return value
+
+    def number(
+        self, key: str, low: float, high: float | None = None, default: float | None = None
+    ) -> float:
+        """A number from ``low`` to ``high``."""
+        if default is not None and key not in self._values:
+            return default
+        kind = f'a number, {low:g} {"or more" if high is None else f"to {high:g}"}'
+        value = self.take(key, kind)
+        if not is_number(value, low, high):
+            mend = '; write it as 0.5 or 1.0e-3' if isinstance(value, str) else ''
+            raise self.wrong(expected(kind, value) + mend, key)
+        return float(value)
+
+    def numbers(self, key: str, count: int, low: float, high: float) -> tuple[float, ...]:
+        """A list of ``count`` numbers, all from ``low`` to ``high``."""
+        kind = f'a list of {count} number{"s" if count > 1 else ""}, {low:g} to {high:g}'
+        value = self.take(key, kind)
+        if (
+            not isinstance(value, list)
+            or len(value) != count
+            or not all(is_number(item, low, high) for item in value)
+        ):
+            raise self.wrong(expected(kind, value), key)
+        return tuple(map(float, value))
+
+    def _within(self, key: str, value: object, known: Sequence[str] | None) -> Section:
+        return Section(self.path, value, known, where=self._inner(key), about=self._about)
+
+    def _inner(self, key: str) -> str:
+        return '.'.join(part for part in (self._where, key) if part)
+
+
+def expected(kind: str, value: object) -> str:
+    """The words of a complaint about a value."""
+    return f'expected {kind}, got {shown(value)}'
+
+
+_FEW_WORDS = reprlib.Repr()
+_FEW_WORDS.maxlevel, _FEW_WORDS.maxstring = 2, 60
+
+
+def shown(value: object) -> str:
+    """A value in a few words; even where it is endless, or nested without end."""
+    try:
+        return _FEW_WORDS.repr(value)
+    except ValueError:
+        return 'a number with too many digits'
+
+
+def is_number(value: object, low: float, high: float | None = None) -> TypeGuard[int | float]:
+    """Whether a value is a finite number in a range."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return low <= value < float('inf') if high is None else low <= value <= high
 
 
 _OPTIONAL = ' | None'

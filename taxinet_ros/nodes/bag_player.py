@@ -31,7 +31,7 @@ from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_mes
 from taxinet_ros.bag.run.topics import ODOMETRY, TF, is_of_frames, is_topic
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.messages.convert import time_of
 from taxinet_ros.nodes.messages.step import TransformBroadcaster
@@ -207,7 +207,6 @@ _TICK_S = 0.002
 _DELIVERY_S = 5.0
 _MOST_AT_ONCE = 8
 """Portions in one go for a player that is late: its subscribers hold 16 messages of a topic."""
-INFRA, INTERRUPTED = 4, 130
 USAGE = Usage(
     executable='bag_player',
     does='Plays a recorded run on its topics again, at any rate, with its clock; nodes run freely '
@@ -287,7 +286,7 @@ class BagPlayer(Node):
             Exit code: 0, 4 where nobody came to listen, 130 after an interrupt.
         """
         finished = self._finished = Future(executor=executor)
-        with interrupts(functools.partial(self._finish, INTERRUPTED)):
+        with interrupts(functools.partial(self._finish, ExitCode.INTERRUPTED)):
             if self._awaited:
                 names = ', '.join(sorted(self._awaited))
                 self.get_logger().info(f'waiting for subscribers of {names}')
@@ -382,7 +381,7 @@ class BagPlayer(Node):
                 f'bag_player: nobody subscribed to {", ".join(missing)} within '
                 f'{self._patience_s:g} s; start who is to listen, in the same ROS_DOMAIN_ID'
             )
-            self._finish(INFRA)
+            self._finish(ExitCode.INFRA)
         if missing:
             return False
         self._started = True

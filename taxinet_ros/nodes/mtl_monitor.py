@@ -11,12 +11,12 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Timing, Verdict
 
-from taxinet_ros.bag.run.message_values import assumptions_of, scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import MAX_GAP_NS, ROLLING_ON, signals
-from taxinet_ros.core.mtl import Reading, Spec, parse_spec
-from taxinet_ros.core.outcome import StopOn, parse_stop_on
+from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.perception.perception import NO_ESTIMATE
 from taxinet_ros.core.world import last_step
@@ -62,12 +62,13 @@ class MtlMonitor(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Build a fresh monitor for every formula of the run."""
-        self._specs = tuple(parse_spec(text) for text in scenario.specs)
+        judging = Judging.from_message(scenario)
+        self._specs = judging.parsed_specs
         self._last_seq = last_step(scenario_of(scenario))
-        self._stop_on = parse_stop_on(scenario.stop_on)
+        self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
-            assumptions_of(scenario),
+            judging.assumptions,
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False

@@ -28,8 +28,9 @@ from taxinet_ros.campaign.summary import (
     requirement_lines,
     row_line,
 )
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
-from taxinet_ros.errors import InfraKind, UsageError
+from taxinet_ros.core.judging import StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
+from taxinet_ros.errors import ExitCode, InfraKind, UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import PARTICIPANTS
 from taxinet_ros.nodes.lockstep.sampler import PATIENCE, ScenarioSampler
@@ -209,7 +210,6 @@ def parameter_words() -> Iterator[None]:
         raise UsageError(re.sub(r'(?<!\S)--(?=[a-z])', '', text)) from error
 
 
-INFRA, INTERRUPTED = 4, 130
 _RIVAL = (
     'another sampler drives this graph; end it first (one that was killed is forgotten after some '
     '20 s), or give each graph its own ROS_DOMAIN_ID'
@@ -247,9 +247,9 @@ def _campaign(node: StandaloneSampler, executor: Any) -> int:
     if campaign.rows:
         _say(node, campaign_summary(campaign.rows, node.campaign).splitlines())
     if answers.trouble:
-        return complain(answers.trouble, INFRA)
+        return complain(answers.trouble, ExitCode.INFRA)
     if node.interrupted and len(campaign.rows) < node.campaign.runs:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     return exit_code(campaign.rows)
 
 
@@ -268,7 +268,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
     with interrupts(interrupt, node.give_up), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
-        warning = [search.warning] if search.warning else []
+        warning = [search.book.warning] if search.book.warning else []
         _say(
             node,
             [*warning, *heading_lines, *(line.plain for line in requirement_lines(search.check))],
@@ -279,9 +279,9 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
     if search.rows or search.interrupted:
         _say(node, [*search_summary(search, resuming), *learned])
     if answers.trouble:
-        return complain(f'{answers.trouble}; {resuming} continues it', INFRA)
+        return complain(f'{answers.trouble}; {resuming} continues it', ExitCode.INFRA)
     if search.interrupted and len(search.rows) < options.campaign.runs:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 

@@ -18,7 +18,7 @@ from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any, NoReturn
 
-from taxinet_ros.errors import warn_once
+from taxinet_ros.errors import ExitCode, warn_once
 
 exit_now: Callable[[int], NoReturn] = os._exit
 """``os._exit`` as it is, for us."""
@@ -98,8 +98,6 @@ def _refusing(name: str, end: Callable[..., NoReturn]) -> Callable[..., NoReturn
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What asks a program to end."""
-INTERRUPTED = 128 + signal.SIGINT
-"""Exit code of what was interrupted, as a command gives it; see :func:`told_apart`."""
 _STUCK_S = 5.0
 """How long whoever was told to give up may take."""
 
@@ -194,7 +192,7 @@ def lost_interrupts_resent() -> Iterator[None]:
 def exit_handler(code: int) -> Callable[[int, FrameType | None], NoReturn]:
     """What handles a signal by ending the process where it stands, whatever its threads are at.
 
-    For where nothing is begun, or all is done: :data:`INTERRUPTED` is told apart.
+    For where nothing is begun, or all is done: :attr:`ExitCode.INTERRUPTED` is told apart.
     """
     def handle(number: int, frame: FrameType | None) -> NoReturn:
         RECEIVED_STOPS.append(number)
@@ -207,7 +205,7 @@ def _exit_stuck() -> None:
     line = b'taxinet: error: what is at hand does not come back; it is left where it stands\n'
     with contextlib.suppress(OSError):
         os.write(2, line)  # not print: its lock may be held by what does not come back
-    exit_now(interrupted_exit_code(INTERRUPTED))
+    exit_now(interrupted_exit_code(ExitCode.INTERRUPTED))
 
 
 def interrupted_exit_code(code: int) -> int:
@@ -215,7 +213,7 @@ def interrupted_exit_code(code: int) -> int:
 
     So do shells, with 128 and the signal's number (POSIX.1-2024, XCU section 2.8.2).
     """
-    return 128 + _newest_stop() if code == INTERRUPTED else code
+    return 128 + _newest_stop() if code == ExitCode.INTERRUPTED else code
 
 
 def _newest_stop() -> int:

@@ -1,4 +1,7 @@
-"""Worker processes of a pool: how they end when they are interrupted or their parent dies."""
+"""A pool of worker processes for functions; it ends with its parent, and when that is interrupted.
+
+The workers are spawned: a fork would copy the threads of torch and onnxruntime badly.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +10,67 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
+from typing import Any, ParamSpec, TypeVar
+
+from taxinet_ros.errors import InfraError, InfraKind
+
+_T = TypeVar('_T')
+_P = ParamSpec('_P')
+
+SPAWN = multiprocessing.get_context('spawn')
+"""What makes events and queues that the workers share."""
+
+
+class ProcessPool(ProcessPoolExecutor):
+    """Whose workers never hear of Ctrl-C: their parent does, and ends them."""
+
+    def submit(
+        self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs
+    ) -> Future[_T]:
+        """Have a worker call a function; the first call starts the workers."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
-def interrupts_blocked() -> Iterator[None]:
-    """Let Ctrl-C wait: a process that starts now never hears of it, for its parent will end it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def process_pool(
+    workers: int | None, name: str, start: Callable[..., object] | None = None, *arguments: Any
+) -> Iterator[ProcessPool]:
+    """Within the ``with``, worker processes that call functions; what waits at its end is dropped.
+
+    Args:
+        workers: how many; None for as many as there are cores.
+        name: of one, for the message when it dies.
+        start: is called first in each of them.
+        arguments: of ``start``.
+
+    Raises:
+        InfraError: one of them died.
+    """
+    with ProcessPool(workers, SPAWN, _begin_worker, (start, *arguments)) as pool:
+        try:
+            yield pool
+        except BrokenProcessPool as error:
+            raise InfraError(InfraKind.DIED, name, -1, 'see the messages above') from error
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
-def end_with_parent() -> None:
-    """In a worker: end it once its parent is gone, which, killed, cannot tell it to stop."""
-    threading.Thread(target=_wait_for_parent, daemon=True).start()
+def _begin_worker(start: Callable[..., object] | None, *arguments: Any) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if start is not None:
+        start(*arguments)
 
 
-def _wait_for_parent() -> None:
+def _end_with_parent() -> None:
+    """End this worker once its parent is gone, which, killed, cannot tell it to stop."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -14,8 +14,8 @@ from bag_faults import chunks_of
 from PIL import Image
 from whole_runs import RUN_ID, STEPS, WEIGHTS, write_run
 
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.cli.main import main
+from taxinet_ros.files.atomic import make_atomically
 
 Taxinet = Callable[..., tuple[int, str, str]]
 
@@ -213,12 +213,12 @@ def test_given_a_full_disk_when_exporting_then_one_line_and_exit_code_four(
     def full(path: Path, write: object) -> None:
         def fail(draft: Path) -> None:
             raise OSError(28, 'No space left on device')
-        write_whole(path, fail)
+        make_atomically(path, fail)
 
-    monkeypatch.setattr('taxinet_ros.cli.bag.export.write_whole', full)
+    monkeypatch.setattr('taxinet_ros.cli.bag.export.make_atomically', full)
     code, out, err = taxinet('export', 'run', '--out', 'NEW/t.csv')
     assert (code, out) == (4, '')
     assert err == (
-        f'taxinet: error: {tmp_path}/t.csv: cannot write: [Errno 28] No space left on device\n'
+        f'taxinet: error: {tmp_path}/t.csv: [Errno 28] No space left on device\n'
     )
     assert list(tmp_path.iterdir()) == []

@@ -31,7 +31,7 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos, qos_profiles
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.yaml_text import dump_yaml
+from taxinet_ros.files.plain_values import dump_yaml
 
 STEPS_WRITTEN = 4
 

@@ -18,6 +18,7 @@ from taxinet_ros.campaign.scenes.search_space import Choice, SearchSpace
 from taxinet_ros.campaign.scenes.source import Refused, Rejected
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import SearchOptions
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
@@ -70,8 +71,8 @@ def options(out: Path, *, runs: int = 20, sampler: str = 'ce', **changes: Any) -
     """A search of the toy program; ``ce`` learns early, so a wrong order of results shows."""
     campaign = {
         'program': 'nominal', 'runs': runs, 'seed': 3, 'perception': 'truth', 'out': out,
-        **{key: changes.pop(key) for key in ('seed', 'perception', 'overrides', 'specs')
-           if key in changes},
+        **{key: changes.pop(key) for key in ('seed', 'perception', 'overrides') if key in changes},
+        **({'judging': Judging(specs=changes.pop('specs'))} if 'specs' in changes else {}),
     }
     own = {'every': '1'} if sampler == 'ce' else {}
     return SearchOptions(**{

@@ -49,7 +49,7 @@ def search(word: str, runs: int, seed: int, *, shape: str = 'band', true: float 
             robustness=exact_intervals({'phi': value}),
             left_runway=False, **Scenario().to_human(),
         )
-        rows.append(row.chosen(
+        rows.append(row.with_choice(
             sampler=word, point={}, weight=sampler.weight(index), retries=0,
             drawn=sampler.drawn(index),
         ))

@@ -158,7 +158,7 @@ def test_f1_given_broken_and_interrupted_runs_when_resumed_for_a_moment_then_all
 
 def test_f1_given_a_folder_in_which_nothing_was_begun_then_resuming_begins(tmp_path):
     toy.finish(toy.options(tmp_path / 'whole'))
-    for number, left in enumerate(((), ('campaign.json.tmp',))):
+    for number, left in enumerate(((), ('.campaign.part.json',))):
         out = tmp_path / f'c{number}'
         (out / 'logs').mkdir(parents=True)
         for name in left:

@@ -62,7 +62,7 @@ def test_given_a_file_when_a_campaign_is_asked_for_then_its_first_formula_is_the
         program='nominal', runs=1, seed=0, perception='truth', settings=(), out=None,
         specs=[write(FILE)], processes=False,
     )
-    assert [parse_spec(text).name for text in options.specs] == ['reach', 'gentle', 'both']
+    assert list(options.judging.names) == ['reach', 'gentle', 'both']
 
 
 @pytest.mark.parametrize(('text', 'complaint'), [
@@ -78,9 +78,9 @@ def test_given_a_file_when_a_campaign_is_asked_for_then_its_first_formula_is_the
     ('specs:\n  a: G cte < 1\n  a: G cte < 2\n', r'line 3, column 3: a is given twice$'),
     ('specs: {a: F[0, 1] cte < 1}\n', r"line 1, column 13: expected .* needs '…' quotes around it"),
     ('specs:\n  a: 5\n', r'specs\.a: expected a formula, got 5'),
-    ('specs: [G cte < 1]\n', 'specs: expected names with a formula each'),
-    ('formulas: {}\n', "unknown key 'formulas'; known: predicates, specs"),
-    ('', 'expected names with a formula each'),
+    ('specs: [G cte < 1]\n', 'specs: expected KEY: VALUE pairs, got '),
+    ('formulas: {}\n', 'formulas: unknown key; known: predicates, specs'),
+    ('', 'expected KEY: VALUE pairs with the keys predicates, specs, got None'),
     ('specs:\n', 'holds no formula'),
     ('specs: !!python/object/apply:os.getpid []\n', 'could not determine a constructor'),
     (f'predicates:\n  p: {" and ".join(["cte < 1"] * 40)}\nspecs:\n  a: G (p and p)\n',

@@ -22,6 +22,7 @@ from taxinet_ros.campaign.summary import (
     row_line,
     scene_words,
 )
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
@@ -39,7 +40,7 @@ def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
 def row(unusable: int, outcome: Outcome = Outcome.PASS, **changes: object) -> RunRow:
     request = RunRequest(
         run_id='run-3', index=3, program='nominal', seed=0, scenario=Scenario(**changes),  # type: ignore[arg-type]
-        specs=('phi_eventually',), participants=(),
+        judging=Judging(specs=('phi_eventually',)), participants=(),
     )
     result = RunResult(
         outcome=outcome, last_seq=300, robustness=exact_intervals({'phi_eventually': 1.0}),
@@ -80,7 +81,7 @@ def test_people2_given_a_campaign_from_before_the_warnings_then_it_can_be_resume
     tmp_path: Path,
 ) -> None:
     with toy.searching(toy.options(tmp_path / 'new', runs=4)) as search:
-        facts = search.facts
+        facts = search.book.facts
     assert facts['warnings']
     old = tmp_path / 'old'
     old.mkdir()

@@ -10,6 +10,7 @@ from typing import Any
 
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -22,7 +23,7 @@ def request(run_id: str = 'run', duration: float = 600.0, **changes: Any) -> Run
     values: dict[str, Any] = {
         'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
         'scenario': scenario_from_human({'cross_track': 3.0, 'heading': 5, 'duration': duration}),
-        'specs': ('phi_always',), 'participants': PARTICIPANTS,
+        'judging': Judging(specs=('phi_always',)), 'participants': PARTICIPANTS,
     }
     return RunRequest(**{**values, **changes})
 

@@ -105,7 +105,7 @@ def _ledger_text(folder: Path) -> bytes:
             ledger.intent(index, request.run_id, '0' * 64)
             outcome = Outcome.INFRA_ERROR if index == 3 else None
             result = falsify_samples.result(request, outcome)
-            ledger.result(finished_row(options, request, result).chosen(
+            ledger.result(finished_row(options, request, result).with_choice(
                 sampler='ce', point={'x': 0.5}, weight=1.0, retries=0
             ))
         ledger.requirement('on_runway', 'always(abs(cte) <= 15)', {0: (1.0, 1.0)})

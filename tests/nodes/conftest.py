@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -23,7 +24,7 @@ def short_request() -> RunRequest:
     })
     return RunRequest(
         run_id='played', index=0, program='test', seed=1, scenario=scene,
-        specs=('phi_always',), participants=interface.PARTICIPANTS,
+        judging=Judging(specs=('phi_always',)), participants=interface.PARTICIPANTS,
     )
 
 

@@ -19,6 +19,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
@@ -182,7 +183,7 @@ def record(folder: Path) -> Path:
     """A short run's bag, camera frames included."""
     request = RunRequest(
         run_id='short', index=0, program='', seed=0, scenario=Scenario(duration_s=0.5),
-        specs=('phi_always',), participants=PARTICIPANTS,
+        judging=Judging(specs=('phi_always',)), participants=PARTICIPANTS,
     )
     with composed_graph(GraphOptions(perception='truth', out=folder)) as graph:
         graph.run([request], lambda request, result: result.outcome.judged)

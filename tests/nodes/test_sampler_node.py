@@ -26,6 +26,7 @@ from taxinet_ros.campaign.record.facts import write_facts
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table
 from taxinet_ros.campaign.search_options import SearchOptions, make_search_options
 from taxinet_ros.cli.run.search import run_falsify
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -241,7 +242,8 @@ def test_given_a_sampler_at_work_then_others_are_refused_and_it_can_be_interrupt
 def test_given_a_run_of_the_same_name_as_the_one_before_then_it_is_run_again(tmp_path):
     request = RunRequest(
         run_id='again', index=0, program='', seed=0, scenario=Scenario(duration_s=1.0),
-        specs=('phi_always',), participants=tuple(set(PARTICIPANTS) - {RECORDER}),
+        judging=Judging(specs=('phi_always',)),
+        participants=tuple(set(PARTICIPANTS) - {RECORDER}),
     )
     results = []
     with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:

@@ -14,6 +14,7 @@ import pytest
 from slowed_perception import SlowedPerception
 
 from taxinet_ros.bag.reader import read_info
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -23,7 +24,8 @@ pytestmark = pytest.mark.ros
 
 ROUNDS, BUSY = 3, 3
 REQUEST = RunRequest(
-    run_id='stressed', index=0, program='test', seed=1, specs=('phi_eventually', 'phi_always'),
+    run_id='stressed', index=0, program='test', seed=1,
+    judging=Judging(specs=('phi_eventually', 'phi_always')),
     participants=interface.PARTICIPANTS, scenario=scenario_from_human({
         'cross_track': -5.0, 'heading': 14, 'distance': 1300, 'time_of_day': 16.5,
         'clouds': 'scattered', 'duration': 1.5,

@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 
 from taxinet_ros.errors import UsageError
-from taxinet_ros.nodes.graph.node_process import NodeProcess, end_all
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.supervisor import (
     GraphLostError,
     Restart,
@@ -23,6 +23,7 @@ from taxinet_ros.nodes.graph.supervisor import (
 )
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.processes.child import end_all
 
 PROGRAMS = {
     'torn': 'raise SystemExit(3)',
@@ -123,7 +124,7 @@ def test_given_a_process_that_ignores_every_request_then_it_is_killed_in_the_end
         time.sleep(0.01)
     asked = [(2, 0.05), (15, 0.05)]
     assert end_all([deaf], asked) == ['recorder']
-    assert deaf.obituary() == 'killed by SIGKILL'
+    assert deaf.how_it_ended() == 'killed by SIGKILL'
 
 
 @pytest.mark.parametrize('number', [9, 64])
@@ -131,4 +132,4 @@ def test_given_any_signal_then_the_obituary_names_it(start, number):
     process = start('recorder', 'absent')
     process.process.send_signal(number)
     process.process.wait()
-    assert process.obituary() == {9: 'killed by SIGKILL', 64: 'killed by SIGRTMAX'}[number]
+    assert process.how_it_ended() == {9: 'killed by SIGKILL', 64: 'killed by SIGRTMAX'}[number]

@@ -17,11 +17,10 @@ from taxinet_ros.analysis.report.parts import Report, Table
 from taxinet_ros.analysis.report.pictures import LIGHT, write_png
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.record.table import CSV_NAME, PARQUET_NAME
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.atomic import make_atomically, write_atomically
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 SCHEMA, VERSION = 'taxinet-analysis', 1
@@ -145,7 +144,7 @@ def write_analysis(
 
     Raises:
         UsageError: the folder cannot be made.
-        BagWriteError: a file cannot be written.
+        OSError: a file cannot be written.
     """
     from taxinet_ros.analysis.report.page import write_report_page
 
@@ -199,8 +198,8 @@ def _begin(out: Path) -> None:
 def _write_runs(findings: Findings, out: Path) -> None:
     """All judged runs with cause and group: as CSV for people, as Parquet for programs."""
     frame = explained_runs(findings)
-    write_whole(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
-    write_whole(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))
+    make_atomically(out / CSV_NAME, lambda path: frame.to_csv(path, index=False))
+    make_atomically(out / PARQUET_NAME, lambda path: frame.to_parquet(path, index=False))
 
 
 def _written_before(out: Path) -> list[str] | None:

@@ -22,7 +22,6 @@ from matplotlib.font_manager import findfont
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
@@ -30,6 +29,7 @@ from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
 from taxinet_ros.core.place.runway import HALF_WIDTH_M
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import make_atomically
 
 Picture = NDArray[np.uint8]
 FRAMES_PER_S = 10
@@ -49,9 +49,9 @@ def write_mp4(frames: Iterable[Picture], path: Path) -> int:
         Number of frames.
 
     Raises:
-        BagWriteError: it cannot be written.
+        OSError: it cannot be written.
     """
-    return write_whole(path, lambda draft: _encode(frames, draft))
+    return make_atomically(path, lambda draft: _encode(frames, draft))
 
 
 def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()) -> int:
@@ -66,9 +66,9 @@ def write_gif(frames: Iterable[Picture], path: Path, accents: Sequence[str] = ()
         Number of frames.
 
     Raises:
-        BagWriteError: it cannot be written.
+        OSError: it cannot be written.
     """
-    return write_whole(path, lambda draft: _animate(_small(frames, accents), draft))
+    return make_atomically(path, lambda draft: _animate(_small(frames, accents), draft))
 
 
 def _encode(frames: Iterable[Picture], path: Path) -> int:

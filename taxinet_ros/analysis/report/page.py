@@ -22,9 +22,9 @@ from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, ground_name, ground_shapes, read_run_view
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.atomic import write_atomically
 
 _ASSETS = Path(__file__).parent / 'assets'
 _STYLES = ('page.css', 'table.css', 'viewer.css')
@@ -55,12 +55,12 @@ def write_report_page(
         on_progress: is told in words what is done next.
 
     Raises:
-        BagWriteError: the operating system refuses to store it.
+        OSError: it cannot be written.
         ValueError: a table contradicts itself.
     """
     html = _html(report, on_progress)
     on_progress(f'writing {path.name}')
-    write_whole(path, lambda draft: draft.write_text(html, encoding='utf-8', newline='\n'))
+    write_atomically(path, html)
 
 
 def _html(report: Report, on_progress: Callable[[str], None]) -> str:

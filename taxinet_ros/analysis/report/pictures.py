@@ -18,7 +18,7 @@ from matplotlib.style import context as style_context
 from PIL import Image
 
 from taxinet_ros.analysis.report.parts import Picture, Theme
-from taxinet_ros.bag.layout import write_whole
+from taxinet_ros.files.atomic import write_atomically
 
 # Blue and vermilion are Okabe and Ito's, as in the other pictures; on a dark ground lighter ones
 # of the same hues, for each must stand out from the paper by 3 : 1 (WCAG 2.2, 1.4.11).
@@ -57,11 +57,11 @@ def write_png(picture: Picture, folder: Path, theme: Theme) -> Path:
     """Write ``<name>.png`` into an existing folder and return its path.
 
     Raises:
-        BagWriteError: it cannot be written.
+        OSError: it cannot be written.
     """
     path = folder / f'{picture.name}.png'
     data = png_bytes(picture, theme)
-    write_whole(path, lambda draft: draft.write_bytes(data))
+    write_atomically(path, data)
     return path
 
 

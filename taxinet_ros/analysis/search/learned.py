@@ -105,7 +105,7 @@ def _title(search: Search) -> str:
 
 def _result(search: Search, probabilities: Probabilities) -> LearnedResult:
     return LearnedResult(
-        facts={**search.facts, 'perception': search.perception, 'runs_made': len(search.rows)},
+        facts={**search.book.facts, 'perception': search.perception, 'runs_made': len(search.rows)},
         choices=tuple(
             choice for choice in search.space.searched if choice.dimension.name in probabilities
         ),

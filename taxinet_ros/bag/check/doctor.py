@@ -35,7 +35,7 @@ from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.yaml_text import load_yaml
+from taxinet_ros.files.plain_values import load_yaml
 
 
 def check_bytes(info: BagInfo, damage: Sequence[BagError]) -> Check:

@@ -6,10 +6,7 @@ Many bags are judged by several processes; how many does not show in the result.
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
@@ -22,8 +19,7 @@ from taxinet_ros.bag.run.samples import RunSamples, run_samples, topics_of_signa
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import InfraError, InfraKind
-from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+from taxinet_ros.processes.pool import process_pool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,18 +136,8 @@ def judge_bags(
         for path in paths:
             yield from judge_runs(path, specs, assumptions)
         return
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(workers, context, end_with_parent) as pool:
-        try:
-            with interrupts_blocked():
-                answers = pool.map(
-                    judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
-                )
-            for runs in answers:
-                yield from runs
-        except BrokenProcessPool as error:
-            raise InfraError(
-                InfraKind.DIED, 'judging worker', -1, 'see the messages above'
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with process_pool(workers, 'judging worker') as pool:
+        for runs in pool.map(
+            judge_runs, paths, repeat(tuple(specs)), repeat(assumptions), chunksize=_CHUNK
+        ):
+            yield from runs

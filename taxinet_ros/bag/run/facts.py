@@ -25,7 +25,8 @@ from taxinet_ros.bag.run.topics import (
 )
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.outcome import RunRequest, parse_stop_on
+from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
 from taxinet_ros.core.provenance import NAMES, Provenance
@@ -132,11 +133,8 @@ def _request(message: Any) -> RunRequest:
         raise ValueError(f'run_id {message.run_id!r} is no name for a folder')
     return RunRequest(
         run_id=message.run_id, index=int(message.index), program=message.program,
-        seed=int(message.seed), scenario=scenario_of(message), specs=tuple(message.specs),
-        participants=tuple(message.participants),
-        # Bags from before there was a choice lack these.
-        stop_on=parse_stop_on(getattr(message, 'stop_on', '')),
-        bounds=tuple(getattr(message, 'bounds', ())), rates=tuple(getattr(message, 'rates', ())),
+        seed=int(message.seed), scenario=scenario_of(message),
+        judging=Judging.from_message(message), participants=tuple(message.participants),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 import time
 from collections.abc import Mapping
@@ -11,10 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.bench.processes import TAXINET, Amounts, exit_line
+from taxinet_ros.bench.processes import TAXINET, VERDICTS, Amounts
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraError, InfraKind
+from taxinet_ros.processes.child import ChildProcess, package_environment
 
 WORKERS = (1, 2)
 RUNS = 8
@@ -59,35 +59,34 @@ def part_name(workers: int) -> str:
 def _search(folder: Path, workers: int) -> Mapping[str, int]:
     out = Path(tempfile.mkdtemp(dir=folder)) / 'out'
     words = [*_SEARCH, '--workers', str(workers), '--runs', str(RUNS), '--out', str(out)]
-    with subprocess.Popen(
-        [*TAXINET, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+    with ChildProcess(
+        'taxinet falsify', [*TAXINET, *words], log=out.parent / 'printed.txt',
+        environment=package_environment(),
     ) as process:
         try:
             stamps = _watch(process, out / LEDGER_NAME)
-        except BaseException:
-            process.terminate()
-            raise
-        if process.returncode not in (0, 1) or len(stamps) != RUNS:
-            detail = f'{len(stamps)} of {RUNS} runs, {exit_line(process)}'
-            raise InfraError(InfraKind.DIED, 'taxinet falsify', -1, detail)
+        finally:
+            process.end()
+        if process.code not in VERDICTS or len(stamps) != RUNS:
+            detail = f'{len(stamps)} of {RUNS} runs, {process.how_it_ended()}'
+            raise InfraError(InfraKind.DIED, process.name, -1, detail)
     counted = RUNS - workers
     return {part_name(workers): (stamps[-1] - stamps[workers - 1]) // counted}
 
 
-def _watch(process: subprocess.Popen[bytes], ledger: Path) -> list[int]:
+def _watch(process: ChildProcess, ledger: Path) -> list[int]:
     """When each result was first seen on disk, on the clock of :func:`time.perf_counter_ns`."""
     stamps: list[int] = []
     deadline = time.monotonic() + _LIMIT_S
     ended = False
     while not ended:
-        ended = process.poll() is not None
+        ended = process.dead
         if ledger.exists():
             results = ledger.read_bytes().count(b'"event":"result"')
             stamps += [time.perf_counter_ns()] * (results - len(stamps))
         if time.monotonic() > deadline:
             raise InfraError(
-                InfraKind.TIMEOUT, 'taxinet falsify', -1, f'not done after {_LIMIT_S:g} s'
+                InfraKind.TIMEOUT, process.name, -1, f'not done after {_LIMIT_S:g} s'
             )
         time.sleep(_LOOK_S)
     return stamps

@@ -27,6 +27,7 @@ from taxinet_ros.bench.measure import Clock, Subject
 from taxinet_ros.bench.processes import Amounts, folder_bytes, peak_memory, processor_time_ns
 from taxinet_ros.bench.subjects import closed_loop
 from taxinet_ros.bench.subjects.closed_loop import tick_subject
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest, RunResult
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes import interface
@@ -83,7 +84,7 @@ class StandingGraph:
         self.bag = self._bags / f'run-{number}'
         self._requests.put(RunRequest(
             run_id=self.bag.name, index=number, program='', seed=0, scenario=closed_loop.SCENARIO,
-            specs=(closed_loop.SPEC.text,), participants=self._participants,
+            judging=Judging(specs=(closed_loop.SPEC.text,)), participants=self._participants,
         ))
         self._busy = True
         answer = self._answers.get()
@@ -202,7 +203,7 @@ class _Maker:
         bags = self.folder / way / word
         options = kind(perception=PERCEPTIONS[word], out=bags, images=images)
         graph = self._stack.enter_context(start(options))
-        pids = [child.process.pid for child in getattr(graph, 'children', ())]
+        pids = [child.pid for child in getattr(graph, 'children', ())]
         known = options.nodes()
         there = [name for name in interface.PARTICIPANTS if name in known]
         standing = self._stack.enter_context(StandingGraph(graph, there, bags))

@@ -6,10 +6,7 @@ in the system's cache after the first.
 
 from __future__ import annotations
 
-import os
 import struct
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -26,14 +23,15 @@ from taxinet_ros.bench.processes import (
     LIMIT_S,
     LOOK_S,
     TAXINET,
+    VERDICTS,
     Amounts,
-    exit_line,
     peak_memory,
     wait_for,
 )
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface, steering_controller
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.processes.child import ChildProcess, module_command, package_environment
 
 _NAME = 'start-up'
 _RUN = (
@@ -91,38 +89,32 @@ def _start_run(folder: Path, peaks: list[int]) -> Mapping[str, int]:
         return any(holds_step(mcap) for mcap in out.glob('*/*.mcap'))
 
     start = time.perf_counter_ns()
-    with subprocess.Popen(
-        [*TAXINET, *_RUN, '--out', str(out)], stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    with ChildProcess(
+        'taxinet run', [*TAXINET, *_RUN, '--out', str(out)], log=folder / f'{out.name}.txt',
+        environment=package_environment(),
     ) as process:
-        try:
-            first = wait_for(process, on_disk, 'taxinet run') - start
-            while process.poll() is None:
-                on_disk()
-                time.sleep(LOOK_S)
-        except BaseException:
-            process.kill()
-            raise
+        first = wait_for(process, on_disk) - start
+        while not process.dead:
+            on_disk()
+            time.sleep(LOOK_S)
         whole = time.perf_counter_ns() - start
-        if process.returncode not in (0, 1):
-            raise InfraError(InfraKind.DIED, 'taxinet run', -1, exit_line(process))
+        if process.code not in VERDICTS:
+            raise InfraError(InfraKind.DIED, process.name, -1, process.how_it_ended())
     return {'taxinet run, first step': first, 'taxinet run of 1 s': whole}
 
 
 def _start_node(onlooker: Node) -> Mapping[str, int]:
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(onlooker.context.get_domain_id())}
+    domain = str(onlooker.context.get_domain_id())
     deadline = time.monotonic() + LIMIT_S
     while _seen(onlooker) and time.monotonic() < deadline:
         time.sleep(LOOK_S)  # the one before has not been forgotten yet
     start = time.perf_counter_ns()
-    with subprocess.Popen(
-        [sys.executable, '-P', '-m', steering_controller.__name__], env=environment,
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    with tempfile.TemporaryDirectory() as folder, ChildProcess(
+        'node', module_command(steering_controller.__name__), log=Path(folder) / 'printed.txt',
+        environment={**package_environment(), 'ROS_DOMAIN_ID': domain},
     ) as process:
-        try:
-            seen = wait_for(process, partial(_seen, onlooker), 'node') - start
-        finally:
-            process.terminate()
+        seen = wait_for(process, partial(_seen, onlooker)) - start
+        process.end()
     return {'node, seen': seen}
 
 

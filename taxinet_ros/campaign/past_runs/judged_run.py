@@ -115,7 +115,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
         }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
-        specs=run.request.specs, outcome=outcome, robustness=robustness,
+        specs=run.request.judging.specs, outcome=outcome, robustness=robustness,
         # A bag knows of a network's weights, not of their file.
         perception=facts.get('perception') or run.perception,
         fingerprint=run.fingerprint, gains=run.gains or facts.get('gains', {}),

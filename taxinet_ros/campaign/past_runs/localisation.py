@@ -11,10 +11,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -23,10 +21,9 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from taxinet_ros.campaign.options import DEFAULT_ROOT
-from taxinet_ros.campaign.past_runs.counterexamples import (
-    FailedRuns,
-    failed_runs,
-    scenario_of_row,
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    RecordedCampaign,
+    open_failed_campaign,
     spread_evenly,
 )
 from taxinet_ros.campaign.record.row import RunRow
@@ -38,9 +35,10 @@ from taxinet_ros.core.controller import (
     make_controller,
 )
 from taxinet_ros.core.judge import Judgement
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import RobustnessInterval, parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, StopOn, outcome_of
+from taxinet_ros.core.mtl import RobustnessInterval
+from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE, is_free, parse_timing
 from taxinet_ros.core.perception.perception import Perception, check_perception, make_perception
 from taxinet_ros.core.perception.substituted import (
@@ -54,10 +52,10 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
-from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+from taxinet_ros.processes.pool import process_pool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,21 +64,16 @@ class TrialSetup:
 
     Attributes:
         perception: word or file of the network.
-        specs: formulas as text, the headline first.
+        judging: what decides their verdicts.
         gains: steering gains that differ from the defaults.
         controller: word of what steers.
-        stop_on: what ends a run before its end.
-        bounds, rates: what is vouched for of the signals, as text.
         timing: when answers take effect, in words.
     """
 
     perception: str
-    specs: tuple[str, ...]
+    judging: Judging
     gains: Mapping[str, float]
     controller: str = STEERING
-    stop_on: StopOn = StopOn.NEVER
-    bounds: tuple[str, ...] = ()
-    rates: tuple[str, ...] = ()
     timing: str = ''
 
 
@@ -156,32 +149,22 @@ def run_trials(tasks: Iterable[Task], bench: TrialSetup, workers: int) -> Iterat
         InfraError: a worker process died.
     """
     waiting = iter(tasks)
-    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of onnxruntime
-    with ProcessPoolExecutor(workers, context, _start_worker, (bench,)) as pool:
+    with process_pool(workers, 'trial worker', _start_worker, bench) as pool:
         under_way: set[Future[Trial]] = set()
-        try:
-            while True:
-                # One more than there are workers, so that none waits for us.
-                for task in itertools.islice(waiting, workers + 1 - len(under_way)):
-                    with interrupts_blocked():
-                        under_way.add(pool.submit(_trial, task))
-                if not under_way:
-                    return
-                done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-                yield from (future.result() for future in done)
-        except BrokenProcessPool as error:
-            raise InfraError(
-                InfraKind.DIED, 'trial worker', -1, 'see the messages above'
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+        while True:
+            # One more than there are workers, so that none waits for us.
+            for task in itertools.islice(waiting, workers + 1 - len(under_way)):
+                under_way.add(pool.submit(_trial, task))
+            if not under_way:
+                return
+            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            yield from (future.result() for future in done)
 
 _worker: list[tuple[TrialSetup, Perception, Controller]] = []
 """In a worker process: what it was started with, its network, and what steers."""
 
 
 def _start_worker(bench: TrialSetup) -> None:
-    end_with_parent()
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
     controller = make_controller(bench.controller, SteeringGains(**bench.gains))
@@ -200,9 +183,8 @@ def make_trial(
     perception = substituted(parse_substitution(task.word), network, task.seed)
     try:
         judged = run_closed_loop(
-            task.scenario, perception, specs=[parse_spec(text) for text in bench.specs],
-            controller=controller, stop_on=bench.stop_on,
-            assumptions=parse_assumptions(bench.bounds, bench.rates),
+            task.scenario, perception, specs=bench.judging.parsed_specs, controller=controller,
+            stop_on=bench.judging.stop_on, assumptions=bench.judging.assumptions,
             timing=parse_timing(bench.timing), draws=task.seed,
         )
     except (InfraError, UserCodeError) as error:
@@ -244,7 +226,7 @@ class LocalizeOptions:
     """What is to be found out.
 
     Attributes:
-        failed: the campaign's failed runs.
+        campaign: whose failed runs are looked into.
         rows: those of them to look into.
         words: of the substitutions, the control first.
         perception: word or file of the network.
@@ -253,7 +235,7 @@ class LocalizeOptions:
         out: folder.
     """
 
-    failed: FailedRuns
+    campaign: RecordedCampaign
     rows: tuple[RunRow, ...]
     words: tuple[str, ...]
     perception: str
@@ -289,18 +271,18 @@ def make_localize_options(
     if runs is not None and runs < 1:
         raise UsageError(f'--runs {runs}: needs to be 1 or more')
     chosen = [parse_substitution(word).word for word in words] or DEFAULT_WORDS
-    failed = failed_runs(campaign)
-    if is_free(failed.timing):
+    found = open_failed_campaign(campaign)
+    if is_free(found.timing):
         raise UsageError(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
             'failure is; localize a campaign with --latency'
         )
-    if not failed.specs:
+    if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(
-        failed=failed, rows=spread_evenly(failed.rows, runs),
+        campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
-        perception=_network(failed, perception), controller=_controller(failed), workers=workers,
+        perception=_network(found, perception), controller=_controller(found), workers=workers,
         out=out or DEFAULT_ROOT / f'{campaign.resolve().name}-localize',
     )
 
@@ -329,16 +311,13 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
-        facts = options.failed.facts
         bench = TrialSetup(
-            perception=options.perception, specs=options.failed.specs,
-            gains=dict(options.failed.gains), controller=options.controller,
-            stop_on=options.failed.stop_on,
-            bounds=tuple(facts.get('bounds', ())), rates=tuple(facts.get('rates', ())),
-            timing=options.failed.timing,
+            perception=options.perception, judging=options.campaign.judging,
+            gains=dict(options.campaign.gains), controller=options.controller,
+            timing=options.campaign.timing,
         )
         for trial in run_trials(tasks, bench, options.workers):
-            _append(options, journal, {'event': 'trial', 'trial': trial.to_json()})
+            _append(journal, {'event': 'trial', 'trial': trial.to_json()})
             kept[trial.run_id, trial.word] = trial
             on_trial(len(kept))
         return kept
@@ -353,7 +332,7 @@ def _tasks(
         missing = [word for word in options.words if (row.run_id, word) not in done]
         if not missing:
             continue
-        scenario, exact = scenario_of_row(row, options.failed.folder, options.failed.facts)
+        scenario, exact = options.campaign.scenario(row)
         for word in missing:
             if interrupted():
                 return
@@ -363,16 +342,17 @@ def _tasks(
             )
 
 
-def _network(failed: FailedRuns, given: str | None) -> str:
+def _network(campaign: RecordedCampaign, given: str | None) -> str:
     """The network that the campaign was run with.
 
     Raises:
         UsageError: it cannot be found, or is another one now.
     """
-    recorded = failed.rows[0].perception_fingerprint
-    asked = str(failed.facts.get('perception', ''))
-    word = given or (asked if is_node_elsewhere(asked) else failed.rows[0].perception) or asked
-    mend = f'name the file that {failed.folder} was run with: --perception FILE'
+    first = campaign.counterexamples[0]
+    recorded = first.perception_fingerprint
+    asked = str(campaign.facts.get('perception', ''))
+    word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
+    mend = f'name the file that {campaign.folder} was run with: --perception FILE'
     try:
         found = check_perception(word)
     except UsageError as error:
@@ -384,15 +364,15 @@ def _network(failed: FailedRuns, given: str | None) -> str:
     return str(word)
 
 
-def _controller(failed: FailedRuns) -> str:
+def _controller(campaign: RecordedCampaign) -> str:
     """What steered in the campaign.
 
     Raises:
         UsageError: it cannot be called here, or is another one now.
     """
-    word = str(failed.facts.get('controller', STEERING))
-    found = check_controller(word, failed.gains)
-    if found != (before := failed.facts.get('controller_sha256', '')):
+    word = str(campaign.facts.get('controller', STEERING))
+    found = check_controller(word, campaign.gains)
+    if found != (before := campaign.facts.get('controller_sha256', '')):
         raise UsageError(
             f'controller {word} is sha256 {found[:12]}…, the runs had {before[:12]}…; put the file '
             'back as it was'
@@ -402,17 +382,17 @@ def _controller(failed: FailedRuns) -> str:
 
 def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
-    failed = options.failed
+    campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
     facts = {
-        **{name: failed.facts.get(name) for name in names},
-        **{name: failed.facts.get(name, []) for name in ('bounds', 'rates')},
-        'stop_on': failed.stop_on.value,
-        **({'timing': failed.timing} if failed.timing else {}),
+        **{name: campaign.facts.get(name) for name in names},
+        **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
+        'stop_on': campaign.judging.stop_on.value,
+        **({'timing': campaign.timing} if campaign.timing else {}),
         **({} if options.controller == STEERING else {
-            'controller_sha256': failed.facts.get('controller_sha256')
+            'controller_sha256': campaign.facts.get('controller_sha256')
         }),
-        'perception_sha256': failed.rows[0].perception_fingerprint,
+        'perception_sha256': campaign.counterexamples[0].perception_fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
 
@@ -465,12 +445,9 @@ def _begin_sitting(
 ) -> None:
     """Put down what the trials from here on are about, and what they are made on."""
     made_on = dict(provenance())
-    _append(options, journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
+    _append(journal, {'event': 'localize', 'facts': facts, 'provenance': made_on})
 
 
-def _append(options: LocalizeOptions, journal: Journal, event: Mapping[str, Any]) -> None:
-    try:
-        journal.append(event)
-        journal.sync()
-    except OSError as error:
-        raise disk_error(options.out / TRIALS_NAME, error) from error
+def _append(journal: Journal, event: Mapping[str, Any]) -> None:
+    journal.append(event)
+    journal.sync()

@@ -1,32 +1,47 @@
-"""What a campaign leaves on disk, kept in step: what was asked, the ledger, and the table.
+"""A campaign on disk: what was asked, the ledger, and the table, kept in step; and resumed.
 
-While the book is open its files are watched: what was moved, deleted or replaced under a
-campaign ends it, for nobody would find its verdicts where it says that they are. Numbers, names
-and rows of runs are the same for a plain campaign, a search and a shrinking.
+A plain campaign, a search, each arm of an experiment and a shrinking all hold one book. They
+choose the next scene; numbers, names and rows of runs, second chances, and what must be the same
+for a campaign to go on are here. While the book is open its files are watched: what was moved,
+deleted or replaced under a campaign ends it, for nobody would find its verdicts where it says
+that they are.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.options import CampaignOptions, check_new, make_out
-from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, this_stack, write_facts
-from taxinet_ros.campaign.record.ledger import Ledger
+from taxinet_ros.campaign.record.facts import (
+    ARMS,
+    FACTS_NAME,
+    LEDGER_NAME,
+    STACKS,
+    recorded_stacks,
+    stack_difference,
+    this_stack,
+    write_facts,
+)
+from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.controller import STEERING
+from taxinet_ros.core.judging import StopOn
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import disk_words
+from taxinet_ros.files.atomic import disk_words, draft_path
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -45,13 +60,14 @@ def run_name(options: CampaignOptions, index: int, attempt: int = 1) -> str:
 
 
 def run_request(
-    options: CampaignOptions, index: int, scenario: Scenario, participants: Sequence[str]
+    options: CampaignOptions, index: int, scenario: Scenario, participants: Sequence[str],
+    attempt: int = 1,
 ) -> RunRequest:
     """What run ``index`` of a campaign asks of the graph."""
     return RunRequest(
-        run_id=run_name(options, index), index=index, program=_stem(options), seed=options.seed,
-        scenario=scenario, specs=options.specs, participants=tuple(participants),
-        stop_on=options.stop_on, bounds=options.bounds, rates=options.rates,
+        run_id=run_name(options, index, attempt), index=index, program=_stem(options),
+        seed=options.seed, scenario=scenario, judging=options.judging,
+        participants=tuple(participants),
     )
 
 
@@ -93,7 +109,7 @@ def rename_broken(folder: Path) -> None:
     folder.rename(aside)
 
 
-_NOT_OF_A_RUN = frozenset({FACTS_NAME, f'{FACTS_NAME}.tmp', LEDGER_NAME, 'logs'})
+_NOT_OF_A_RUN = frozenset({FACTS_NAME, draft_path(Path(FACTS_NAME)).name, LEDGER_NAME, 'logs'})
 """What may lie in a campaign's folder before its first run."""
 
 
@@ -101,86 +117,189 @@ class CampaignBook:
     """The open record of one campaign; a context manager that writes the table at its end.
 
     Attributes:
-        rows: the newest row of each run by its index, as the table has them; a campaign that is
-            resumed puts in those of before.
+        facts: what ``campaign.json`` says of the campaign, from :meth:`begin` on.
+        rows: the newest row of each run by its index, as the table has them, those of earlier
+            sittings included.
+        warning: one line where these were made on another machine or version, or ''.
+        broken_in_a_row: how many runs the bench has broken since the last that it did not.
     """
 
-    def __init__(self, out: Path, specs: Sequence[str], *, resume: bool = False) -> None:
-        """Open the ledger in the folder ``out``, making both where there is nothing to resume.
+    def __init__(
+        self, options: CampaignOptions, participants: Sequence[str],
+        on_row: Callable[[RunRow], None] = lambda row: None, *, resume: bool = False,
+    ) -> None:
+        """Nothing is touched before the ``with``.
 
         Args:
-            out: the campaign's folder.
-            specs: names of its formulas, the headline first.
+            options: what the campaign is asked to do.
+            participants: node names that take part in every run.
+            on_row: called with each new row as soon as it is on disk; not with those of before.
             resume: go on with what is there.
+        """
+        self.facts: dict[str, Any] = {}
+        self.rows: dict[int, RunRow] = {}
+        self.warning = ''
+        self.broken_in_a_row = 0
+        self._options = options
+        self._out = options.out
+        self._participants = tuple(participants)
+        self._on_row = on_row
+        self._resume = resume
+        self._begun = False
+        self._facts_due = False
+        self._attempts: Counter[int] = Counter()
+        self._again: list[RunRequest] = []
+        self._retried: set[int] = set()
+
+    def check_folder(self) -> None:
+        """See that the folder is new, or has a campaign to be resumed; nothing is touched.
+
+        Raises:
+            UsageError: it is not.
+        """
+        if self._resume:
+            check_resumable(self._out)
+        else:
+            check_new(self._out)
+
+    def __enter__(self) -> Self:
+        """Open the ledger, making it and the folder where there is nothing to resume.
 
         Raises:
             UsageError: the folder cannot be used, or another campaign writes to it.
         """
-        self.rows: dict[int, RunRow] = {}
-        self._out = out
-        self._specs = tuple(specs)
-        if not resume:
-            check_new(out)
-        make_out(out)
-        self._ledger = Ledger(out / LEDGER_NAME)
-
-    def __enter__(self) -> Self:
+        self.check_folder()
+        make_out(self._out)
+        self._ledger = Ledger(self._out / LEDGER_NAME)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write the table of what there is, whatever happened.
+        """Write the table of what there is, whatever happened once the campaign had begun.
 
         Raises:
             RecordError: it cannot be written, or the record is not in its place any more.
         """
         try:
-            with self._kept():
+            if not self._begun:
+                return
+            with self._watched():
+                if error is None:
+                    self._write_due_facts()
                 self._check_in_place()
-                write_tables(self.rows.values(), self._out, self._specs)
+                write_tables(self.rows.values(), self._out, self._options.judging.names)
         except RecordError:
             if not isinstance(error, RecordError):  # else the first trouble is the one to tell
                 raise
         finally:
-            self.close()
+            self._ledger.close()
 
-    def close(self) -> None:
-        """Let others open it; no table is written."""
-        self._ledger.close()
+    def begin(self, facts: Mapping[str, Any], before: LedgerContent = EMPTY_LEDGER) -> None:
+        """Say what the campaign is, before its first run.
 
-    def facts(self, facts: Mapping[str, Any]) -> None:
-        """Put down what the campaign is.
+        Where it goes on, that is written once something is added to what there is: until then
+        whoever chooses other scenes than before may refuse all of it.
+
+        Args:
+            facts: of the campaign.
+            before: what :func:`read_same_campaign` has found.
+
+        Raises:
+            RecordError: that cannot be written.
+        """
+        stacks = {**recorded_stacks(before.campaign), **facts[STACKS]}
+        self.facts = {**facts, STACKS: stacks}
+        self.rows.update({row.index: row for row in before.rows})
+        self._attempts.update(before.attempts)
+        if before.rows:
+            self.warning = stack_difference(before.campaign, str(self._out))
+        self._facts_due = True
+        if not before.rows or not (self._out / FACTS_NAME).is_file():
+            self._write_due_facts()
+        self._begun = True
+
+    def add_facts(self, facts: Mapping[str, Any]) -> None:
+        """Write down what has become known of the campaign.
 
         Raises:
             RecordError: that is not possible.
         """
-        with self._kept():
-            self._ledger.campaign(facts)  # first: what campaign.json says, the ledger has said
-            write_facts(self._out, facts)
+        self.facts, self._facts_due = {**self.facts, **facts}, True
+        self._write_due_facts()
 
-    def intent(self, index: int, run_id: str, scenario_sha256: str = '') -> None:
-        """Put down that a run is about to begin.
+    def begin_run(self, index: int, scenario: Scenario, scenario_sha256: str = '') -> RunRequest:
+        """Write down that a run is about to begin; what an attempt before has left is renamed.
 
         Raises:
             RecordError: that is not possible.
         """
-        with self._kept():
-            self._ledger.intent(index, run_id, scenario_sha256)
+        self._write_due_facts()
+        self._attempts[index] += 1
+        request = run_request(
+            self._options, index, scenario, self._participants, self._attempts[index]
+        )
+        rename_broken(self._out / request.run_id)
+        with self._watched():
+            self._ledger.intent(index, request.run_id, scenario_sha256)
+        return request
 
-    def result(self, row: RunRow) -> None:
-        """Put down how a run ended.
+    def second_chance(self, request: RunRequest, result: RunResult) -> bool:
+        """Whether a run is begun anew, once, because the bench broke it; see :meth:`next_again`.
+
+        Raises:
+            RecordError: that cannot be written down.
+        """
+        if result.outcome is not Outcome.INFRA_ERROR or self.was_retried(request.index):
+            return False
+        self._retried.add(request.index)
+        self._again.append(self.begin_run(request.index, request.scenario))
+        return True
+
+    def next_again(self) -> RunRequest | None:
+        """A run that was given a second chance and waits for it, if there is one."""
+        return self._again.pop() if self._again else None
+
+    def was_retried(self, index: int) -> bool:
+        """Whether a run has had its second chance in this sitting."""
+        return index in self._retried
+
+    def finished_row(self, request: RunRequest, result: RunResult) -> RunRow:
+        """The row of a run that the graph has answered."""
+        return finished_row(self._options, request, result)
+
+    def rejected_row(self, index: int, detail: str) -> RunRow:
+        """The row of a scene that the program's requirements refuse."""
+        return rejected_row(self._options, index, detail)
+
+    def keep(self, row: RunRow) -> None:
+        """Write down how a run ended.
 
         Raises:
             RecordError: that is not possible; ``rows`` has it all the same.
         """
+        self._write_due_facts()
         self.rows[row.index] = row
-        with self._kept():
-            self._ledger.result(row)
+        if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench had a part
+            infra = row.outcome is Outcome.INFRA_ERROR
+            self.broken_in_a_row = self.broken_in_a_row + 1 if infra else 0
+        try:
+            with self._watched():
+                self._ledger.result(row)
+        finally:
+            self._on_row(row)
+
+    def _write_due_facts(self) -> None:
+        if not self._facts_due:
+            return
+        self._facts_due = False
+        with self._watched():
+            self._ledger.campaign(self.facts)  # first: what campaign.json says, the ledger has said
+            write_facts(self._out, self.facts)
 
     @contextlib.contextmanager
-    def _kept(self) -> Iterator[None]:
+    def _watched(self) -> Iterator[None]:
         """Within the ``with`` something is written; afterwards the record is seen to be there."""
         try:
             yield
@@ -216,3 +335,65 @@ def check_resumable(out: Path) -> None:
             f'--resume: {path}: no such file, and without it nobody knows what was run; put it '
             'back, or name another --out'
         )
+
+
+UNKNOWN_TO_SAMPLER = 'untold'
+"""The fact that names the runs whose results a search's sampler never gets."""
+_MAY_DIFFER = frozenset({
+    'runs', 'first_runs', 'processes', 'program_text', 'warnings', STACKS, UNKNOWN_TO_SAMPLER, ARMS,
+})
+"""Facts that may differ: more runs may be asked for; the text has its digest beside it; a version
+may warn of more than another, and another machine or version is warned of."""
+_DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
+    'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
+    'controller': STEERING, 'controller_sha256': '', 'timing': '',
+}
+"""What a fact was before there was a choice, and so was not written down."""
+_WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
+"""Who writes campaigns that have a certain fact."""
+
+
+def read_same_campaign(
+    out: Path, facts: Mapping[str, Any], undecided: Collection[str] = ()
+) -> LedgerContent:
+    """What was done of a campaign that is to go on; its :class:`CampaignBook` is open.
+
+    Args:
+        out: the campaign's folder.
+        facts: of the campaign that is asked for.
+        undecided: names of those that are not known yet.
+
+    Raises:
+        UsageError: another campaign was begun there, or the ledger is damaged.
+    """
+    content = read_ledger(out / LEDGER_NAME)
+    if content.rows and not content.campaign:
+        raise UsageError(
+            f'--resume: {out / LEDGER_NAME}: has runs, and does not say of which campaign; see '
+            f'taxinet doctor {out}, then mend it: taxinet doctor --mend {out}'
+        )
+    if content.campaign:
+        _check_same(out, content.campaign, {
+            name: value for name, value in facts.items() if name not in undecided
+        })
+    return content
+
+
+def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    now = json.loads(json.dumps(now))
+    before = {**_DEFAULTS_OF_BEFORE, **before}
+    for name, command in _WRITTEN_BY.items():
+        if name in now and name not in before:
+            raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
+    for name in now:
+        if name not in _MAY_DIFFER and before.get(name) != now[name]:
+            raise UsageError(
+                f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
+                f'{short_json(now[name])}; repeat its options, or name another --out'
+            )
+
+
+def short_json(value: Any) -> str:
+    """A fact for a message, as it is on disk, cut where it is long."""
+    text = json.dumps(value)
+    return text if len(text) <= 80 else text[:79] + '…'

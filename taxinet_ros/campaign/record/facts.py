@@ -14,8 +14,7 @@ from taxinet_ros import __version__
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
-from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.provenance import differences, known, provenance, stack_id
+from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
@@ -41,13 +40,19 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         options: what was asked for.
         program: the Scenic program's file.
     """
-    specs = [parse_spec(text) for text in options.specs]
-    return {
-        'taxinet_ros_version': __version__,
-        STACKS: this_stack_record(),
+    return facts_of_runs(options, {
         'program': program.name,
         'program_sha256': program_digest(program),
         'program_text': program_text(program),
+    })
+
+
+def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[str, Any]:
+    """All that runs depend on whose scenes come of ``scenes``, in plain values."""
+    return {
+        'taxinet_ros_version': __version__,
+        STACKS: this_stack_record(),
+        **scenes,
         'runs': options.runs,
         'seed': options.seed,
         'perception': options.perception,
@@ -56,10 +61,7 @@ def campaign_facts(options: CampaignOptions, program: Path) -> dict[str, Any]:
         'overrides': dict(options.overrides),
         'laid_over': dict(options.laid_over),
         'gains': dict(options.gains),
-        'specs': {spec.name: str(spec.formula) for spec in specs},
-        'stop_on': options.stop_on,
-        'bounds': list(options.bounds),
-        'rates': list(options.rates),
+        **options.judging.facts(),
         'timing': options.timing.words,
         'processes': options.processes,
         'images': options.images,
@@ -102,12 +104,9 @@ def stack_difference(facts: Mapping[str, Any], what: str) -> str:
         facts: of the campaign as it is there.
         what: names what is there, at the line's beginning.
     """
-    before = recorded_stacks(facts)
-    if not before:
-        return f'{what}: nothing tells on which machine and versions the runs so far were made'
-    found = differences(*before.values(), provenance())
-    return f'{what}: begun on another machine or version: {found}; see docs/determinism.md' if (
-        found) else ''
+    before = list(recorded_stacks(facts).values())
+    words = begun_elsewhere(before or [{}], provenance(), 'the runs so far')
+    return f'{what}: {words}' if words else ''
 
 
 def read_facts(folder: Path) -> SealedJson | None:

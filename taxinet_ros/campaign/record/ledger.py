@@ -19,7 +19,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line, read_journal
 from taxinet_ros.files.plain_values import check_kind
 
@@ -52,6 +52,9 @@ class LedgerContent:
     incomplete: tuple[str, ...] = ()
 
 
+EMPTY_LEDGER = LedgerContent(campaign={}, rows=(), unfinished=(), attempts={}, added={})
+"""What one says to which nothing was written yet."""
+
 _IDENTITY = (
     'program', 'program_sha256', 'seed', 'sampler', 'overrides', 'perception', 'controller',
     'controller_sha256', 'specs',
@@ -70,7 +73,6 @@ class Ledger(JournalOwner):
         Raises:
             UsageError: the file cannot be opened, or another campaign is writing to it.
         """
-        self._path = path
         try:
             self._journal = Journal(path)
         except BlockingIOError as error:
@@ -114,11 +116,8 @@ class Ledger(JournalOwner):
         })
 
     def _append(self, event: Mapping[str, Any]) -> None:
-        try:
-            self._journal.append(event)
-            self._journal.sync()
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal.append(event)
+        self._journal.sync()
 
 
 def read_ledger(path: Path) -> LedgerContent:

@@ -191,7 +191,7 @@ class RunRow:
             raise ValueError(f'run {self.run_id}: {self.outcome} with {spec} {interval}')
         return dataclasses.replace(self, robustness={**self.robustness, spec: interval})
 
-    def told(self, spec: str) -> float | None:
+    def robustness_for_sampler(self, spec: str) -> float | None:
         """What a sampler learns of a formula: its robustness, or None where its sign is not known.
 
         Of a run that was stopped early it is the bound that is nearer to zero. Its sign is right,
@@ -240,7 +240,7 @@ class RunRow:
             wall_s=result.wall_s,
         )
 
-    def chosen(
+    def with_choice(
         self, *, sampler: str, point: Mapping[str, float], weight: float | None, retries: int,
         refused: int = 0, drawn: bool | None = None,
     ) -> Self:

@@ -7,11 +7,10 @@ several campaigns can be put together.
 from __future__ import annotations
 
 import math
-import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.campaign.record.facts import (
@@ -26,7 +25,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
 from taxinet_ros.errors import UsageError, warn_once
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.files.atomic import make_atomically, write_atomically
 
 if TYPE_CHECKING:  # A run need not wait for it before it begins.
     import pandas as pd
@@ -118,8 +117,8 @@ def write_tables(rows: Iterable[RunRow], folder: Path, specs: Sequence[str] = ()
     facts = read_facts(folder)
     frame.attrs[STACKS] = recorded_stacks(facts.values) if facts else {}
     csv, parquet = folder / CSV_NAME, folder / PARQUET_NAME
-    _replace(csv, lambda file: file.write(csv_text(frame).encode()))
-    _replace(parquet, lambda file: frame.to_parquet(file, index=False))
+    write_atomically(csv, csv_text(frame))
+    make_atomically(parquet, lambda draft: frame.to_parquet(draft, index=False))
     if facts is not None:
         seal_facts(folder, facts, [csv, parquet])
 
@@ -309,17 +308,3 @@ def _line(
 def _spreadsheet_safe(word: Any) -> Any:
     """A word that no spreadsheet takes for a formula (OWASP, CSV Injection)."""
     return f"'{word}" if isinstance(word, str) and word.startswith(_FORMULA_STARTS) else word
-
-
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file beside ``path`` and put it in its place once it is safe on the disk."""
-    temporary = path.with_name(f'{path.name}.tmp')
-    try:
-        with temporary.open('wb') as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise disk_error(path, error) from error

@@ -8,8 +8,6 @@ import os
 import secrets
 import select
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -32,7 +30,13 @@ from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
-from taxinet_ros.processes.child import child_environment, fill_standard_descriptors
+from taxinet_ros.processes.child import (
+    ChildProcess,
+    exit_words,
+    module_command,
+    open_pipe,
+    signal_name,
+)
 
 MEMORY_BYTES = 4 << 30
 """Address space that the child may use; Scenic itself takes about a tenth of it."""
@@ -123,7 +127,7 @@ class SceneSource:
         self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
         self._meanwhile = meanwhile
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: ChildProcess | None = None
         self._fds: tuple[int, int] = (-1, -1)
         self._unread = b''
         self._space: SearchSpace | None = None
@@ -257,20 +261,19 @@ class SceneSource:
                 continue  # another matter
 
     def _start(self) -> None:
-        fill_standard_descriptors()
-        request_read, request_write = os.pipe()
-        response_read, response_write = os.pipe()
+        request_read, request_write = open_pipe()
+        response_read, response_write = open_pipe()
         arguments = {
             'request-fd': request_read, 'response-fd': response_write, 'seed': self._seed,
             'memory-bytes': MEMORY_BYTES, 'timeout-s': self._timeout_s, 'shipped': shipped_folder(),
         }
-        # -P: a random.py in the user's folder must not become the standard library's.
-        command = [sys.executable, '-P', '-m', 'taxinet_ros.campaign.scenes.scenic_child']
-        command += [f'--{name}={value}' for name, value in arguments.items()]
+        command = module_command(
+            'taxinet_ros.campaign.scenes.scenic_child',
+            *(f'--{name}={value}' for name, value in arguments.items()),
+        )
         try:
-            self._child = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=2, env=child_environment(),
-                pass_fds=(request_read, response_write), start_new_session=True,
+            self._child = ChildProcess(
+                'Scenic', command, stdout=2, descriptors=(request_read, response_write),
             )
         finally:
             os.close(request_read)
@@ -283,8 +286,7 @@ class SceneSource:
                 os.close(fd)
         self._fds = (-1, -1)
         if self._child is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._child.pid, signal.SIGKILL)  # it is the leader of its own group
+            self._child.kill()  # whatever it has started, too, though it be dead itself
             self._child.wait()
         self._child = None
 
@@ -334,16 +336,14 @@ class SceneSource:
     def _lost(self) -> UsageError | InfraError:
         """What to raise about a child that is gone."""
         assert self._child is not None
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._child.wait(GRACE_S)  # its pipe closes a moment before it is gone
-        status = self._child.poll() or 0
+        status = self._child.wait(GRACE_S) or 0  # its pipe closes a moment before it is gone
         self._stop()
         program = _shown(self.program)
         if -status in _FROM_OUTSIDE:
-            how = f'killed by {signal.Signals(-status).name}'
+            how = exit_words(status)
             return InfraError(InfraKind.DIED, f'the Scenic process of {program}', -1, how)
         if status < 0:
-            how = f'was ended by {signal.Signals(-status).name}'
+            how = f'was ended by {signal_name(-status)}'
         else:
             how = f'ended with status {status}; a program must not end it'
         return UsageError(f'{program}: the Scenic process {how}')

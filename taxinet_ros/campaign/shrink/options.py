@@ -22,7 +22,6 @@ from taxinet_ros.campaign.past_runs.judged_run import JudgedRun, find_run
 from taxinet_ros.campaign.samplers.sampler import LAG, split_options
 from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.runway import CROSSING_X_M
@@ -210,7 +209,7 @@ class ShrinkOptions:
     @property
     def headline(self) -> str:
         """Name of the formula that has to stay violated."""
-        return parse_spec(self.campaign.specs[0]).name
+        return self.campaign.judging.headline
 
 
 def make_shrink_options(

@@ -1,4 +1,4 @@
-"""The shrinking of a failed run on disk: a campaign whose scenes :mod:`.algorithm` chooses.
+"""The shrinking of a failed run: a campaign whose scenes :mod:`.algorithm` chooses.
 
 Its folder is a campaign's. What comes next depends on the answers only, so a resumed shrinking
 finds those that it has in its ledger and goes on where it was. Runs that have no verdict are
@@ -8,6 +8,7 @@ what came of it, parameter by parameter, and the lines that say so.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shlex
 from collections.abc import Callable
@@ -18,37 +19,19 @@ from typing import Any, Self
 from rich.table import Table
 from rich.text import Text
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.options import DEFAULT_SPECS
-from taxinet_ros.campaign.record.book import (
-    CampaignBook,
-    check_resumable,
-    finished_row,
-    rename_broken,
-    run_request,
-)
-from taxinet_ros.campaign.record.facts import (
-    FACTS_NAME,
-    LEDGER_NAME,
-    STACKS,
-    recorded_stacks,
-    stack_difference,
-    this_stack_record,
-)
-from taxinet_ros.campaign.record.ledger import read_ledger
+from taxinet_ros.campaign.record.book import CampaignBook, read_same_campaign
+from taxinet_ros.campaign.record.facts import facts_of_runs
+from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.shrink.algorithm import End, Point, ShrinkSearch, State
 from taxinet_ros.campaign.shrink.options import PROGRAM, STEPS, Parameter, ShrinkOptions
 from taxinet_ros.campaign.summary import participants_words, scene_words
-from taxinet_ros.core.controller import check_controller, controller_options
+from taxinet_ros.core.controller import controller_options
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.scenario import HUMAN_KEYS, RAIN_CLOUDS, Scenario
-from taxinet_ros.errors import UsageError
-
-_MAY_DIFFER = frozenset({'runs', STACKS})
-"""Facts that may differ when a shrinking is resumed: more runs may be asked for."""
 
 
 class Shrinking:
@@ -61,6 +44,7 @@ class Shrinking:
             were needed or ended.
         broken: the run that the bench broke for good; None while it can go on.
         interrupted: whether :meth:`interrupt` was called.
+        book: the shrinking on disk.
     """
 
     def __init__(
@@ -82,20 +66,16 @@ class Shrinking:
         self.rows: list[RunRow] = []
         self.broken: RunRow | None = None
         self.interrupted = False
-        self.warning = ''
-        self.controller_sha256 = ''
-        self._participants = participants
-        self._on_row = on_row
         self._campaign = options.campaign
+        self.book = CampaignBook(
+            self._campaign, participants, on_row, resume=options.resume
+        )
         self._earlier: dict[str, RunRow] = {}
         self._by_point: dict[Point, RunRow] = {}
         self._under_way: dict[int, Point] = {}
-        self._again: list[RunRequest] = []
-        self._retried: set[int] = set()
         self._broken_before: dict[str, int] = {}
         self._undone: list[int] = []
         self._next = 0
-        self._stacks: dict[str, dict[str, str]] = {}
 
     def __enter__(self) -> Self:
         """Make the folder, or see that it holds this shrinking.
@@ -103,19 +83,13 @@ class Shrinking:
         Raises:
             UsageError: the folder cannot be used, or what it holds is something else.
         """
-        out, facts = self._campaign.out, self._facts()
-        self.controller_sha256 = str(facts['controller_sha256'])
-        if self.options.resume:
-            check_resumable(out)
-        names = [parse_spec(text).name for text in self._campaign.specs]
-        self._record = CampaignBook(out, names, resume=self.options.resume)
-        try:
-            self._read_earlier(facts)
-            facts[STACKS] = {**self._stacks, **facts[STACKS]}
-            self._record.facts(facts)
-        except BaseException:
-            self._record.close()
-            raise
+        with contextlib.ExitStack() as opened:
+            opened.enter_context(self.book)
+            facts = self._facts()
+            before = read_same_campaign(self._campaign.out, facts)
+            self._take_up(before)
+            self.book.begin(facts, before)
+            opened.pop_all()
         return self
 
     def __exit__(
@@ -123,14 +97,14 @@ class Shrinking:
         trace: TracebackType | None,
     ) -> None:
         """Write the table of what there is, whatever happened."""
-        self._record.__exit__(kind, error, trace)
+        self.book.__exit__(kind, error, trace)
 
     def next(self) -> RunRequest | None:
         """A run to begin now; None where there is none before another run has ended, or at all."""
         if self.interrupted or self.broken is not None:
             return None
-        if self._again:
-            return self._again.pop()
+        if (again := self.book.next_again()) is not None:
+            return again
         while (point := self._point()) is not None:
             row = self._earlier.get(self._key(point))
             if row is None:
@@ -140,17 +114,13 @@ class Shrinking:
 
     def take(self, request: RunRequest, result: RunResult) -> None:
         """Keep one answer. A run that the bench broke gets a second chance; then the bench is."""
-        index = request.index
-        infra = result.outcome is Outcome.INFRA_ERROR
-        if infra and index not in self._retried:
-            self._retried.add(index)
-            self._put_down(request)
-            self._again.append(request)
+        if self.book.second_chance(request, result):
             return
+        index = request.index
         key = self._key(self._under_way[index])
-        row = finished_row(self._campaign, request, result).chosen(
+        row = self.book.finished_row(request, result).with_choice(
             sampler=PROGRAM, point={}, weight=None,
-            retries=self._broken_before.get(key, 0) + (index in self._retried),
+            retries=self._broken_before.get(key, 0) + self.book.was_retried(index),
         )
         point = self._under_way.pop(index)
         if row.outcome.judged:
@@ -159,10 +129,7 @@ class Shrinking:
             self.interrupted = True
         else:
             self.broken = row
-        try:
-            self._record.result(row)
-        finally:
-            self._on_row(row)
+        self.book.keep(row)
 
     def interrupt(self) -> None:
         """Ask for no more runs, not for second chances either. A signal handler may call it."""
@@ -184,14 +151,9 @@ class Shrinking:
         else:
             index, self._next = self._next, self._next + 1
         scenario = self.options.space.scenario(point)
-        request = run_request(self._campaign, index, scenario, self._participants)
-        self._put_down(request)
+        request = self.book.begin_run(index, scenario)
         self._under_way[index] = point
         return request
-
-    def _put_down(self, request: RunRequest) -> None:
-        rename_broken(self._campaign.out / request.run_id)
-        self._record.intent(request.index, request.run_id)
 
     def _remember(self, point: Point, row: RunRow) -> None:
         self.rows.append(row)
@@ -201,20 +163,10 @@ class Shrinking:
     def _key(self, point: Point) -> str:
         return json.dumps(self.options.space.scenario(point).to_human())
 
-    def _read_earlier(self, facts: dict[str, Any]) -> None:
-        out = self._campaign.out
-        content = read_ledger(out / LEDGER_NAME)
-        before, now = {'timing': '', **content.campaign}, json.loads(json.dumps(facts))
-        for name in now:
-            if content.campaign and name not in _MAY_DIFFER and before.get(name) != now[name]:
-                raise UsageError(
-                    f'--resume: {out / FACTS_NAME} has another {name}; repeat what was typed '
-                    'before, or name another --out'
-                )
-        self._record.rows.update({row.index: row for row in content.rows})
-        self._stacks = recorded_stacks(before)
-        self.warning = stack_difference(before, str(out)) if content.rows else ''
-        self._next = 1 + max((*content.unfinished, *self._record.rows), default=-1)
+    def _take_up(self, content: LedgerContent) -> None:
+        """Know what earlier sittings have found, and which runs they have left."""
+        known = (*content.unfinished, *(row.index for row in content.rows))
+        self._next = 1 + max(known, default=-1)
         self._earlier = {_scene(row): row for row in content.rows if row.outcome.judged}
         undone = [row for row in content.rows if not row.outcome.judged]
         self._undone = sorted([*content.unfinished, *(row.index for row in undone)])
@@ -223,32 +175,16 @@ class Shrinking:
         }
 
     def _facts(self) -> dict[str, Any]:
-        options, campaign = self.options, self._campaign
-        specs = [parse_spec(text) for text in campaign.specs]
-        return {
-            'taxinet_ros_version': __version__,
-            STACKS: this_stack_record(),
+        space, perception = self.options.space, self._campaign.perception
+        return facts_of_runs(self._campaign, {
             'program': PROGRAM,
-            'shrinks': options.run.run_id,
-            'original': options.space.original.to_human(),
-            'nominal': options.space.nominal.to_human(),
-            'parameters': [one.key for one in options.space.parameters],
+            'shrinks': self.options.run.run_id,
+            'original': space.original.to_human(),
+            'nominal': space.nominal.to_human(),
+            'parameters': [one.key for one in space.parameters],
             'steps': STEPS,
-            'runs': campaign.runs,
-            'seed': campaign.seed,
-            'perception': campaign.perception,
-            'perception_sha256': check_perception(campaign.perception, graph=True),
-            'controller': campaign.controller,
-            'controller_sha256': check_controller(
-                campaign.controller, campaign.gains, graph=True
-            ),
-            'overrides': {},
-            'gains': dict(campaign.gains),
-            'specs': {spec.name: str(spec.formula) for spec in specs},
-            'processes': False,
-            'images': campaign.images,
-            'timing': campaign.timing.words,
-        }
+            'perception_sha256': check_perception(perception, graph=True),
+        })
 
 
 def _scene(row: RunRow) -> str:
@@ -424,9 +360,9 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     campaign = options.campaign
     words = ['taxinet', 'run', program, '--perception', campaign.perception]
     words += controller_options(campaign.controller)
-    specs = [parse_spec(text) for text in campaign.specs]
-    if specs != [parse_spec(text) for text in DEFAULT_SPECS]:
-        words += [word for text in campaign.specs for word in ('--spec', text)]
+    specs = campaign.judging.parsed_specs
+    if specs != tuple(parse_spec(text) for text in DEFAULT_SPECS):
+        words += [word for text in campaign.judging.specs for word in ('--spec', text)]
     words += [word for name, value in campaign.gains.items()
               for word in ('--set', f'steering.{name}={value!r}')]
     return shlex.join([*words, *campaign.timing.options])

@@ -15,8 +15,7 @@ from taxinet_ros.analysis.campaign.report import campaign_report, cause_sentence
 from taxinet_ros.analysis.causes.program import confirmation_command
 from taxinet_ros.analysis.runs.campaign import Weighting, distinct_labels, read_runs
 from taxinet_ros.campaign.record.table import PARQUET_NAME
-from taxinet_ros.cli.analysis.gate import INCONCLUSIVE
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 _LOWEST_ALPHA, _HIGHEST_ALPHA = 0.002, 0.5
 
@@ -58,7 +57,7 @@ def run_analyze(
     else:
         _print(console, findings, folder)
         console.print(f'report: {folder / PAGE_NAME}', soft_wrap=True)
-    return INCONCLUSIVE if runs.weighting is Weighting.UNKNOWN else 0
+    return ExitCode.INCOMPLETE if runs.weighting is Weighting.UNKNOWN else ExitCode.OK
 
 
 def _print(console: Console, findings: Findings, folder: Path) -> None:

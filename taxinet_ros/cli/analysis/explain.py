@@ -23,7 +23,7 @@ from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
 
@@ -83,12 +83,12 @@ def run_explain(options: ExplainOptions) -> int:
     written = _write(found, out)
     if options.as_json:
         print(json.dumps(explain_json(found), indent=2, allow_nan=False))
-        return 0
+        return ExitCode.OK
     console.print(f'{run.request.run_id}, network {word}', soft_wrap=True, markup=False)
     for sentence in explain_sentences(found):
         console.print(sentence, soft_wrap=True, markup=False)
     console.print(f'page: {written}', soft_wrap=True, markup=False)
-    return 0
+    return ExitCode.OK
 
 
 def _network(run: RecordedRun, asked: str | None) -> str:

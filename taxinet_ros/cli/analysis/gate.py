@@ -11,17 +11,18 @@ from typing import Any
 
 from taxinet_ros.analysis.gate import GateOptions, GateResult, Verdict, gate_result, junit_xml
 from taxinet_ros.bag.check.findings import ranges
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
 from taxinet_ros.campaign.record.table import check_tables
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.provenance import differences
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import write_atomically
 
-FAILED, INCONCLUSIVE = 1, 3
-INCONCLUSIVE_WORDS = {'pass': 0, 'fail': FAILED, 'report': INCONCLUSIVE}
+INCONCLUSIVE_WORDS = {
+    'pass': ExitCode.OK, 'fail': ExitCode.VIOLATED, 'report': ExitCode.INCOMPLETE,
+}
 """What ``--inconclusive`` makes of the exit code."""
 
 
@@ -54,9 +55,9 @@ def run_gate(
         )
         if not junit.parent.is_dir():
             raise UsageError(f'--junit {junit}: there is no folder {junit.parent}')
-        write_whole(junit, lambda draft: draft.write_bytes(document))
+        write_atomically(junit, document)
     print(json.dumps(_json(answer, options), indent=2) if as_json else _words(answer, folder))
-    codes = {Verdict.PASS: 0, Verdict.FAIL: FAILED}
+    codes = {Verdict.PASS: ExitCode.OK, Verdict.FAIL: ExitCode.VIOLATED}
     return codes.get(answer.verdict, INCONCLUSIVE_WORDS[inconclusive])
 
 

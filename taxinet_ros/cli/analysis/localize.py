@@ -19,7 +19,7 @@ from taxinet_ros.analysis.fault_localisation import (
 from taxinet_ros.campaign.past_runs.localisation import TRIALS_NAME, LocalizeOptions, localize
 from taxinet_ros.campaign.record.facts import stack_difference
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.errors import ExitCode
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -36,7 +36,7 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     """
     console = Console(highlight=False, stderr=as_json)
     console.print(_heading(options), soft_wrap=True, markup=False)
-    if warning := stack_difference(options.failed.facts, str(options.failed.folder)):
+    if warning := stack_difference(options.campaign.facts, str(options.campaign.folder)):
         console.print(warning, soft_wrap=True, markup=False)
     asked: list[bool] = []
     with (
@@ -46,11 +46,12 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
         trials = localize(
             options, lambda done: show('trials', done, options.wanted), lambda: bool(asked)
         )
-    failed = options.failed
+    campaign = options.campaign
     found = localisation(
-        options.rows, trials, words=options.words, spec=parse_spec(failed.specs[0]).name,
-        specs=len(failed.specs), perception=Path(options.perception).name,
-        failed=len(failed.rows), runs=failed.runs, chosen_by=failed.chosen_by,
+        options.rows, trials, words=options.words, spec=campaign.judging.headline,
+        specs=len(campaign.judging.specs), perception=Path(options.perception).name,
+        failed=len(campaign.counterexamples), runs=len(campaign.judged),
+        chosen_by=campaign.sampler,
     )
     unfinished = len(trials) < options.wanted
     written = _write(found, options.out)
@@ -62,13 +63,14 @@ def run_localize(options: LocalizeOptions, *, as_json: bool) -> int:
     if unfinished:
         left = options.wanted - len(trials)
         console.print(f'interrupted, {left} trials left; the same command goes on', soft_wrap=True)
-    return 130 if unfinished else 0
+    return ExitCode.INTERRUPTED if unfinished else ExitCode.OK
 
 
 def _heading(options: LocalizeOptions) -> str:
     rows, words = len(options.rows), ', '.join(options.words)
+    campaign = options.campaign
     return (
-        f'{rows} of {len(options.failed.rows)} failed runs of {options.failed.folder}, '
+        f'{rows} of {len(campaign.counterexamples)} failed runs of {campaign.folder}, '
         f'perception {options.perception}, each with {words} -> {options.out}'
     )
 

@@ -35,7 +35,7 @@ from taxinet_ros.core.judge import SpecCheck, check_specs, describe_specs
 from taxinet_ros.core.mtl import Assumptions, Spec, parse_spec
 from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def show_specs(
@@ -179,7 +179,6 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-VIOLATED, LOSSY = 1, 3
 _PICTURE = '.png'
 
 
@@ -328,10 +327,10 @@ def _exit_code(bags: Iterable[JudgedBag]) -> int:
     # A recording of several runs mostly ends amid the last one, which unsays nothing of the others.
     # Nor does a topic that is missing unsay what others tell: damage leaves no verdict at all.
     if any(bag.run or bag.trouble for bag in violated):
-        return VIOLATED
+        return ExitCode.VIOLATED
     if not all(bag.sound for bag in judged):
-        return LOSSY
-    return VIOLATED if violated else 0
+        return ExitCode.INCOMPLETE
+    return ExitCode.VIOLATED if violated else ExitCode.OK
 
 
 def _check_plot(plot: Path, bags: Sequence[Path]) -> None:

@@ -1,7 +1,7 @@
 """``taxinet bag``: look into the bags of runs, check, mend, compare, replay and export them.
 
-Exit codes: 0 the bag is whole, 3 something of it is lost or wrong, 1 nothing in it can be read,
-2 bad input, 4 no room for what was to be written.
+Exit codes: 0 the bag is whole, 2 bad input, or nothing in the bag can be
+read, 3 something of it is lost or wrong, 4 no room for what was to be written.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def golden(
 bag_app = typer.Typer(
     rich_markup_mode=None,
     help='Inspect, check, repair and export bags. Exit codes: 0 the bag is '
-    'whole, 3 something of it is lost or wrong, 1 nothing in it can be read, 2 bad input, '
+    'whole, 2 bad input, or nothing in the bag can be read, 3 something of it is lost or wrong, '
     '4 no room for what was to be written.',
 )
 RecordedBagArgument = Annotated[

@@ -16,7 +16,8 @@ from rich.text import Text
 from taxinet_ros.bag.check.doctor import check_bag, check_recorded_frames
 from taxinet_ros.bag.check.findings import Check, Finding
 from taxinet_ros.campaign.doctor import Examination, examine, mend
-from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of, one_run
+from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.errors import ExitCode
 
 
 def run_bag_doctor(
@@ -31,7 +32,7 @@ def run_bag_doctor(
         run: of which run, where the bag holds several.
 
     Returns:
-        Exit code: 0 nothing is wrong, 3 something is, 1 not readable.
+        Exit code: 0 nothing is wrong, 2 not readable, 3 something is wrong.
 
     Raises:
         UsageError: there is nothing at ``bag``.
@@ -45,7 +46,7 @@ def _check_bag(bag: Path, as_json: bool, images: bool, run: str | None) -> int:
         with one_run(bag, run) as whole:
             checks += (check_recorded_frames(whole),)
     print_checks(bag, checks, as_json=as_json)
-    return LOSSY if any(check.findings for check in checks) else WHOLE
+    return ExitCode.INCOMPLETE if any(check.findings for check in checks) else ExitCode.OK
 
 
 def print_checks(bag: Path, checks: tuple[Check, ...], *, as_json: bool) -> None:
@@ -116,7 +117,7 @@ def run_results_doctor(folder: Path, *, mended: bool, as_json: bool) -> int:
     if sys.stderr.isatty():
         print('\r\033[K', end='', file=sys.stderr)
     print(_results_json(found, done, folder) if as_json else _results_words(found, done, folder))
-    return LOSSY if found.findings else WHOLE
+    return ExitCode.INCOMPLETE if found.findings else ExitCode.OK
 
 
 def _show_bag_name(bag: Path) -> None:

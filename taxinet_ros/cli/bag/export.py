@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.runs import is_run_topic
 from taxinet_ros.bag.run.tables import titles
-from taxinet_ros.cli.bag.input import WHOLE, exit_code_of, one_run
-from taxinet_ros.errors import UsageError
+from taxinet_ros.cli.bag.input import exit_code_of, one_run
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.files.atomic import make_atomically
 
 TABLES = ('csv', 'parquet')
 FILMS = ('mp4', 'gif')
@@ -32,7 +32,7 @@ def run_export(
         run: which run, where the bag holds several.
 
     Returns:
-        Exit code: 0, 3 the bag is damaged, 1 not readable, 4 no room.
+        Exit code: 0, 2 not readable, 3 the bag is damaged, 4 no room.
 
     Raises:
         UsageError: bad input, or a topic that is not in the bag.
@@ -89,7 +89,7 @@ def _one_table(recording: Recording, out: Path, kind: str, topics: Sequence[str]
     else:
         table = recording.trace
     _save(table, out, kind)
-    return WHOLE
+    return ExitCode.OK
 
 
 def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -> int:
@@ -103,16 +103,16 @@ def _tables(recording: Recording, out: Path, kind: str, topics: Sequence[str]) -
         raise UsageError(f'--out {out}: cannot be made: {error.strerror}') from error
     for name, table in tables.items():
         _save(table, out / f'{name.strip("/").replace("/", ".")}.{kind}', kind)
-    return WHOLE
+    return ExitCode.OK
 
 
 def _save(table: pd.DataFrame, path: Path, kind: str) -> None:
     if kind == 'csv':
         # A CSV file has no other place for units.
         titled = table.rename(columns=titles(table))
-        write_whole(path, lambda draft: titled.to_csv(draft, index=False))
+        make_atomically(path, lambda draft: titled.to_csv(draft, index=False))
     else:
-        write_whole(path, lambda draft: table.to_parquet(draft, index=False))
+        make_atomically(path, lambda draft: table.to_parquet(draft, index=False))
     print(f'table: {path} ({len(table)} rows, {len(table.columns)} columns)')
 
 
@@ -122,4 +122,4 @@ def _film(recording: Recording, out: Path, kind: str) -> int:
     frames = film_frames(recording)
     count = write_mp4(frames, out) if kind == 'mp4' else write_gif(frames, out, ACCENTS)
     print(f'film: {out} ({count} frames)')
-    return WHOLE
+    return ExitCode.OK

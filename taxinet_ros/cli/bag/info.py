@@ -23,10 +23,11 @@ from taxinet_ros.bag.run.facts import (
 )
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
-from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of
+from taxinet_ros.cli.bag.input import exit_code_of
 from taxinet_ros.core.pacing.free_run import free_run_line
 from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.types import NS_PER_S
+from taxinet_ros.errors import ExitCode
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
@@ -37,7 +38,7 @@ def show_info(bag: Path, *, as_json: bool) -> int:
     """Print what a bag holds.
 
     Returns:
-        Exit code: 0 whole, 3 unfinished or damaged, 1 not readable.
+        Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
 
     Raises:
         UsageError: there is nothing at ``bag``.
@@ -59,7 +60,7 @@ def _show(bag: Path, as_json: bool) -> int:
         console = Console(highlight=False)
         for label, text in [*lines, *_bag_lines(info, recording)]:
             console.print(f'{label:<{_LABEL_WIDTH}}{text}', soft_wrap=True, markup=False)
-    return WHOLE if info.complete else LOSSY
+    return ExitCode.OK if info.complete else ExitCode.INCOMPLETE
 
 
 def _run_lines(

@@ -19,30 +19,26 @@ from taxinet_ros.campaign.past_runs.judged_run import BagPlaces
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.perception.perception import check_perception, perception_names
 from taxinet_ros.core.provenance import Provenance, differences
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.registry import CONTROLLERS, names
-
-WHOLE, UNREADABLE, LOSSY, NO_ROOM = 0, 2, 3, 4
-"""Exit codes. 1 is kept for verdicts and for recordings that differ."""
 
 
 def exit_code_of(bag: Path, work: Callable[[], int]) -> int:
     """Do ``work`` on ``bag``; a typed error becomes one line and an exit code.
 
     Returns:
-        What ``work`` returned; or, after an error, :data:`LOSSY` where some of the bag could be
-        saved, :data:`UNREADABLE` where none could, :data:`NO_ROOM` where something could not be
-        written.
+        What ``work`` returned; or, after an error, INCOMPLETE where some of the bag could be saved,
+        USAGE where none could, INFRA where something could not be written.
     """
     try:
         return work()
     except BagWriteError as error:
-        return _complain(str(error), NO_ROOM)
+        return _complain(str(error), ExitCode.INFRA)
     except (BagTruncated, BagCorrupt) as error:
         save = f'save what is sound: taxinet bag recover {shlex.quote(str(bag))} --out NEW'
-        return _complain(f'{error}; {save}', LOSSY)
+        return _complain(f'{error}; {save}', ExitCode.INCOMPLETE)
     except BagError as error:
-        return _complain(str(error), UNREADABLE)
+        return _complain(str(error), ExitCode.USAGE)
 
 
 def _complain(text: str, code: int) -> int:

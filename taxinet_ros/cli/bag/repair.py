@@ -19,9 +19,9 @@ from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.campaign.options import check_new
-from taxinet_ros.cli.bag.input import LOSSY, WHOLE, exit_code_of, one_run
+from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.core.types import NS_PER_S
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 
 def run_recover(bag: Path, out: Path) -> int:
@@ -56,7 +56,7 @@ def _recover(bag: Path, out: Path) -> int:
     lost = _lost(recovery)
     if lost:
         print(lost)
-    return LOSSY if lost else WHOLE
+    return ExitCode.INCOMPLETE if lost else ExitCode.OK
 
 
 def _steps(bag: Path) -> Iterator[str]:
@@ -94,8 +94,8 @@ def run_split(bag: Path, out: Path) -> int:
     """Write the bags, and say what came of each run.
 
     Returns:
-        Exit code: 0 all of them are written, 3 some of the recording is damaged and not in them,
-        1 nothing can be read, 4 no room.
+        Exit code: 0 all of them are written, 2 nothing can be read, 3 some of the recording is
+        damaged and not in them, 4 no room.
 
     Raises:
         UsageError: ``out`` is in use, or what is recorded does not tell of a run what it was.
@@ -119,7 +119,7 @@ def _split(bag: Path, out: Path) -> int:
         print(f'{run.words()} {run.outcome or "without its end"} {where}')
     for error in recording.damage:
         print(f'damage: {error}')
-    return LOSSY if recording.damage else WHOLE
+    return ExitCode.INCOMPLETE if recording.damage else ExitCode.OK
 
 
 _MIN_FREE_BYTES = 1_000_000_000
@@ -129,7 +129,7 @@ def run_render(bag: Path, out: Path | None, run: str | None = None) -> int:
     """Render what is missing, in place or into a new bag, and print what came of it.
 
     Returns:
-        Exit code: 0 every frame is there, 1 the bag cannot be read or its frames not be had,
+        Exit code: 0 every frame is there, 2 the bag cannot be read or its frames not be had,
         4 no room.
 
     Raises:
@@ -151,7 +151,7 @@ def _render(recording: Recording, out: Path | None) -> int:
     if not missing and not info.trouble:
         frames = info.counts['/camera/image_raw']
         console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
-        return WHOLE
+        return ExitCode.OK
     steps = (
         restore_in_place(bag, _MIN_FREE_BYTES) if out is None
         else restore_frames(recording, out, _MIN_FREE_BYTES)
@@ -174,4 +174,4 @@ def _render(recording: Recording, out: Path | None) -> int:
             f'sees the same, taxinet bag replay {out or bag} --into perception tells',
             soft_wrap=True,
         )
-    return WHOLE
+    return ExitCode.OK

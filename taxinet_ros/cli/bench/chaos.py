@@ -13,14 +13,13 @@ from rich.console import Console
 from rich.table import Table
 
 from taxinet_ros.bench.chaos import Chaos, Found, numbers
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 CHAOS = 'chaos'
 """What is typed in place of subjects."""
 
 MINUTES = 10.0
 _OWN = ('seed', 'trials', 'trial')
-_BROKE = 4
 
 
 def asks_for_chaos(words: Sequence[str], given: Collection[str]) -> bool:
@@ -72,7 +71,7 @@ def run_chaos(
             shutil.rmtree(folder)
     found = chaos.found
     print(json.dumps(found.report(), indent=2)) if as_json else _print(console, found, folder)
-    return _BROKE if found.broken else 0
+    return ExitCode.INFRA if found.broken else ExitCode.OK
 
 
 def _taxinet() -> list[str]:

@@ -21,7 +21,7 @@ from taxinet_ros.bench.report import (
 from taxinet_ros.bench.run import ALL, GRAPH, run_subjects
 from taxinet_ros.bench.subjects.closed_loop import WHOLE
 from taxinet_ros.cli.progress import stage_bars
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 _WIDTH = 100
 """Columns of the table where it goes into a file."""
@@ -64,7 +64,7 @@ def run_bench(
         raise UsageError('bench: --guard: no guarded ratio was measured; the graph needs ROS 2')
     for line in troubles:
         print(line, file=sys.stderr)
-    return 1 if troubles else 0
+    return ExitCode.VIOLATED if troubles else ExitCode.OK
 
 
 def _print(report: Report) -> None:

@@ -70,7 +70,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             print_rows_if_lost(progress.console, campaign.rows, shown=True),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.give_up),
         ):
-            graphs.check(campaign.controller_sha256)
+            graphs.check(campaign.book.facts['controller_sha256'])
             lines = [campaign_heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in requirement_lines(campaign.check):

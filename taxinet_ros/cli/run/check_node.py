@@ -17,7 +17,7 @@ from typing import Any
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import COMMAND, command_of, names_user_code
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.node_check.clauses import Finding, Status, judge
 from taxinet_ros.nodes.node_check.driver import CheckOptions, Starter, check_node, command_starter
@@ -75,7 +75,7 @@ def run_check(
     broken = [one.clause.name for one in findings if one.status is Status.FAIL]
     if broken:
         raise UsageError(f'check-node: the {record.role.word} breaks: {", ".join(broken)}')
-    return 0
+    return ExitCode.OK
 
 
 def _check_log(log: Path) -> None:

@@ -25,7 +25,6 @@ from rich.table import Column
 from rich.text import Text
 
 from taxinet_ros.analysis.search.learned import write_learned
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.experiment import (
     JSON_NAME,
@@ -57,7 +56,8 @@ from taxinet_ros.campaign.summary import requirement_lines, row_line, scene_word
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.cli.progress import print_rows_if_lost
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, UsageError
+from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.sealed_json import write_sealed
 from taxinet_ros.nodes.graph.runner import campaign_graph
 from taxinet_ros.nodes.graph.worker import worker_command
@@ -131,44 +131,52 @@ def run_falsify(options: SearchOptions, *, quiet: bool) -> int:
     """
     check_workers(options.workers)
     console = Console(highlight=False)
-    live = console.is_terminal and not quiet
-
-    def show(row: RunRow) -> None:
-        # A terminal has the bar for what goes as it should.
-        if not quiet and (not live or not row.outcome.judged):
-            console.print(row_line(row), soft_wrap=True)
-
-    search = Search(options, PARTICIPANTS, show)
-    with print_rows_if_lost(console, search.rows, shown=not (quiet or live)), search:
-        if search.warning:
-            console.print(search.warning, soft_wrap=True, markup=False)
+    with _open_search(options, console, quiet=quiet) as search:
+        if search.book.warning:
+            console.print(search.book.warning, soft_wrap=True, markup=False)
         if not quiet:
             lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
             console.print('\n'.join(lines), soft_wrap=True, markup=False)
         for line in requirement_lines(search.check, quiet=quiet):
             console.print(line, soft_wrap=True)
-        with (
-            interrupts(search.interrupt),
-            search_view(console, search, shown=live),
-            WorkerPool(
-                _worker_command(search), options.workers, options.campaign.out / 'logs'
-            ) as crew,
-        ):
-            run_search(search, crew)
+        with search_view(console, search, shown=console.is_terminal and not quiet):
+            _run_on_workers(search)
         learned = write_learned(search)
     lines = [*search_summary(search), *learned]
     console.print('\n'.join(lines), soft_wrap=True)
     if search.interrupted and len(search.rows) < options.campaign.runs:
-        return 130
+        return ExitCode.INTERRUPTED
     return exit_code(search.rows)
 
 
-def _worker_command(search: Search) -> list[str]:
-    campaign = search.options.campaign
-    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
+@contextlib.contextmanager
+def _open_search(options: SearchOptions, console: Console, *, quiet: bool) -> Iterator[Search]:
+    """An open search that prints its rows as they come, or all where its record is lost."""
+    shown = not (quiet or console.is_terminal)
+    search = Search(options, PARTICIPANTS, lambda row: _print_row(row, console, quiet=quiet))
+    with print_rows_if_lost(console, search.rows, shown=shown), search:
+        yield search
 
 
-INTERRUPTED, BROKEN = 130, 4
+def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
+    # A terminal has the bar for what goes as it should.
+    if not quiet and not (console.is_terminal and row.outcome.judged):
+        console.print(row_line(row), soft_wrap=True)
+
+
+def _run_on_workers(search: Search | Shrinking) -> None:
+    """Have worker processes make the runs that an open search asks for; Ctrl-C ends it in order."""
+    options = search.options
+    graph = campaign_graph(options.campaign, search.book.facts['controller_sha256'])
+    with (
+        interrupts(search.interrupt),
+        WorkerPool(
+            worker_command(graph), options.workers, options.campaign.out / 'logs'
+        ) as pool,
+    ):
+        run_search(search, pool)
+
+
 
 
 def run_experiment(
@@ -194,16 +202,17 @@ def run_experiment(
         search = _run_arm(options, console, first=number == 1)
         if search.interrupted and len(search.rows) < options.campaign.runs:
             console.print('interrupted; --resume goes on')
-            return INTERRUPTED
+            return ExitCode.INTERRUPTED
         if search.stopped and not search.exhausted:
             console.print(f'ended: {search.stopped}; --resume goes on', soft_wrap=True)
-            return BROKEN
+            return ExitCode.INFRA
     rows = arm_rows(experiment, out)
     check_paired(experiment, rows)
     known = [row for arm in rows.values() for row in arm]
     with print_rows_if_lost(console, known, shown=True):
         _report(experiment, rows, out, console, as_json=as_json)
-    return BROKEN if any(row.outcome is Outcome.INFRA_ERROR for row in known) else 0
+    broken = any(row.outcome is Outcome.INFRA_ERROR for row in known)
+    return ExitCode.INFRA if broken else ExitCode.OK
 
 
 def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search:
@@ -211,27 +220,13 @@ def _run_arm(options: SearchOptions, console: Console, *, first: bool) -> Search
 
     The first one says how the requirements are understood, for they are the same in all.
     """
-    live = console.is_terminal
-
-    def show(row: RunRow) -> None:
-        # A terminal has the bar for what goes as it should.
-        if not live or not row.outcome.judged:
-            console.print(row_line(row), soft_wrap=True)
-
-    search = Search(options, PARTICIPANTS, show)
-    with print_rows_if_lost(console, search.rows, shown=not live), search:
+    with _open_search(options, console, quiet=False) as search:
         for line in requirement_lines(search.check, quiet=not first):
             console.print(line, soft_wrap=True)
-        for note in (*search.notes, *filter(None, [search.warning])):
+        for note in (*search.notes, *filter(None, [search.book.warning])):
             console.print(note, soft_wrap=True, markup=False)
-        with (
-            interrupts(search.interrupt),
-            search_view(console, search, shown=live),
-            WorkerPool(
-                _arm_worker_command(search), options.workers, options.campaign.out / 'logs'
-            ) as crew,
-        ):
-            run_search(search, crew)
+        with search_view(console, search, shown=console.is_terminal):
+            _run_on_workers(search)
     return search
 
 
@@ -251,7 +246,7 @@ def _report(
     found = paired_arms(experiment, rows)
     values, report, frame = experiment_json(found), experiment_report(found), pairs_frame(found)
     pairs = out / PAIRS_NAME
-    write_whole(pairs, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(pairs, lambda draft: frame.to_parquet(draft, index=False))
     # Two arms that change places would be sound campaigns, each with the other's name.
     write_sealed(out / JSON_NAME, values, [pairs], [out / name / LEDGER_NAME for name in rows])
     pictures = [
@@ -265,11 +260,6 @@ def _report(
     names = [PAGE_NAME, *(path.name for path in pictures), PAIRS_NAME, JSON_NAME]
     lines = [*experiment_sentences(found), f'written: {out / names[0]}, {", ".join(names[1:])}']
     console.print('\n'.join(lines), soft_wrap=True, markup=False)
-
-
-def _arm_worker_command(search: Search) -> list[str]:
-    campaign = search.options.campaign
-    return worker_command(campaign_graph(campaign, search.facts['controller_sha256']))
 
 
 def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
@@ -294,25 +284,17 @@ def run_shrink(options: ShrinkOptions, *, quiet: bool) -> int:
         shrinking = Shrinking(options, PARTICIPANTS, show)
         shown = not (quiet or console.is_terminal)
         with print_rows_if_lost(console, shrinking.rows, shown=shown), shrinking:
-            if shrinking.warning:
-                console.print(shrinking.warning, soft_wrap=True, markup=False)
+            if shrinking.book.warning:
+                console.print(shrinking.book.warning, soft_wrap=True, markup=False)
             if not quiet:
                 console.print(shrink_heading(options), soft_wrap=True)
-            with (
-                interrupts(shrinking.interrupt),
-                WorkerPool(
-                    _shrink_worker_command(shrinking),
-                    options.workers,
-                    options.campaign.out / 'logs',
-                ) as crew,
-            ):
-                run_search(shrinking, crew)
+            _run_on_workers(shrinking)
     found = make_report(shrinking)
     _check_bench(shrinking)
     _check_reproduced(options, found)
     with print_rows_if_lost(console, shrinking.rows, shown=True):
         _print_shrunk(console, shrinking, found, time.monotonic() - begun)
-    return 130 if found.state.end is End.NOT_YET else 0
+    return ExitCode.INTERRUPTED if found.state.end is End.NOT_YET else ExitCode.OK
 
 
 def _print_shrunk(console: Console, shrinking: Shrinking, found: Report, wall_s: float) -> None:
@@ -350,11 +332,6 @@ def _check_reproduced(options: ShrinkOptions, found: Report) -> None:
     )
 
 
-def _shrink_worker_command(shrinking: Shrinking) -> list[str]:
-    campaign = shrinking.options.campaign
-    return worker_command(campaign_graph(campaign, shrinking.controller_sha256))
-
-
 @contextlib.contextmanager
 def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow], None]]:
     """What shows a run that has ended: a line of its own; in a terminal one line for them all."""
@@ -367,9 +344,7 @@ def _shrink_view(console: Console, *, quiet: bool) -> Iterator[Callable[[RunRow]
         task = progress.add_task('', total=None)
 
         def show(row: RunRow) -> None:
-            # A terminal has the bar for what goes as it should.
-            if not quiet and (not live or not row.outcome.judged):
-                progress.console.print(row_line(row), soft_wrap=True)
+            _print_row(row, progress.console, quiet=quiet)
             progress.update(task, advance=1, description=f'{row.outcome} {scene_words(row)}')
 
         yield show

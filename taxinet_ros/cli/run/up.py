@@ -29,7 +29,7 @@ from taxinet_ros.campaign.options import (
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
 from taxinet_ros.nodes.graph.supervisor import (
@@ -42,7 +42,7 @@ from taxinet_ros.nodes.graph.supervisor import (
     memory_mb,
 )
 from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
-from taxinet_ros.processes.interrupts import INTERRUPTED, interrupts
+from taxinet_ros.processes.interrupts import interrupts
 
 _REFRESH_PER_S = 2.0
 _STYLES = {
@@ -115,7 +115,7 @@ class UpView:
 
 
 def _row(watched: WatchedNode, now_s: float) -> list[RenderableType]:
-    pid = watched.process.process.pid
+    pid = watched.process.pid
     memory = memory_mb(pid)
     return [
         watched.name,
@@ -228,4 +228,4 @@ def run_up(options: UpOptions) -> int:
         except GraphLostError as error:
             print(f'taxinet: error: {error}', file=sys.stderr)
             return _INFRA
-    return INTERRUPTED
+    return ExitCode.INTERRUPTED

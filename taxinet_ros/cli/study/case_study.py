@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.processes.child import module_command
 from taxinet_ros.study.stages.config import (
     STUDY_NAME,
     StudyConfig,
@@ -77,7 +77,7 @@ def run_case_study(options: CaseStudyOptions) -> int:
         out = options.out or Path('OUT')
         for line in list_lines(wanted, read_records(out), out):
             console.print(line, soft_wrap=True, markup=False)
-        return 0
+        return ExitCode.OK
     from taxinet_ros.nodes.running.domain import check_workers  # ROS takes time to import
 
     check_workers(config.workers)
@@ -129,7 +129,7 @@ def _report(options: CaseStudyOptions) -> int:
 
     for line in write_study_report(config, options.out):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
-    return 0
+    return ExitCode.OK
 
 
 def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
@@ -149,9 +149,9 @@ def _report_tables(options: CaseStudyOptions, tables: Path) -> int:
 
     for line in write_study_report(config, out, tables):
         Console(highlight=False).print(line, soft_wrap=True, markup=False)
-    return 0
+    return ExitCode.OK
 
 
 def stage_command() -> list[str]:
     """A ``taxinet`` that ends when this process goes away, however it goes."""
-    return [sys.executable, '-m', 'taxinet_ros.cli.stage_process']
+    return module_command('taxinet_ros.cli.stage_process')

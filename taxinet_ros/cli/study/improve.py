@@ -12,7 +12,7 @@ from rich.console import Console
 from taxinet_ros.campaign.options import DEFAULT_ROOT, check_new, make_out, new_folder
 from taxinet_ros.campaign.rates import rate
 from taxinet_ros.cli.study.case_study import stage_command
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.study.improve.acceptance import Decision
 from taxinet_ros.study.improve.loop import BEST, ROUNDS_NAME, START, Improvement, Round, RoundLedger
 from taxinet_ros.study.improve.options import ImproveOptions, read_options, write_options
@@ -64,7 +64,7 @@ def run_improve(options: ImproveOptions | None, out: Path | None, workers: int) 
             ).run()
 
         code = Improvement(out, options, ledger, run_stages, show_round).run()
-    if code == 0:
+    if code == ExitCode.OK:
         show(f'network: {out / BEST}; what each round decided: {out / ROUNDS_NAME}')
     return code
 

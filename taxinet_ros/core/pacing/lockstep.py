@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taxinet_ros.core.outcome import StopOn
+from taxinet_ros.core.judging import StopOn
 
 WINDOW = 8
 """Most frames that a participant outside the control loop may lag; below the queues' depth."""

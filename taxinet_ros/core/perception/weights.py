@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-import os
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -25,7 +22,8 @@ from numpy.typing import NDArray
 from taxinet_ros import registry
 from taxinet_ros.core.perception.network import ARCHITECTURES
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import load_json
+from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.plain_values import Section, load_json
 
 ERROR_STATISTICS = ('mae', 'p50', 'p90', 'p99', 'max')
 ERROR_QUANTITIES = ('cte_m', 'he_deg')
@@ -96,9 +94,12 @@ class ModelCard:
     start_sha256: str | None = None
 
 
+_ABOUT = 'weights: '
+
+
 def card_error(path: Path, what: str) -> UsageError:
     """What is wrong with a file of weights, or with its card, in one line."""
-    return UsageError(f'weights: {path}: {what}')
+    return UsageError(f'{_ABOUT}{path}: {what}')
 
 
 def load_card(path: Path) -> ModelCard:
@@ -117,77 +118,40 @@ def load_card(path: Path) -> ModelCard:
         raise card_error(path, f'cannot be read ({error.strerror})') from error
     except ValueError:
         raise card_error(path, 'is not JSON; copy it again') from None
-    if not isinstance(values, dict):
-        raise card_error(path, 'is no model card: not a JSON object')
-    names = [field.name for field in fields(ModelCard)]
-    values = {'start_sha256': None, **values}  # cards from before it have none
-    if values.keys() != set(names):
-        name = min(values.keys() ^ set(names))
-        raise card_error(
-            path, f'{name!r} {"is missing" if name in names else "is unknown"} in the card'
-        )
-    for name in names:
-        if not _CHECKS.get(name, _is_text)(values[name]):
-            raise card_error(
-                path, f'{name} in the card is {str(values[name])[:40]!r}, which cannot be'
-            )
-    for name in ('training_data', 'validation_data'):
-        values[name] = tuple(Source(**source) for source in values[name])
-    return ModelCard(**values)
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and value != ''
-
-
-def _is_switch(value: object) -> bool:
-    return isinstance(value, bool)
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _is_magnitude(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return 0 <= value < math.inf
-
-
-def _are_sources(value: object) -> bool:
-    names = {field.name for field in fields(Source)}
-    return isinstance(value, list) and all(
-        isinstance(source, dict)
-        and set(source) == names
-        and all(map(_is_text, source.values()))
-        and source['kind'] in SOURCE_KINDS
-        for source in value
+    card = Section(path, values, [field.name for field in fields(ModelCard)], about=_ABOUT)
+    return ModelCard(
+        training_data=_sources(card, 'training_data'),
+        validation_data=_sources(card, 'validation_data', least=0),
+        varied=card.switch('varied'), augment=card.switch('augment'),
+        learning_rate=card.number('learning_rate', 0), errors=_errors(card.section(
+            'errors', ERROR_QUANTITIES
+        )),
+        start_sha256=card.text('start_sha256') if values.get('start_sha256') is not None else None,
+        seed=card.whole('seed', 0), images=card.whole('images', 0),
+        validation=card.whole('validation', 0), epochs=card.whole('epochs', 0),
+        batch=card.whole('batch', 0), patience=card.whole('patience', 0),
+        best_epoch=card.whole('best_epoch', 0), architecture=card.text('architecture'),
+        weights_sha256=card.text('weights_sha256'), date=card.text('date'),
+        package_version=card.text('package_version'), command_line=card.text('command_line'),
     )
 
 
-def _are_errors(value: object) -> bool:
-    if not isinstance(value, dict) or set(value) != set(ERROR_QUANTITIES):
-        return False
-    return all(
-        isinstance(row, dict)
-        and set(row) == set(ERROR_STATISTICS)
-        and all(map(_is_magnitude, row.values()))
-        for row in value.values()
+def _sources(card: Section, key: str, least: int = 1) -> tuple[Source, ...]:
+    if not least and card.take(key, 'a list') == []:
+        return ()
+    return tuple(
+        Source(kind=source.word('kind', SOURCE_KINDS), name=source.text('name'),
+               sha256=source.text('sha256'))
+        for source in card.sections(key, ('kind', 'name', 'sha256'))
     )
 
-_CHECKS: dict[str, Callable[[object], bool]] = {
-    'training_data': lambda value: value != [] and _are_sources(value),
-    'validation_data': _are_sources,
-    'start_sha256': lambda value: value is None or _is_text(value),
-    'varied': _is_switch,
-    'augment': _is_switch,
-    'errors': _are_errors,
-    'learning_rate': _is_magnitude,
-    **dict.fromkeys(
-        ('seed', 'images', 'validation', 'epochs', 'batch', 'patience', 'best_epoch'), _is_count
-    ),
-}
-"""What the entries of a card have to be, where they are no texts."""
+
+def _errors(given: Section) -> dict[str, dict[str, float]]:
+    tables = {name: given.section(name, ERROR_STATISTICS) for name in ERROR_QUANTITIES}
+    return {
+        name: {one: table.number(one, 0) for one in ERROR_STATISTICS}
+        for name, table in tables.items()
+    }
 
 
 SUFFIX = '.safetensors'
@@ -248,8 +212,8 @@ def save_model(path: Path, data: bytes, card: ModelCard) -> None:
     """
     text = json.dumps(asdict(card), indent=2) + '\n'
     try:
-        _replace(card_path(path), text.encode())
-        _replace(path, data)
+        write_atomically(card_path(path), text)
+        write_atomically(path, data)
     except OSError as error:
         raise card_error(
             path, f'cannot be written ({error.strerror}); choose another folder'
@@ -321,18 +285,3 @@ def _check_arrays(
             )
         if not np.isfinite(array).all():
             raise card_error(path, f'array {name} has values that are not finite; train it again')
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Put a whole file in place at once, through one of another name in the same folder."""
-    descriptor, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
-    try:
-        with os.fdopen(descriptor, 'wb') as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)  # a temporary file is its owner's only
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

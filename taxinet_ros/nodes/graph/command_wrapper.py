@@ -18,7 +18,7 @@ from types import FrameType
 
 import psutil
 
-from taxinet_ros.processes.child import adopt_orphans, die_with_parent
+from taxinet_ros.processes.child import adopt_orphans, die_with_parent, module_command
 
 SIGINT_GRACE_S, SIGTERM_GRACE_S = 1.5, 1.0
 """What is left to a command after SIGINT, and after SIGTERM, which follows.
@@ -43,9 +43,9 @@ def wrapped_command(
         asked_s: what is left to the command after SIGINT [s].
         told_s: likewise after SIGTERM.
     """
-    # -P: a module in the user's folder must not stand in for one of ours.
-    ours = [sys.executable, '-P', '-m', 'taxinet_ros.nodes.graph.command_wrapper']
-    return [*ours, str(parent), str(asked_s), str(told_s), *command]
+    return module_command(
+        'taxinet_ros.nodes.graph.command_wrapper', str(parent), str(asked_s), str(told_s), *command
+    )
 
 
 def main() -> int:

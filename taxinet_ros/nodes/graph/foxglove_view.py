@@ -15,9 +15,8 @@ from collections.abc import Iterator
 
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.foxglove_server import HOST, LOOKING_ON, NOT_INSTALLED
-from taxinet_ros.nodes.graph.node_process import dying_with_parent, node_command
-
-_GRACE_S = 5.0
+from taxinet_ros.nodes.graph.node_process import node_command
+from taxinet_ros.processes.child import ChildProcess
 
 
 def check_port(port: int) -> None:
@@ -47,33 +46,20 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
     Raises:
         UsageError: the server cannot be opened.
     """
-    command = [
-        *node_command('taxinet_ros.nodes.foxglove_server'), '--ros-args', '-p', f'port:={port}',
-    ]
-    with tempfile.TemporaryFile('w+') as errors:
-        server = subprocess.Popen(
-            command, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors,
-            # Ctrl-C in the terminal is for the campaign, which then ends what it has begun.
-            start_new_session=True, preexec_fn=dying_with_parent(),
+    command = node_command('taxinet_ros.nodes.foxglove_server')
+    command += ['--ros-args', '-p', f'port:={port}']
+    with tempfile.TemporaryFile() as errors:
+        server = ChildProcess(
+            'foxglove', command, environment={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+            stdout=subprocess.PIPE, stderr=errors, killed_with_parent=True, signals_held=True,
         )
         try:
-            assert server.stdout is not None
-            if not any(line.startswith(LOOKING_ON) for line in server.stdout):
+            assert server.process.stdout is not None
+            if not any(line.startswith(LOOKING_ON.encode()) for line in server.process.stdout):
                 errors.seek(0)
-                said = errors.read().strip().splitlines() or ['it ended without a word']
-                raise UsageError(f'--foxglove: {said[-1].removeprefix("error: ")}')
+                said = errors.read().decode(errors='replace').strip().splitlines()
+                last = said[-1] if said else 'it ended without a word'
+                raise UsageError(f'--foxglove: {last.removeprefix("error: ")}')
             yield
         finally:
-            _end(server)
-
-
-def _end(server: subprocess.Popen[str]) -> None:
-    server.terminate()
-    try:
-        server.wait(_GRACE_S)
-    except subprocess.TimeoutExpired:
-        server.kill()
-        server.wait()
-    assert server.stdout is not None
-    server.stdout.close()
+            server.end()

@@ -27,7 +27,7 @@ from taxinet_ros.core.user_code import (
     names_user_code,
     node_command,
 )
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
 
@@ -64,11 +64,10 @@ RENAMED = {'weights': 'perception'}
 CLOCK_REMAP = ('/clock', 'clock')
 """Puts the clock into the node's namespace, where it has one."""
 
-NOT_STARTED = (2, 127)
+NOT_STARTED = (ExitCode.USAGE, 127)
 """Exit codes of a node that does not take what it was given, or of a command that is none."""
 
 _OF_LAUNCH = ('launch-prefix', 'launch-prefix-filter')
-_BROKEN = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,10 +211,10 @@ class Ending:
         if self.code is not None or name not in self._names:
             return False
         if name == topics.SCENARIO_SAMPLER:
-            self.code = code if code >= 0 else _BROKEN
+            self.code = code if code >= 0 else ExitCode.INFRA
             self.why = f'the campaign has ended: exit code {code}'
         elif code in NOT_STARTED:
-            self.code = 2
+            self.code = ExitCode.USAGE
             self.why = f'{name} has refused what it was given'
         return self.code is not None
 

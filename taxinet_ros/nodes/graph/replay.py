@@ -201,7 +201,7 @@ def replay(
         gains=run.gains if controller == STEERING else {},
     )
     kind, parameters = options.nodes()[target]
-    per_step = len(request.specs) if answer.recorded == interface.PER_SPEC else 1
+    per_step = len(request.judging.specs) if answer.recorded == interface.PER_SPEC else 1
     with _spinning() as (executor, context, add):
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         add(kind(context=context, parameter_overrides=overrides))

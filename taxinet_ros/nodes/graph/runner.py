@@ -28,7 +28,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, Timing
 from taxinet_ros.core.user_code import is_node_elsewhere, node_command
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph.node_process import NodeProcess, command_processes, end_all
+from taxinet_ros.nodes.graph.node_process import NodeProcess, command_processes
 from taxinet_ros.nodes.ground_truth_perception import GroundTruthPerception
 from taxinet_ros.nodes.lockstep.sampler import ScenarioSampler
 from taxinet_ros.nodes.mtl_monitor import MtlMonitor
@@ -39,6 +39,7 @@ from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
+from taxinet_ros.processes.child import end_all
 
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
@@ -249,9 +250,9 @@ class SampledGraph:
         for child in self.children:
             if not child.dead:
                 continue
-            if child.ours and child.process.returncode == 2:
-                raise UsageError(child.complaint())
-            sampler.mourn(child.name, child.obituary())
+            if child.refused:
+                raise UsageError(child.refused)
+            sampler.mourn(child.name, child.how_it_ended())
 
     def close(self) -> None:
         """Take every node out of the graph."""

@@ -13,11 +13,12 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.graph.node_process import IN_ORDER, NodeProcess, end_all
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.runner import GraphOptions, node_processes
 from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.processes.child import IN_ORDER, end_all
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -447,10 +447,10 @@ class Supervisor(Node):
         """Name the dead, have its run ended, and start it anew if that is allowed."""
         if watched.state is State.DEAD:
             return
-        detail = watched.process.obituary()
+        detail = watched.process.how_it_ended()
         watched.become(State.DEAD, now_s)
-        if watched.process.ours and watched.process.process.returncode == 2:
-            raise UsageError(watched.process.complaint())
+        if watched.process.refused:
+            raise UsageError(watched.process.refused)
         self.runs.mourn(watched.name, detail)
         number = watched.limit.spend(now_s)
         if not number:
@@ -489,7 +489,7 @@ class Supervisor(Node):
             watched.process.kill()
 
     def _why_silent(self, watched: WatchedNode) -> str:
-        pid = watched.process.process.pid
+        pid = watched.process.pid
         if is_stopped(pid):
             return f'its process is stopped; kill -CONT {pid} wakes it'
         return f'no answer for {self._care.silent_s:g} s'

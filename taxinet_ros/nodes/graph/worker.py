@@ -1,7 +1,7 @@
 """A worker of a search: one composed graph in a process of its own, for many runs.
 
 Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which says what goes over
-the pipes. It ends with its parent, however that ends.
+the pipes, and has Linux kill it when its parent goes, however it goes.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import io
 import json
 import os
 import queue
-import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxinet_ros.processes.child import die_with_parent
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.processes.child import module_command
 
 if TYPE_CHECKING:
     from taxinet_ros.core.outcome import RunRequest, RunResult
@@ -29,14 +29,13 @@ _BEAT_S = 1.0
 
 def worker_command(options: GraphOptions) -> list[str]:
     """What starts a worker with a graph."""
-    return [
-        # -P: a module in the user's folder must not stand in for one of ours.
-        sys.executable, '-P', '-m', 'taxinet_ros.nodes.graph.worker',
+    return module_command(
+        'taxinet_ros.nodes.graph.worker',
         f'--perception={options.perception}', f'--out={options.out}',
         f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
         f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
         f'--timing={options.timing.words}',
-    ]
+    )
 
 
 class _Inbox:
@@ -109,10 +108,7 @@ def main(words: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake of the user's.
     """
     arguments = _arguments(words)
-    _end_with(arguments.parent)
-    # Only now what takes seconds to import: a parent that dies meanwhile ends this process.
     from taxinet_ros.core.pacing.timing import parse_timing
-    from taxinet_ros.errors import UsageError
     from taxinet_ros.nodes.graph.runner import GraphOptions
 
     options = GraphOptions(
@@ -126,8 +122,8 @@ def main(words: Sequence[str] | None = None) -> int:
         _work(options, outbox)
     except UsageError as error:
         outbox.say(error=str(error))
-        return 2
-    return 0
+        return ExitCode.USAGE
+    return ExitCode.OK
 
 
 def _work(options: GraphOptions, outbox: _Outbox) -> None:
@@ -151,7 +147,6 @@ def _work(options: GraphOptions, outbox: _Outbox) -> None:
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    parser.add_argument('--parent', type=int, required=True)
     parser.add_argument('--answers', type=int, required=True)
     parser.add_argument('--perception', required=True)
     parser.add_argument('--out', type=Path, required=True)
@@ -161,13 +156,6 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--controller-sha256', default='')
     parser.add_argument('--timing', default='')
     return parser.parse_args(words)
-
-
-def _end_with(parent: int) -> None:
-    """Have Linux kill this process when its parent goes away, however it goes."""
-    die_with_parent(signal.SIGKILL)
-    if os.getppid() != parent:
-        sys.exit('the parent is gone')
 
 
 if __name__ == '__main__':

@@ -16,9 +16,9 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import check_specs
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import LateCommands
-from taxinet_ros.core.mtl import parse_assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, StopOn, parse_stop_on
+from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.lockstep import Lockstep
 from taxinet_ros.core.pacing.timing import Timing, free_timing
@@ -117,12 +117,13 @@ class ActiveRun:
             raise UsageError(f'run_id {self.run_id!r}: use letters, digits, _, - and . only')
         if not message.specs:
             raise UsageError('specs: a run needs a formula to be judged by')
-        parse_assumptions(message.bounds, message.rates)
+        judging = Judging.from_message(message)
+        _ = judging.assumptions  # refused if they are none
         scenario = scenario_of(message)
-        check_specs([parse_spec(text) for text in message.specs], scenario.duration_s)
+        check_specs(judging.parsed_specs, scenario.duration_s)
         self.world = make_world(scenario)
         self.commands = LateCommands(timing, message.seed, message.index)
-        may_stop = parse_stop_on(message.stop_on) is not StopOn.NEVER
+        may_stop = judging.stop_on is not StopOn.NEVER
         if timing.free and may_stop:
             raise UsageError(
                 f'stop_on {message.stop_on}: not in a free run, where nobody waits for the monitor'

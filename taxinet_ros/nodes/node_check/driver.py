@@ -31,6 +31,7 @@ from taxinet_msgs.msg import NodeStatus, RunStatus
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TrackingError
@@ -38,7 +39,7 @@ from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.command_wrapper import CHILDREN_LEFT
-from taxinet_ros.nodes.graph.node_process import NodeProcess, end_all
+from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.endpoints import NAMELESS, heard_by
 from taxinet_ros.nodes.messages.convert import header, scenario_message
@@ -220,7 +221,7 @@ class Stage:
     def close(self) -> None:
         """End the node, and take the rest of the graph down."""
         if self._process is not None:
-            end_all([self._process])
+            self._process.end()
         for node in self._nodes.values():
             self._executor.remove_node(node)
             node.destroy_node()
@@ -321,7 +322,7 @@ class Stage:
         if self._process is None:
             return False
         if self._process.dead and not self._record.died:
-            self._record.died = self._process.obituary()
+            self._record.died = self._process.how_it_ended()
             self._record.died_in = self._run.kind if self._run else ''
         return self._process.dead
 
@@ -519,7 +520,8 @@ class Stage:
         self._record.runs.append(run)
         self._say(interface.SCENARIO, scenario_message(RunRequest(
             run_id=run_id, index=len(self._record.runs) - 1, program='check-node', seed=0,
-            scenario=_SCENE, specs=('phi_always',), participants=tuple(participants),
+            scenario=_SCENE, judging=Judging(specs=('phi_always',)),
+            participants=tuple(participants),
         )))
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.PREPARING))
         return run
@@ -620,7 +622,7 @@ class Stage:
         if self._process is None:
             return
         with contextlib.suppress(psutil.Error):
-            keeper = psutil.Process(self._process.process.pid)
+            keeper = psutil.Process(self._process.pid)
             nodes = keeper.children(recursive=True) or [keeper]
             self._record.memory_mb.append(sum(one.memory_info().rss for one in nodes) / 1e6)
 
@@ -633,9 +635,9 @@ class Stage:
         process.send(signal.Signals[name])
         self._until(lambda: process.dead, _ENDING_S)
         after_s: float | None = time.monotonic() - begun_s
-        if not process.dead or process.process.returncode == -signal.SIGKILL:
+        if not process.dead or process.code == -signal.SIGKILL:
             after_s = None
-        end_all([process])
+        process.end()
         with self._options.log.open('rb') as log:
             log.seek(max(printed, self._options.log.stat().st_size - _TAIL_BYTES))
             said = log.read(_TAIL_BYTES).decode(errors='replace')

@@ -20,10 +20,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from taxinet_ros.errors import InfraError, RecordError, UsageError
+from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
 from taxinet_ros.processes.interrupts import (
-    INTERRUPTED,
     exit_handler,
     exit_now,
     handle_signals,
@@ -133,11 +132,12 @@ def run_node(
         usage: what the executable says of itself; a command line that holds more than arguments of
             ROS exits 2 with one line.
     """
-    code = stopped = INTERRUPTED if work else 0
+    stopped = ExitCode.INTERRUPTED if work else ExitCode.OK
+    code: int = stopped
     handle_signals(exit_handler(stopped))  # Nothing is begun that would have to be ended.
     try:
         if read_arguments(usage, sys.argv):
-            sys.exit(0)
+            sys.exit(ExitCode.OK)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
@@ -156,17 +156,17 @@ def run_node(
     except KeyboardInterrupt:
         code = stopped
     except UsageError as error:
-        code = complain(str(error), 2)
+        code = complain(str(error), ExitCode.USAGE)
     except (InfraError, RecordError) as error:
-        code = complain(str(error), 4)
+        code = complain(str(error), ExitCode.INFRA)
     except ParameterException as error:
         # Of a parameter that rclpy declares itself, as use_sim_time.
-        code = complain(' '.join(str(error).split()), 2)
+        code = complain(' '.join(str(error).split()), ExitCode.USAGE)
     except rclpy.exceptions.InvalidHandle as error:
-        code = complain(str(error), 4)
+        code = complain(str(error), ExitCode.INFRA)
     except _BAD_ARGUMENTS as error:
         # What follows is where in the C code it was noticed.
-        code = complain(' '.join(str(error).split(', at /')[0].split()), 2)
+        code = complain(' '.join(str(error).split(', at /')[0].split()), ExitCode.USAGE)
     handle_signals(exit_handler(code))
     rclpy.try_shutdown()
     sys.exit(interrupted_exit_code(code))
@@ -178,7 +178,7 @@ def _serve(node: Any, executor: Any) -> int:
 
     def at_once() -> bool:
         asked_again.set()
-        hung = Timer(AT_ONCE_S, lambda: exit_now(interrupted_exit_code(INTERRUPTED)))
+        hung = Timer(AT_ONCE_S, lambda: exit_now(interrupted_exit_code(ExitCode.INTERRUPTED)))
         hung.daemon = True
         hung.start()
         return True
@@ -192,7 +192,7 @@ def _serve(node: Any, executor: Any) -> int:
             spin_for(executor, ended, _LOOK_S)
             if time.monotonic() > deadline_s:
                 break
-    return INTERRUPTED if asked_again.is_set() else 0
+    return ExitCode.INTERRUPTED if asked_again.is_set() else ExitCode.OK
 
 
 def _leave(node: Any, executor: Any) -> None:

@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.analysis.causes.region import Region, part_of
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.weights import card_path, load_model
-from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import disk_error
+from taxinet_ros.errors import ExitCode
+from taxinet_ros.files.atomic import make_atomically
 from taxinet_ros.files.journal import JournalOwner, open_journal
 from taxinet_ros.files.sealed_json import read_sealed
 from taxinet_ros.study.improve.acceptance import Decision, decide
@@ -48,8 +47,7 @@ class RoundLedger(JournalOwner):
         Raises:
             UsageError: another process has it open, or it is damaged.
         """
-        self._path = out / ROUNDS_NAME
-        self._journal = open_journal(self._path, 'taxinet improve')
+        self._journal = open_journal(out / ROUNDS_NAME, 'taxinet improve')
         self._known = [_undated(event) for event in self._journal.events]
 
     def write(self, values: Mapping[str, Any]) -> None:
@@ -58,11 +56,8 @@ class RoundLedger(JournalOwner):
         if plain in self._known:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec='seconds')
-        try:
-            self._journal.append({**plain, _WHEN: now})
-            self._journal.sync()
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal.append({**plain, _WHEN: now})
+        self._journal.sync()
         self._known.append(plain)
 
 
@@ -236,7 +231,7 @@ class Improvement:
             if done.decision.accepted:
                 self._incumbent = candidate_weights(number)
         _copy(self._out / self._incumbent, self._out / BEST)
-        return 0
+        return ExitCode.OK
 
     def _round(self, number: int) -> tuple[int, Round | None]:
         """One round, or the exit code of the stage that stopped it."""
@@ -285,9 +280,6 @@ def _regions(causes: Sequence[Mapping[str, Any]]) -> list[Region]:
 def _copy(weights: Path, to: Path) -> None:
     """Copy a weights file and its card, checked; the card first, as when they are saved."""
     load_model(weights)
-    try:
-        for one, other in ((card_path(weights), card_path(to)), (weights, to)):
-            if not other.exists() or other.read_bytes() != one.read_bytes():
-                write_whole(other, partial(shutil.copyfile, one))
-    except OSError as error:
-        raise UsageError(f'{to}: cannot be written ({error.strerror})') from error
+    for one, other in ((card_path(weights), card_path(to)), (weights, to)):
+        if not other.exists() or other.read_bytes() != one.read_bytes():
+            make_atomically(other, partial(shutil.copyfile, one))

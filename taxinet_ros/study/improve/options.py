@@ -148,7 +148,7 @@ def write_options(out: Path, options: ImproveOptions) -> None:
     """Put the options into the folder.
 
     Raises:
-        BagWriteError: it cannot be written to.
+        OSError: it cannot be written.
     """
     write_sealed(out / FACTS_NAME, options.to_json())
 

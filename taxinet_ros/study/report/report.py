@@ -12,10 +12,9 @@ import pandas as pd
 from taxinet_ros import __version__
 from taxinet_ros.analysis.report.parts import Report
 from taxinet_ros.analysis.report.values import plain_values
-from taxinet_ros.bag.layout import write_whole
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.atomic import write_atomically
+from taxinet_ros.files.atomic import make_atomically, write_atomically
 from taxinet_ros.study.report.claim import Claim
 from taxinet_ros.study.report.paper import judge_claims
 from taxinet_ros.study.report.results import Results, read_results, read_tables
@@ -56,7 +55,7 @@ def write_study_report(
 
     Raises:
         UsageError: no network was evaluated yet, or a file of the study is damaged.
-        BagWriteError: a file cannot be written.
+        OSError: a file cannot be written.
     """
     from taxinet_ros.analysis.report.page import write_report_page
     from taxinet_ros.analysis.report.pictures import LIGHT, write_png
@@ -146,4 +145,4 @@ def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _write_table(frame: pd.DataFrame, path: Path) -> None:
-    write_whole(path, lambda draft: frame.to_parquet(draft, index=False))
+    make_atomically(path, lambda draft: frame.to_parquet(draft, index=False))

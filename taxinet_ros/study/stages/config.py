@@ -18,7 +18,7 @@ from taxinet_ros.campaign.samplers.sampler import LAG
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import YamlFile, read_yaml
+from taxinet_ros.files.plain_values import Section, expected, is_number, read_yaml
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
 LEAST_IMAGES, LEAST_VALIDATION, LEAST_EPOCHS = 128, 32, 2
@@ -215,37 +215,35 @@ def read_study(out: Path, option: str) -> StudyConfig:
         raise UsageError(f'{path}: cannot be read ({error}); name another --out') from error
 
 
-class _Values(YamlFile):
+class _Values:
     """The values in one file, checked one by one."""
 
     def __init__(self, path: Path, content: object) -> None:
-        super().__init__(path)
-        self._leaves: dict[str, Any] = {}
-        known = set(_PLACES.values())
-        groups = {place.partition('.')[0] for place in known if '.' in place}
-        for key, value in self._mapping('', content).items():
-            if key not in groups:
-                self._put(key, value, known, groups)
-                continue
-            for inner, leaf in self._mapping(key, value).items():
-                self._put(f'{key}.{inner}', leaf, known, groups)
+        places: dict[str, list[str]] = {}
+        for place in sorted(_PLACES.values()):
+            group, _, key = place.rpartition('.')
+            places.setdefault(group, []).append(key)
+        top = Section(path, content, sorted({*places, *places['']} - {''}))
+        self._folder = path.parent
+        self._sections = {'': top} | {
+            group: top.section(group, keys) for group, keys in places.items() if group in top
+        }
 
     def all(self) -> dict[str, Any]:
         """What the file gives, by the name of the study's attribute."""
-        found: dict[str, Any] = {}
-        for name, (place, low, high) in _WHOLE.items():
-            if place in self._leaves:
-                found[name] = self._whole(place, self._leaves[place], low, high)
-        for name, place in _PROGRAMS.items():
-            if place in self._leaves:
-                found[name] = self._program(place, self._leaves[place])
-        others: dict[str, Callable[[object], object]] = {
-            'experiments': self._experiments, 'samplers': self._samplers,
-            'learning_seeds': self._learning_seeds, 'share': self._share, 'best': self._best,
+        readers: dict[str, Callable[[Section, str], object]] = {
+            name: partial(_whole, low, high) for name, (_, low, high) in _WHOLE.items()
         }
-        for name, read in others.items():
-            if _OTHERS[name] in self._leaves:
-                found[name] = read(self._leaves[_OTHERS[name]])
+        readers |= dict.fromkeys(_PROGRAMS, self._program)
+        readers |= {
+            'experiments': self._experiments, 'samplers': _samplers,
+            'learning_seeds': _learning_seeds, 'share': _share, 'best': self._best,
+        }
+        found: dict[str, Any] = {}
+        for name, read in readers.items():
+            group, _, key = _PLACES[name].rpartition('.')
+            if key in self._sections.get(group, ()):
+                found[name] = read(self._sections[group], key)
         return found
 
     def check_seeds(self, config: StudyConfig) -> None:
@@ -258,83 +256,64 @@ class _Values(YamlFile):
             for other, others in seeds.items():
                 for seed in own if other < place else ():
                     if seed in others:
-                        raise self._wrong(place, f'is {seed}, as {other} is; give it another, or a '
-                                          'network is judged on scenes that it has seen')
+                        raise self._sections[''].wrong(
+                            f'is {seed}, as {other} is; give it another, or a network is judged on '
+                            'scenes that it has seen', place,
+                        )
 
-    def _put(self, key: str, value: object, known: set[str], groups: set[str]) -> None:
-        if key not in known:
-            group = key.partition('.')[0]
-            here = sorted(one for one in known if one.startswith(f'{group}.'))
-            raise self._wrong(key, f'unknown key; known: {", ".join(here or sorted(groups))}')
-        self._leaves[key] = value
-
-    def _whole(self, where: str, value: object, low: int, high: int) -> int:
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self._wrong(where, f'expected a whole number, {low} to {high}, got {value!r:.60}')
-        return value
-
-    def _word(self, where: str, value: object) -> str:
-        if not isinstance(value, str) or not value:
-            raise self._wrong(where, f'expected a word, got {value!r:.60}')
-        return value
-
-    def _program(self, where: str, value: object) -> str:
-        word = self._beside(self._word(where, value))
-        self._checked(where, partial(find_program, word))
+    def _program(self, given: Section, key: str) -> str:
+        word = self._beside(given.text(key))
+        given.check(key, partial(find_program, word))
         return word
 
-    def _experiments(self, value: object) -> dict[str, int]:
-        where = _OTHERS['experiments']
+    def _experiments(self, given: Section, key: str) -> dict[str, int]:
+        names = given.section(key, optional=True)
         found = {}
-        for name, runs in self._mapping(where, {} if value is None else value).items():
+        for name in names:
             word = self._beside(name)
-            self._checked(f'{where}.{name}', partial(find_experiment, word))
-            found[word] = self._whole(f'{where}.{name}', runs, 1, 1_000_000)
+            names.check(name, partial(find_experiment, word))
+            found[word] = names.whole(name, 1, 1_000_000)
         stems = [Path(word).stem for word in found]
         if len(set(stems)) < len(stems):
-            raise self._wrong(where, 'two experiments have the same name; rename one of the files')
+            raise names.wrong('two experiments have the same name; rename one of the files')
         return found
 
-    def _samplers(self, value: object) -> tuple[str, ...]:
-        where = _OTHERS['samplers']
-        words = tuple(self._word(where, word) for word in self._some(where, value))
-        for word in words:
-            if word not in _LEARNERS:
-                what = f'expected one that tells what it learned ({", ".join(_LEARNERS)})'
-                raise self._wrong(where, f'{what}, got {word}')
-        return words
-
-    def _learning_seeds(self, value: object) -> tuple[int, ...]:
-        where = _OTHERS['learning_seeds']
-        return tuple(self._whole(where, seed, 0, 2**63 - 1) for seed in self._some(where, value))
-
-    def _some(self, where: str, value: object) -> list[object]:
-        """One thing or several, each once."""
-        found = value if isinstance(value, list) else [value]
-        if not found or any(one in found[:at] for at, one in enumerate(found)):
-            raise self._wrong(where, f'expected one or several, each once, got {value!r:.60}')
-        return found
-
-    def _share(self, value: object) -> float:
-        if (
-            isinstance(value, int | float) and not isinstance(value, bool)
-            and 0 < value <= _MOST_SHARE
-        ):
-            return float(value)
-        what = f'expected a number above 0, at most {_MOST_SHARE}, got {value!r:.60}'
-        raise self._wrong(_OTHERS['share'], what)
-
-    def _best(self, value: object) -> str:
-        if value in ('', None):
+    def _best(self, given: Section, key: str) -> str:
+        if given.take(key, 'a word') in ('', None):
             return ''
-        word = self._beside(self._word('best', value))
-        self._checked('best', partial(check_perception, word))
+        word = self._beside(given.text(key))
+        given.check(key, partial(check_perception, word))
         return word
 
     def _beside(self, word: str) -> str:
         """A file's whole path, of one beside this file or from here; else the word itself."""
         if Path(word).suffix:
-            for path in (self._path.parent / word, Path(word)):
+            for path in (self._folder / word, Path(word)):
                 if path.is_file():
                     return str(path.resolve())
         return word
+
+
+def _whole(low: int, high: int, given: Section, key: str) -> int:
+    return given.whole(key, low, high)
+
+
+def _samplers(given: Section, key: str) -> tuple[str, ...]:
+    words = tuple(one.text(key) for one in given.several(key))
+    for word in words:
+        if word not in _LEARNERS:
+            what = f'expected one that tells what it learned ({", ".join(_LEARNERS)})'
+            raise given.wrong(f'{what}, got {word}', key)
+    return words
+
+
+def _learning_seeds(given: Section, key: str) -> tuple[int, ...]:
+    return tuple(one.whole(key, 0, 2**63 - 1) for one in given.several(key))
+
+
+def _share(given: Section, key: str) -> float:
+    kind = f'a number above 0, at most {_MOST_SHARE}'
+    value = given.take(key, kind)
+    if not is_number(value, 0, _MOST_SHARE) or value == 0:
+        raise given.wrong(expected(kind, value), key)
+    return float(value)

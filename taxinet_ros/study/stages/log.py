@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros import __version__
-from taxinet_ros.core.provenance import Provenance, differences, known, provenance
-from taxinet_ros.files.atomic import disk_error, sync_folder
+from taxinet_ros.core.provenance import Provenance, begun_elsewhere, known, provenance
+from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import JournalOwner, damaged_line, open_journal, read_journal
 
 LOG_NAME = 'stages.jsonl'
@@ -72,8 +72,7 @@ class StageLog(JournalOwner):
         Raises:
             UsageError: another process has it open, or it is damaged.
         """
-        self._path = out / LOG_NAME
-        self._journal = open_journal(self._path, 'taxinet case-study or improve')
+        self._journal = open_journal(out / LOG_NAME, 'taxinet case-study or improve')
         sync_folder(out)
         self.records = read_records(out)
 
@@ -86,21 +85,15 @@ class StageLog(JournalOwner):
         }
         if event == 'begin':
             line['provenance'] = dict(provenance())
-        try:
-            self._journal.append(line)
-            self._journal.sync()
-        except OSError as error:
-            raise disk_error(self._path, error) from error
+        self._journal.append(line)
+        self._journal.sync()
         self.records.setdefault(stage, StageRecord()).take(line)
 
 
-def other_stack(records: Mapping[str, StageRecord]) -> str:
+def stack_warning(records: Mapping[str, StageRecord]) -> str:
     """One line where a stage was begun on another machine or version than this; else ''."""
     before = [stack for record in records.values() for stack in record.stacks]
-    if not all(before):
-        return 'nothing tells on which machine and versions all the stages so far were made'
-    found = differences(*before, provenance())
-    return f'begun on another machine or version: {found}; see docs/determinism.md' if found else ''
+    return begun_elsewhere(before, provenance(), 'all the stages so far')
 
 
 def read_records(out: Path) -> dict[str, StageRecord]:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import taxinet_ros
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
-from taxinet_ros.errors import UsageError
-from taxinet_ros.processes.interrupts import INTERRUPTED, interrupts
-from taxinet_ros.study.stages.log import StageLog, other_stack
+from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.processes.child import ChildProcess, exit_words, package_environment
+from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.study.stages.log import StageLog, stack_warning
 from taxinet_ros.study.stages.progress import (
     State,
     can_resume,
@@ -42,44 +40,24 @@ def run_command(command: Sequence[str], folder: Path) -> tuple[int, bool]:
     Returns:
         Its exit code, negative for the signal that killed it; and whether we were interrupted.
     """
-    process = subprocess.Popen(
-        list(command), cwd=folder, stdin=subprocess.DEVNULL, env=_environment(), process_group=0,
-    )
     asked: list[bool] = []
+    with ChildProcess(
+        'stage', command, folder=folder, environment=package_environment(), new_session=False,
+    ) as child:
 
-    def pass_on() -> None:
-        asked.append(True)
-        process.send_signal(signal.SIGINT)
+        def pass_on() -> None:
+            asked.append(True)
+            child.process.send_signal(signal.SIGINT)
 
-    try:
-        with interrupts(pass_on):
-            return process.wait(), bool(asked)
-    except KeyboardInterrupt:
-        process.send_signal(signal.SIGINT)
-        return _wait_or_kill(process), True
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
-
-
-def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
-    try:
-        return process.wait(_GRACE_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        return process.wait()
-
-
-def _environment() -> dict[str, str]:
-    """This very package, wherever the command runs; else as a shell would start it."""
-    here = str(Path(taxinet_ros.__file__).resolve().parents[2])
-    path = os.pathsep.join(part for part in (here, os.environ.get('PYTHONPATH', '')) if part)
-    return {**os.environ, 'PYTHONPATH': path}
-
-
-BROKEN = 4
-_TERMINATED = 128 + signal.SIGTERM
+        try:
+            with interrupts(pass_on):
+                child.wait()
+        except KeyboardInterrupt:
+            asked.append(True)
+            child.process.send_signal(signal.SIGINT)
+            child.wait(_GRACE_S)
+    assert child.code is not None
+    return child.code, bool(asked)
 
 
 class StudyRun:
@@ -117,7 +95,7 @@ class StudyRun:
             RecordError: the study's folder was moved or deleted.
         """
         self._check_runs()
-        if warning := other_stack(self._log.records):
+        if warning := stack_warning(self._log.records):
             self._show(warning)
         self._began = time.monotonic()
         for number, stage in enumerate(self._stages, 1):
@@ -129,7 +107,7 @@ class StudyRun:
             code = self._stage(number, stage, state)
             if code:
                 return code
-        return 0
+        return ExitCode.OK
 
     def _check_runs(self) -> None:
         """A campaign cannot be made smaller, and none is thrown away."""
@@ -157,7 +135,7 @@ class StudyRun:
         if why := self._nothing_to_do(stage):
             self._show(why)
             self._log.write('end', stage.name, key=key, outputs={}, wall_s=0.0, skipped=why)
-            return 0
+            return ExitCode.OK
         words = stage.command(resume=resume)
         begun = time.monotonic()
         code, interrupted = run_command([*self._command, *words], self._out)
@@ -171,8 +149,8 @@ class StudyRun:
                         wall_s=wall_s, code=code, command=list(words), workers=self._workers)
         if interrupted:
             self._show(f'interrupted after {stage.name}; --resume goes on')
-            return INTERRUPTED
-        return 0
+            return ExitCode.INTERRUPTED
+        return ExitCode.OK
 
     def _make_room(self, stage: Stage, state: State) -> bool:
         """Put away what another command left; whether the stage goes on where it was."""
@@ -202,7 +180,7 @@ class StudyRun:
     def _trouble(self, stage: Stage, code: int) -> str:
         """Why a stage that has ended is not done; '' where it is."""
         if code not in stage.accepts:
-            return f'exit code {code}' if code >= 0 else f'killed by signal {-code}'
+            return exit_words(code)
         missing = [name for name in stage.outputs if not (self._out / name).is_file()]
         if missing:
             return f'{missing[0]} is missing'
@@ -213,11 +191,11 @@ class StudyRun:
         return ''
 
     def _stopped(self, stage: Stage, code: int, trouble: str, *, interrupted: bool) -> int:
-        if interrupted or code in (INTERRUPTED, _TERMINATED):
+        if interrupted or code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
             self._show(f'interrupted in {stage.name}; --resume goes on')
-            return INTERRUPTED
+            return ExitCode.INTERRUPTED
         self._show(f'stopped at {stage.name}: {trouble}; once it is mended, --resume goes on')
-        return code if code > 0 and code not in stage.accepts else BROKEN
+        return code if code > 0 and code not in stage.accepts else ExitCode.INFRA
 
 
 def _unused_name(folder: Path) -> Path:

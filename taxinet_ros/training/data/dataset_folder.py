@@ -32,7 +32,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, program_digest, p
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
-from taxinet_ros.files.atomic import FULL_DISK
+from taxinet_ros.files.atomic import FULL_DISK, draft_path, write_atomically
 from taxinet_ros.files.journal import Journal, JournalOwner, damaged_line
 from taxinet_ros.files.plain_values import check_kind
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
@@ -114,10 +114,7 @@ class FinishedImages(JournalOwner):
 _LIMITS = {'count': (1, 1_000_000), 'seed': (0, 2**63 - 1), 'workers': (1, 256)}
 
 
-def _draft_name(name: str) -> str:
-    return f'.{name}.draft'
-
-_DRAFT = _draft_name(REQUEST)
+_DRAFT = draft_path(Path(REQUEST)).name
 """What a kill or a full disk may leave of a dataset before it is begun."""
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 """Lossless at every level; higher ones take several times as long for a tenth of the room."""
@@ -344,17 +341,12 @@ def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
 
 
 def _write_once(path: Path, data: bytes) -> None:
-    """Put a whole file in place; one that is there already has to be the same.
-
-    Its draft always has the same name, so that one left by a kill is used up by the next try.
-    """
+    """Put a whole file in place; one that is there already has to be the same."""
     if path.exists():
         if path.read_bytes() != data:
             raise _differs_error(path)
         return
-    draft = path.with_name(_draft_name(path.name))
-    draft.write_bytes(data)
-    draft.replace(path)
+    write_atomically(path, data, sync=False)  # all of them are, in the end
 
 
 def _differs_error(path: Path) -> UsageError:

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import multiprocessing
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import Future
 from functools import lru_cache, partial
 from multiprocessing.synchronize import Event
 from typing import TypeVar
@@ -26,8 +24,11 @@ from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.errors import InfraError, InfraKind
-from taxinet_ros.processes.pool import end_with_parent, interrupts_blocked
+from taxinet_ros.processes.pool import (
+    SPAWN,
+    ProcessPool,
+    process_pool,
+)
 from taxinet_ros.training.data.augmentation import draw_variation
 
 GROUND_BLOCK = 64
@@ -103,18 +104,12 @@ def photographs(
         return
     # A process that is given a whole block of neighbours makes their common ground only once.
     blocks = _blocks(scenes, GROUND_BLOCK if varied else _CHUNK)
-    context = multiprocessing.get_context('spawn')  # a fork would copy the threads of torch badly
-    stop = context.Event()
-    with ProcessPoolExecutor(workers, context, _start_worker, (stop,)) as pool:
+    stop = SPAWN.Event()
+    with process_pool(workers, 'rendering worker', _start_worker, stop) as pool:
         try:
             yield from _in_order(pool, partial(_take_all, take), blocks, _AHEAD * workers)
-        except BrokenProcessPool as error:
-            raise InfraError(
-                InfraKind.DIED, 'rendering worker', -1, 'see the messages above'
-            ) from error
         finally:
             stop.set()  # whoever has had enough should not wait for whole blocks
-            pool.shutdown(cancel_futures=True)
 
 
 def _take(develop: Develop[T], varied: bool, seed: int, numbered: Numbered) -> T:
@@ -133,15 +128,14 @@ def _blocks(scenes: Iterable[Numbered], size: int) -> Iterator[list[Numbered]]:
 
 
 def _in_order(
-    pool: ProcessPoolExecutor,
+    pool: ProcessPool,
     work: Callable[[list[Numbered]], list[T]],
     blocks: Iterable[list[Numbered]],
     ahead: int,
 ) -> Iterator[T]:
     under_way: deque[Future[list[T]]] = deque()
     for block in blocks:
-        with interrupts_blocked():
-            under_way.append(pool.submit(work, block))
+        under_way.append(pool.submit(work, block))
         if len(under_way) == ahead:
             yield from under_way.popleft().result()
     while under_way:
@@ -157,5 +151,4 @@ def _asked_to_stop() -> bool:
 
 def _start_worker(stop: Event) -> None:
     _stop.append(stop)
-    end_with_parent()
     cv2.setNumThreads(1)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.counterexamples import FailedRuns, failed_runs, scenario_of_row
+from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign, open_failed_campaign
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.weights import Source
@@ -57,7 +57,7 @@ def counterexample_scenes(
     Raises:
         UsageError: no campaign, no failed run, or none whose bag can be read.
     """
-    paths = _paths(failed_runs(folder), progress)
+    paths = _paths(open_failed_campaign(folder), progress)
     rng = np.random.default_rng(seed)
     return [_scene_on_path(*paths[rng.integers(len(paths))], rng) for _ in range(count)]
 
@@ -74,23 +74,23 @@ def ledger_digest(folder: Path) -> str:
         raise UsageError(f'{folder / LEDGER_NAME}: {error.strerror}') from error
 
 
-def _paths(failed: FailedRuns, progress: Progress) -> list[_Path]:
+def _paths(campaign: RecordedCampaign, progress: Progress) -> list[_Path]:
     found: list[_Path] = []
-    for number, row in enumerate(failed.rows, 1):
+    for number, row in enumerate(campaign.counterexamples, 1):
         try:
-            trace = open_recording(failed.folder / row.run_id).columns
+            trace = open_recording(campaign.folder / row.run_id).columns
         except (BagError, UsageError):
             continue  # a bag that was deleted or damaged leaves the others
-        scene, _ = scenario_of_row(row, failed.folder, failed.facts)
+        scene, _ = campaign.scenario(row)
         columns = np.stack([trace['x_m'], trace['cte_m'], trace['he_rad']], axis=1)
         way = columns.astype(np.float64)[_useful_places(columns)]
         if len(way):
             found.append((scene, way))
-        progress('runs', number, len(failed.rows))
+        progress('runs', number, len(campaign.counterexamples))
     if not found:
         raise UsageError(
-            f'{failed.folder}: no bag of its {len(failed.rows)} failed runs can be read; '
-            'run the campaign again'
+            f'{campaign.folder}: no bag of its {len(campaign.counterexamples)} failed runs can be '
+            'read; run the campaign again'
         )
     return found
 

@@ -31,7 +31,7 @@ from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.storage.writer import StorageFile
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.yaml_text import MAX_CHARS, dump_yaml, load_yaml
+from taxinet_ros.files.plain_values import MAX_CHARS, dump_yaml, load_yaml
 
 
 @pytest.mark.parametrize(('content', 'kind', 'reason'), [

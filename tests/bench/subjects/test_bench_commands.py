@@ -16,6 +16,7 @@ from taxinet_ros.bench.run import run_subjects
 from taxinet_ros.bench.subjects import campaign
 from taxinet_ros.bench.subjects.start_up import holds_step
 from taxinet_ros.errors import InfraError
+from taxinet_ros.processes.child import ChildProcess
 
 
 @pytest.fixture(autouse=True)
@@ -79,13 +80,15 @@ def test_given_a_bag_when_looked_at_then_it_holds_a_step_once_one_is_flushed(
     assert not holds_step(tmp_path / 'nowhere.mcap')
 
 
-def test_given_a_command_that_ends_when_waited_for_then_its_last_words_come_out() -> None:
+def test_given_a_command_that_ends_when_waited_for_then_its_last_words_come_out(
+    tmp_path: Path
+) -> None:
     script = 'import sys; sys.exit("first\\nthe reason\\n")'
     with (
-        subprocess.Popen([sys.executable, '-c', script], stderr=subprocess.PIPE) as process,
+        ChildProcess('it', [sys.executable, '-c', script], log=tmp_path / 'printed') as process,
         pytest.raises(InfraError, match='died: it: exit code 1: the reason'),
     ):
-        wait_for(process, lambda: False, 'it')
+        wait_for(process, lambda: False)
 
 
 def test_given_a_process_when_asked_then_its_work_and_memory_are_known() -> None:

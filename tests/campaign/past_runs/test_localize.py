@@ -12,11 +12,6 @@ from typing import Any
 import pytest
 
 from taxinet_ros.analysis.fault_localisation import Blame, Suffices, judge_case
-from taxinet_ros.campaign.past_runs.counterexamples import (
-    failed_runs,
-    scenario_of_row,
-    spread_evenly,
-)
 from taxinet_ros.campaign.past_runs.localisation import (
     TRIALS_NAME,
     Task,
@@ -26,8 +21,15 @@ from taxinet_ros.campaign.past_runs.localisation import (
     make_localize_options,
     make_trial,
 )
+from taxinet_ros.campaign.past_runs.recorded_campaign import (
+    open_campaign,
+    open_failed_campaign,
+    scenario_of_row,
+    spread_evenly,
+)
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.perception.perception import check_perception, make_perception
 from taxinet_ros.core.perception.substituted import AS_RECORDED
@@ -36,6 +38,7 @@ from taxinet_ros.errors import UsageError
 
 SPEC = 'phi_eventually'
 FORMULA = 'eventually[0:10](always(abs(cte) <= 1.5))'
+JUDGING = Judging(specs=(f'{SPEC}={FORMULA}',))
 WET = scenario_from_human({
     'cross_track': 5, 'heading': 20, 'distance': 600, 'clouds': 'stratus', 'rain': 90,
     'time_of_day': 8, 'duration': 12,
@@ -64,7 +67,7 @@ def failed_campaign(
     gains: Mapping[str, float] = LOCKED, **changes: Any,
 ) -> list[RunRow]:
     """Run scenes as they are, and write down the ledger of a campaign of them."""
-    bench = TrialSetup(perception=perception, specs=(f'{SPEC}={FORMULA}',), gains=gains)
+    bench = TrialSetup(perception=perception, judging=JUDGING, gains=gains)
     network = make_perception(perception)
     rows = []
     for index, scene in enumerate(scenes):
@@ -116,7 +119,7 @@ def test_given_a_nose_wheel_that_never_turns_then_the_truth_fails_too_and_the_la
     tmp_path,
 ):
     (row,) = failed_campaign(tmp_path / 'c', OFF[:1], perception='original')
-    bench = TrialSetup(perception='original', specs=(f'{SPEC}={FORMULA}',), gains=LOCKED)
+    bench = TrialSetup(perception='original', judging=JUDGING, gains=LOCKED)
     network = make_perception('original')
     trials = {
         word: make_trial(
@@ -199,7 +202,7 @@ def test_given_bad_input_then_one_line_says_what_is_wrong(tmp_path):
 
 def test_given_a_number_of_runs_then_they_are_spread_over_all(tmp_path):
     rows = failed_campaign(tmp_path / 'c', OFF)
-    assert failed_runs(tmp_path / 'c').rows == tuple(rows)
+    assert open_failed_campaign(tmp_path / 'c').counterexamples == tuple(rows)
     many = tuple(range(1996))
     chosen = spread_evenly(many, 200)
     assert len(set(chosen)) == 200
@@ -208,3 +211,24 @@ def test_given_a_number_of_runs_then_they_are_spread_over_all(tmp_path):
     assert chosen[0] < 10 > 1995 - chosen[-1]
     assert spread_evenly(many, None) == spread_evenly(many, 5000) == many
     assert Trial.from_json(Trial(run_id='a', word='truth', passed=None).to_json()).passed is None
+
+
+def test_given_a_recorded_campaign_then_rows_rates_and_counterexamples_are_read_from_its_ledger(
+    tmp_path,
+):
+    rows = failed_campaign(tmp_path / 'c', OFF)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob('*')}
+    found = open_campaign(tmp_path / 'c')
+    assert found.rows == found.judged == found.counterexamples == tuple(rows)
+    table = found.table()
+    assert list(table['run_id']) == [row.run_id for row in rows]
+    assert (table['outcome'] == 'FAIL').all()
+    rate = found.failure_rate.rate
+    assert rate is not None
+    assert (rate.rate, rate.high) == (1.0, 1.0)
+    assert found.judging == JUDGING
+    assert found.bag(rows[0]) is None
+    assert found.scenario(rows[0]) == (OFF[0], False)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob('*')} == before
+    with pytest.raises(UsageError, match=r'no campaign, for it has no ledger\.jsonl'):
+        open_campaign(tmp_path)

@@ -22,8 +22,8 @@ from taxinet_ros.analysis.runs.campaign import read_runs
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.doctor import examine, mend
-from taxinet_ros.campaign.past_runs.counterexamples import failed_runs, scenario_of_row
 from taxinet_ros.campaign.past_runs.judged_run import bag_differences, find_run
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_failed_campaign, scenario_of_row
 from taxinet_ros.campaign.record.facts import FACTS_NAME, LEDGER_NAME, read_facts, write_facts
 from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.resumption import read_earlier_runs
@@ -36,6 +36,7 @@ from taxinet_ros.campaign.record.table import (
 )
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.errors import UsageError
+from taxinet_ros.files.atomic import draft_path
 from taxinet_ros.files.journal import parse_journal, read_journal
 from taxinet_ros.files.sealed_json import read_sealed, write_sealed
 
@@ -364,7 +365,7 @@ def swap_bags(campaign: Path, one: str, other: str) -> None:
 def test_f2_given_the_bag_of_another_run_then_it_is_noticed_wherever_row_and_bag_meet(
     campaign, taxinet
 ):
-    failed = failed_runs(campaign).rows[0]
+    failed = open_failed_campaign(campaign).counterexamples[0]
     other = next(row for row in read_ledger(campaign / LEDGER_NAME).rows if row.outcome == 'PASS')
     assert scenario_of_row(failed, campaign, {})[1]
     swap_bags(campaign, failed.run_id, other.run_id)
@@ -642,10 +643,10 @@ def test_doctor_given_lines_doubled_and_in_another_order_then_all_are_put_right(
 
 def test_doctor_given_what_killed_processes_leave_then_it_is_named(campaign, taxinet):
     bag = campaign / read_table(campaign)['bag'][0]
-    (bag / f'{METADATA_FILE}.tmp').write_text('rosbag2_')
+    draft_path(bag / METADATA_FILE).write_text('rosbag2_')
     code, out, _ = taxinet('doctor', campaign)
     assert code == 3
-    assert f'{bag / METADATA_FILE}.tmp: left by a process that was killed' in out
+    assert f'{draft_path(bag / METADATA_FILE)}: left by a process that was killed' in out
     under_way(campaign)
     said = json.loads(taxinet('doctor', campaign, '--json')[1])
     assert not said['sound']
@@ -676,7 +677,7 @@ def test_doctor_given_somebody_at_work_then_nothing_is_mended(campaign, taxinet)
 def test_f2_given_the_bag_of_another_run_then_no_command_gives_its_numbers(
     campaign, taxinet, tmp_path, linked
 ):
-    failed = failed_runs(campaign).rows[0]
+    failed = open_failed_campaign(campaign).counterexamples[0]
     other = next(row for row in read_ledger(campaign / LEDGER_NAME).rows if row.outcome == 'PASS')
     bag = campaign / failed.run_id
     if linked:
@@ -701,7 +702,8 @@ def test_f2_given_the_bag_of_the_same_run_of_another_campaign_then_monitor_refus
 ):
     under_way(campaign)
     rewrite(campaign / LEDGER_NAME, lambda events: lie(events, 'FAIL', {'rho': {'tight': -9.0}}))
-    row = next(row for row in failed_runs(campaign).rows if row.rho['tight'] == -9.0)
+    failed = open_failed_campaign(campaign).counterexamples
+    row = next(row for row in failed if row.rho['tight'] == -9.0)
     for place in (campaign, campaign / row.run_id):
         code, _, err = taxinet('monitor', place)
         assert (code, 'is not the bag of its run: its rho of tight is' in err) == (2, True), err
@@ -742,7 +744,7 @@ def test_f2_given_the_bags_of_a_campaign_with_other_scenes_gains_or_formulas_the
 def test_f2_given_a_cut_bag_in_its_place_then_monitor_reads_what_there_is(
     campaign, taxinet, share
 ):
-    failed = failed_runs(campaign).rows[0]
+    failed = open_failed_campaign(campaign).counterexamples[0]
     mcap = next((campaign / failed.run_id).glob('*.mcap'))
     mcap.write_bytes(mcap.read_bytes()[:int(mcap.stat().st_size * share)])
     code, out, err = taxinet('monitor', campaign)

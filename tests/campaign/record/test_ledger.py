@@ -16,6 +16,7 @@ from taxinet_ros.campaign.record.ledger import Ledger, read_ledger
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import write_tables
 from taxinet_ros.cli import main as cli
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
@@ -26,7 +27,8 @@ from taxinet_ros.errors import UsageError
 def row(index: int, outcome: Outcome = Outcome.PASS, rho: float = 0.1 + 0.2) -> RunRow:
     request = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5,
-        scenario=Scenario(clouds='stratus', rain=1 / 3), specs=('phi_eventually',),
+        scenario=Scenario(clouds='stratus', rain=1 / 3),
+        judging=Judging(specs=('phi_eventually',)),
         participants=(),
     )
     judged = outcome.judged

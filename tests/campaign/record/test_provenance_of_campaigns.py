@@ -19,7 +19,7 @@ from taxinet_ros.campaign.record.table import read_table
 from taxinet_ros.cli.main import _exit_code, app
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.files.journal import read_journal
-from taxinet_ros.study.stages.log import StageLog, other_stack
+from taxinet_ros.study.stages.log import StageLog, stack_warning
 
 ELSEWHERE = {**provenance(), 'processor': 'Another One', 'numpy': '0.1'}
 
@@ -56,12 +56,12 @@ def test_provenance_of_a_search_resumed_elsewhere_is_kept_for_each_sitting_and_w
     home = this_stack()
     same = toy.options(tmp_path, runs=12, resume=True)
     with toy.searching(same) as search:
-        assert search.warning == ''
+        assert search.book.warning == ''
     monkeypatch.setattr(facts_module, 'provenance', lambda: ELSEWHERE)
     with toy.searching(toy.options(tmp_path, runs=12, resume=True)) as search:
-        assert search.warning.startswith(f'{tmp_path}: begun on another machine or version: ')
-        assert f'processor {provenance()["processor"]} | Another One' in search.warning
-        assert f'numpy {provenance()["numpy"]} | 0.1' in search.warning
+        assert search.book.warning.startswith(f'{tmp_path}: begun on another machine or version: ')
+        assert f'processor {provenance()["processor"]} | Another One' in search.book.warning
+        assert f'numpy {provenance()["numpy"]} | 0.1' in search.book.warning
         for _ in toy.answers(search, 1):
             pass
     table = read_table(tmp_path)
@@ -79,7 +79,7 @@ def test_provenance_of_an_older_campaign_is_said_to_be_untold(tmp_path):
     (tmp_path / FACTS_NAME).unlink()
     write_old(ledger, events)
     with toy.searching(toy.options(tmp_path, runs=4, resume=True)) as search:
-        assert 'nothing tells on which machine and versions' in search.warning
+        assert 'nothing tells on which machine and versions' in search.book.warning
 
 
 def test_provenance_of_tables_that_are_held_together_is_compared(tmp_path, elsewhere, monkeypatch):
@@ -114,11 +114,11 @@ def test_provenance_of_each_stage_of_a_study_is_logged_and_compared(tmp_path):
     with StageLog(tmp_path) as log:
         log.write('begin', 'falsify', identity='i', runs=3, resumed=False)
         assert log.records['falsify'].stacks == (dict(provenance()),)
-        assert other_stack(log.records) == ''
+        assert stack_warning(log.records) == ''
     path = tmp_path / 'stages.jsonl'
     rewrite(path, lambda events: events[0]['provenance'].update(numpy='0.1'))
     with StageLog(tmp_path) as log:
-        assert f'numpy 0.1 | {provenance()["numpy"]}' in other_stack(log.records)
+        assert f'numpy 0.1 | {provenance()["numpy"]}' in stack_warning(log.records)
 
 
 @pytest.mark.parametrize(

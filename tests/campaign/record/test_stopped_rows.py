@@ -20,8 +20,9 @@ from taxinet_ros.campaign.worker_pool import (
     result_from_json,
     result_to_json,
 )
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import UsageError
@@ -43,12 +44,12 @@ def result(index: int, *, stopped: bool, furthest: float = 4.0) -> RunResult:
 def row(index: int, *, stopped: bool, furthest: float = 4.0) -> RunRow:
     asked = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5, scenario=Scenario(),
-        specs=SPECS, participants=(), stop_on=StopOn.VIOLATED,
+        participants=(), judging=Judging(specs=SPECS, stop_on=StopOn.VIOLATED),
     )
     answer = result(index, stopped=stopped, furthest=furthest)
     sim_s = answer.last_seq / 10
     made = RunRow.of_run(asked, answer, perception='truth', sim_s=sim_s, bag=asked.run_id)
-    return made.chosen(sampler='random', point={}, weight=1.0, retries=0)
+    return made.with_choice(sampler='random', point={}, weight=1.0, retries=0)
 
 
 def test_given_a_stopped_run_when_tabulated_then_it_has_an_interval_and_says_when(tmp_path: Path):
@@ -82,14 +83,14 @@ def test_given_a_stopped_run_then_nobody_claims_to_know_what_came_after():
 
 def test_given_a_stopped_run_then_a_sampler_is_told_the_end_that_is_nearer_to_zero():
     stopped = row(0, stopped=True)
-    assert stopped.told('phi_eventually') == -0.25
+    assert stopped.robustness_for_sampler('phi_eventually') == -0.25
     assert stopped.headline == (-math.inf, -0.25)
-    assert row(1, stopped=False).told('phi_eventually') == -3.0
-    assert stopped.told('unknown') is None
+    assert row(1, stopped=False).robustness_for_sampler('phi_eventually') == -3.0
+    assert stopped.robustness_for_sampler('unknown') is None
     open_ended = RunRow.from_json({**stopped.to_json(), 'rho_lower': {'a': 0.5, 'b': -1.0},
                                    'rho_upper': {'a': math.inf, 'b': 1.0}})
-    assert open_ended.told('a') == 0.5
-    assert open_ended.told('b') is None
+    assert open_ended.robustness_for_sampler('a') == 0.5
+    assert open_ended.robustness_for_sampler('b') is None
 
 
 def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told(tmp_path: Path):
@@ -106,8 +107,9 @@ def test_given_a_stopped_run_when_printed_then_the_bound_and_the_saving_are_told
 
 
 def test_given_requests_and_results_when_they_travel_then_the_rule_and_the_interval_do_too():
-    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(), specs=SPECS,
-                       participants=('a',), stop_on=StopOn.DECIDED)
+    asked = RunRequest(run_id='r', index=0, program='p', seed=1, scenario=Scenario(),
+                       judging=Judging(specs=SPECS, stop_on=StopOn.DECIDED, rates=('cte=3',)),
+                       participants=('a',))
     assert request_from_json(request_to_json(asked)) == asked
     answer = result(0, stopped=True)
     assert result_from_json(result_to_json(answer)) == answer

@@ -15,6 +15,7 @@ from scipy.stats import binom
 from taxinet_ros.campaign.rates import failure_rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import WALL_CLOCK_COLUMNS, read_table, table, write_tables
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
@@ -27,7 +28,8 @@ SPECS = ('phi_eventually', 'phi_always')
 def run(index: int, outcome: Outcome, *, left: bool = False) -> RunRow:
     request = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5,
-        scenario=Scenario(cross_track_m=1.25, heading_rad=0.1), specs=SPECS, participants=(),
+        scenario=Scenario(cross_track_m=1.25, heading_rad=0.1), judging=Judging(specs=SPECS),
+        participants=(),
     )
     rho = dict(zip(SPECS, (0.5, -2.5), strict=True)) if outcome.judged else {}
     statistics = RunStatistics(

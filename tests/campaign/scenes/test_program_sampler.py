@@ -98,8 +98,8 @@ def test_s4_a_search_uses_the_sampler_of_the_program(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = chosen(tmp_path, monkeypatch, named('ce', alpha=0.95), sampler='')
-    assert search.facts['sampler'] == 'ce-verifai'
-    assert search.facts['sampler_options'] == {'alpha': '0.95'}
+    assert search.book.facts['sampler'] == 'ce-verifai'
+    assert search.book.facts['sampler_options'] == {'alpha': '0.95'}
     assert {row.sampler for row in search.rows} == {'ce-verifai'}
     assert search.notes == (
         "sampler ce-verifai alpha=0.95, by verifaiSamplerType = 'ce' of mine.scenic:3",
@@ -112,14 +112,14 @@ def test_s4_an_option_of_the_command_changes_one_of_the_program(
     search = chosen(
         tmp_path, monkeypatch, named('ce'), sampler='', sampler_options={'alpha': '0.99'}
     )
-    assert search.facts['sampler_options'] == {'alpha': '0.99'}
+    assert search.book.facts['sampler_options'] == {'alpha': '0.99'}
 
 
 def test_s4_the_sampler_of_the_command_wins_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = chosen(tmp_path, monkeypatch, named('ce'), sampler='halton')
-    assert search.facts['sampler'] == 'halton'
+    assert search.book.facts['sampler'] == 'halton'
     assert search.notes == (
         "sampler halton, as asked; not the verifaiSamplerType = 'ce' of mine.scenic:3",
     )
@@ -129,7 +129,7 @@ def test_s4_without_any_word_the_default_searches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     search = chosen(tmp_path, monkeypatch, None, sampler='')
-    assert search.facts['sampler'] == DEFAULT_SAMPLER
+    assert search.book.facts['sampler'] == DEFAULT_SAMPLER
     assert search.notes == ()
 
 

@@ -34,6 +34,7 @@ from taxinet_ros.campaign.shrink.shrinking import (
     result_lines,
     run_command,
 )
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
@@ -66,7 +67,7 @@ def campaign(folder: Path, scenario: Scenario = WET, **changes: Any) -> Path:
     """A campaign with one run and no bag; the path of the run."""
     folder.mkdir()
     request = RunRequest(run_id='p-s7-00000', index=0, program='p', seed=7, scenario=scenario,
-                         specs=(NAME,), participants=())
+                         judging=Judging(specs=(NAME,)), participants=())
     result = judged(request, changes.pop('outcome', None))
     row = RunRow.of_run(request, result, perception='truth', sim_s=1.0).to_json()
     with Ledger(folder / LEDGER_NAME) as ledger:
@@ -330,7 +331,7 @@ def test_given_a_run_on_a_nominal_scenario_then_there_is_nothing_to_shrink(tmp_p
 def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_path):
     path, out = campaign(tmp_path / 'c'), tmp_path / 'out'
     drive(options(path, out))
-    with pytest.raises(UsageError, match='has another nominal'):
+    with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
     with pytest.raises(UsageError, match='exists already'):
         options(path, out)

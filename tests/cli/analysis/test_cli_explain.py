@@ -14,6 +14,7 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.controller import SteeringGains
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import Scenario
@@ -36,7 +37,8 @@ def coarse(monkeypatch):
 
 def recorded(perception, fingerprint):
     request = RunRequest(
-        run_id=perception, index=0, program='p', seed=0, scenario=SCENE, specs=('phi_eventually',),
+        run_id=perception, index=0, program='p', seed=0, scenario=SCENE,
+        judging=Judging(specs=('phi_eventually',)),
         participants=('perception', 'steering_controller', 'mtl_monitor', 'recorder'),
     )
     return RecordedRun(request=request, perception=perception, fingerprint=fingerprint, gains={})

@@ -17,7 +17,6 @@ from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.campaign.shrink.shrinking import Shrinking
 from taxinet_ros.cli.bag.rerun import check_options
 from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.errors import UsageError
@@ -56,7 +55,7 @@ def test_r5_given_two_workers_then_every_run_is_that_of_the_loop_in_one_process(
     for name, row in rows.iterrows():
         run = open_recording(folder / 's' / str(name)).run
         judged = run_closed_loop(
-            run.request.scenario, GroundTruth(), specs=[parse_spec(run.request.specs[0])],
+            run.request.scenario, GroundTruth(), specs=run.request.judging.parsed_specs,
             timing=run.timing, draws=(run.request.seed, run.request.index),
         )
         assert judged.readings[0].lower == row['rho_near']

@@ -93,53 +93,60 @@ REQUIRED = [
 @pytest.mark.parametrize('key', REQUIRED)
 def test_given_a_key_left_out_when_read_then_it_is_named_and_what_to_write(key: str) -> None:
     said = complaint(yaml.safe_dump(described({key: None})).encode())
-    assert said.startswith(f'{key.replace(".0.", "[0].")} is missing; write ')
+    section, _, name = key.replace('.0.', '[0].').rpartition('.')
+    assert said.removeprefix(f'{section}: ').startswith(f'the key {name!r} is missing; expected ')
 
 
 @pytest.mark.parametrize('section', ['', 'input.', 'scaling.', 'outputs.0.'])
 def test_given_an_unknown_key_when_read_then_it_is_named_with_the_known_ones(section: str) -> None:
     said = complaint(yaml.safe_dump(described({f'{section}colr': 1})).encode())
-    assert "has an unknown key 'colr'; known: " in said
+    assert f'{section.replace(".0.", "[0].")}colr: unknown key; known: ' in said
 
 
 CTE = DESCRIPTION['outputs'][0]
 WRONG: list[tuple[str, Any, str]] = [
-    ('input', [1], 'input is [1]; write the keys name, layout'),
-    ('outputs', {}, 'outputs is {}; write a list'),
-    ('outputs', [], 'outputs is []; write a list'),
-    ('outputs.1', 'cte', "outputs[1] is 'cte'; write the keys quantity"),
-    ('input.name', 3, 'input.name is 3; write text'),
-    ('input.layout', 'NCHW', "input.layout is 'NCHW'; write nchw or nhwc or flat"),
-    ('input.colour', ['rgb'], "input.colour is ['rgb']; write rgb or bgr or grey"),
-    ('input.height', 0, 'input.height is 0; write a whole number 1..4096'),
-    ('input.height', 4.0, 'input.height is 4.0; write a whole number'),
-    ('input.height', True, 'input.height is True; write a whole number'),
-    ('input.width', 4097, 'input.width is 4097; write a whole number 1..4096'),
-    ('input.resize', 'lanczos', "input.resize is 'lanczos'; write area or"),
-    ('input.crop', [0, 0, 361, 200], 'input.crop is [0, 0, 361, 200]; write'),
-    ('input.crop', [0, 0, 360, 201], 'input.crop is [0.0, 0.0, 360.0, 201.0]; write [left, top'),
+    ('input', [1], 'input: expected KEY: VALUE pairs with the keys name, layout'),
+    ('outputs', {}, 'outputs: expected a list of entries with the keys quantity'),
+    ('outputs', [], 'outputs: expected a list'),
+    ('outputs.1', 'cte', 'outputs[1]: expected KEY: VALUE pairs with the keys quantity'),
+    ('input.name', 3, 'input.name: expected text, got 3; put it in'),
+    ('input.layout', 'NCHW', "input.layout: expected one of nchw, nhwc, flat, got 'NCHW'"),
+    ('input.colour', ['rgb'], "input.colour: expected one of rgb, bgr, grey, got ['rgb']"),
+    ('input.height', 0, 'input.height: expected a whole number, 1 to 4096, got 0'),
+    ('input.height', 4.0, 'input.height: expected a whole number, 1 to 4096, got 4.0'),
+    ('input.height', True, 'input.height: expected a whole number, 1 to 4096, got True'),
+    ('input.width', 4097, 'input.width: expected a whole number, 1 to 4096, got 4097'),
+    ('input.resize', 'lanczos',
+     "input.resize: expected one of area, linear, cubic, nearest, got 'lanczos'"),
+    ('input.crop', [0, 0, 361, 200], 'numbers, 0 to 360, got [0, 0, 361, 200]'),
+    ('input.crop', [0, 0, 360, 201], 'input.crop: is [0.0, 0.0, 360.0, 201.0]; write [left, top'),
     ('input.crop', [5, 0, 5, 200], 'left < right <= 360 and top < bottom <= 200'),
     ('input.crop', [0, 7, 5, 6], 'left < right <= 360 and top < bottom <= 200'),
     ('input.crop', [0, 0.5, 360, 200], 'in whole pixels'),
-    ('input.crop', [0, 0, 360], 'write a list of 4 numbers'),
-    ('input.brightest', {'block': 2, 'keep': 5}, 'input.brightest.keep is 5; write a whole number'),
-    ('input.brightest', {'block': 2}, 'input.brightest.keep is missing; write a whole number 1..4'),
-    ('scaling.divide_by', 0, 'scaling.divide_by is 0; write a number 1e-06..1e+06, such as'),
-    ('scaling.divide_by', '1e2', "scaling.divide_by is '1e2'; write a number"),
-    ('scaling.divide_by', math.nan, 'scaling.divide_by is nan; write a number'),
-    ('scaling.divide_by', 10**40, 'scaling.divide_by is 1000'),
-    ('scaling.per_image', 'yes', "scaling.per_image is 'yes'; write none or centre or standardise"),
-    ('scaling.mean', [0.5], 'scaling.std is missing; write a list of 1 number'),
-    ('scaling.std', [0.5], 'scaling.mean is missing; write a list of 1 number'),
-    ('scaling.clip', [1, 1], 'scaling.clip has its lowest value not below its highest'),
-    ('outputs.0.unit', 'ft', "outputs[0].unit is 'ft'; write m"),
-    ('outputs.1.unit', 'm', "outputs[1].unit is 'm'; write deg or rad"),
-    ('outputs.0.positive', 'east', "outputs[0].positive is 'east'; write left or right"),
-    ('outputs.0.scale', 0, 'outputs[0].scale makes the network say nothing'),
-    ('outputs.0.scale', math.inf, 'outputs[0].scale is inf; write a number'),
-    ('outputs.0.quantity', 'ignore', 'outputs[0].unit says nothing about an ignored number'),
-    ('outputs.1', CTE, 'outputs has 2 entries with quantity cte; the steering needs one'),
-    ('outputs', [CTE], 'outputs has 0 entries with quantity heading_error'),
+    ('input.crop', [0, 0, 360], 'expected a list of 4 numbers'),
+    ('input.brightest', {'block': 2, 'keep': 5},
+     'brightest.keep: expected a whole number, 1 to 4, got 5'),
+    ('input.brightest', {'block': 2},
+     "brightest: the key 'keep' is missing; expected a whole number, 1 to 4"),
+    ('scaling.divide_by', 0, 'scaling.divide_by: expected a number, 1e-06 to 1e+06, got 0'),
+    ('scaling.divide_by', '1e2',
+     "scaling.divide_by: expected a number, 1e-06 to 1e+06, got '1e2'; write it as 0.5"),
+    ('scaling.divide_by', math.nan,
+     'scaling.divide_by: expected a number, 1e-06 to 1e+06, got nan'),
+    ('scaling.divide_by', 10**40, 'scaling.divide_by: expected a number, 1e-06 to 1e+06, got 1000'),
+    ('scaling.per_image', 'yes',
+     "scaling.per_image: expected one of none, centre, standardise, got 'yes'"),
+    ('scaling.mean', [0.5], "scaling: the key 'std' is missing; expected a list of 1 number"),
+    ('scaling.std', [0.5], "scaling: the key 'mean' is missing; expected a list of 1 number"),
+    ('scaling.clip', [1, 1], 'scaling.clip: has its lowest value not below its highest'),
+    ('outputs.0.unit', 'ft', "outputs[0].unit: expected m, got 'ft'"),
+    ('outputs.1.unit', 'm', "outputs[1].unit: expected one of deg, rad, got 'm'"),
+    ('outputs.0.positive', 'east', "outputs[0].positive: expected one of left, right, got 'east'"),
+    ('outputs.0.scale', 0, 'outputs[0].scale: makes the network say nothing'),
+    ('outputs.0.scale', math.inf, 'outputs[0].scale: expected a number, -1e+06 to 1e+06, got inf'),
+    ('outputs.0.quantity', 'ignore', 'outputs[0].unit: says nothing about an ignored number'),
+    ('outputs.1', CTE, 'outputs: has 2 entries with quantity cte; the steering needs one'),
+    ('outputs', [CTE], 'outputs: has 0 entries with quantity heading_error'),
 ]
 
 
@@ -153,36 +160,37 @@ def test_given_a_value_that_cannot_be_when_read_then_key_value_and_mend_are_name
 def test_given_a_colour_picture_when_its_numbers_do_not_fit_then_it_is_refused() -> None:
     said = complaint(yaml.safe_dump(described({
         'input.colour': 'rgb', 'scaling.mean': [0.5], 'scaling.std': [1]})).encode())
-    assert 'scaling.mean is [0.5]; write a list of 3 numbers' in said
+    assert 'scaling.mean: expected a list of 3 numbers, -1e+06 to 1e+06, got [0.5]' in said
     said = complaint(yaml.safe_dump(described({
         'input.colour': 'rgb', 'input.layout': 'flat'})).encode())
-    assert said == 'input.layout is flat, which is for grey pictures; write nchw or nhwc'
+    assert said == 'input.layout: is flat, which is for grey pictures; write nchw or nhwc'
 
 
 def test_given_blocks_when_the_resized_frame_were_huge_then_it_is_refused() -> None:
     said = complaint(yaml.safe_dump(described({
         'input.brightest': {'block': 64, 'keep': 1}, 'input.height': 65})).encode())
-    assert said == 'input.height is 65; write a whole number 1..64'
+    assert said == 'input.height: expected a whole number, 1 to 64, got 65'
 
 
 BOMB = b'a: &a [x,x]\n' + b''.join(b'%c: &%c [*%c,*%c]\n' % (i + 1, i + 1, i, i)
                                    for i in range(97, 115))
 HOSTILE: list[tuple[bytes, str]] = [
-    (b'', 'the description is None; write the keys input'),
+    (b'', 'expected KEY: VALUE pairs with the keys input, scaling, outputs, got None'),
     (b'\xff\xfe\x00', 'is not text in UTF-8'),
-    (b'just words', "the description is 'just words'; write"),
-    (b'input: [', 'is not YAML: line 1: '),
-    (b'input: 1\ninput: 2', 'is not YAML: line 2: input is given twice'),
+    (b'just words',
+     "expected KEY: VALUE pairs with the keys input, scaling, outputs, got 'just words'"),
+    (b'input: [', 'line 1, column '),
+    (b'input: 1\ninput: 2', 'line 2, column 1: input is given twice'),
     (b'input: !!python/object/apply:os.system [ls]', 'could not determine a constructor'),
-    (b'? [1, 2]\n: 3', 'is not YAML: line 1: found unhashable key'),
+    (b'? [1, 2]\n: 3', 'line 1, column 3: found unhashable key'),
     (b'\0', 'is not YAML: '),
     (b'a: 2001-99-99', 'is not YAML: '),
     (b'[' * 9000, 'is not YAML: '),
     (b'input: ' + b'9' * 9000, 'is not YAML: '),
-    (b'input: 0x' + b'f' * 9000, 'input is '),
-    (b'input: &a [*a]', 'line 1: an alias (*) is not read; write it out'),
-    (BOMB, 'line 2: an alias (*) is not read; write it out'),
-    (b'input: &a [[[[1]]]]', 'input is [[[...]]]; write the keys'),
+    (b'input: 0x' + b'f' * 9000, 'input: expected KEY: VALUE pairs with the keys name, '),
+    (b'input: &a [*a]', 'line 1, column 15: an alias (*) is not read; write it out'),
+    (BOMB, 'line 2, column 11: an alias (*) is not read; write it out'),
+    (b'input: &a [[[[1]]]]', 'got [[[...]]]'),
 ]
 
 

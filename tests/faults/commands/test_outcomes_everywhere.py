@@ -71,8 +71,11 @@ def test_given_five_outcomes_when_printed_then_each_is_named_and_only_judged_run
 
 def test_given_five_outcomes_when_a_sampler_is_told_then_only_judged_runs_have_a_rho(campaign):
     _, _, rows = campaign
-    told = {outcome: {row.told('phi_always') for row in rows if row.outcome is outcome}
-            for outcome in Outcome}
+    told = {
+        outcome: {
+            row.robustness_for_sampler('phi_always') for row in rows if row.outcome is outcome
+        } for outcome in Outcome
+    }
     assert all(rho > 0 for rho in told[Outcome.PASS])
     assert all(rho < 0 for rho in told[Outcome.FAIL])
     for outcome in (Outcome.REJECTED, Outcome.INFRA_ERROR, Outcome.INTERRUPTED):

@@ -19,8 +19,8 @@ from waiting import wait_for
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.campaign.record.ledger import read_ledger
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.errors import ExitCode
 from taxinet_ros.processes.interrupts import (
-    INTERRUPTED,
     interrupted_exit_code,
     interrupts,
     lost_interrupts_resent,
@@ -142,7 +142,7 @@ def test_given_a_signal_in_a_callback_that_may_not_raise_then_it_comes_again(num
         pytest.raises(KeyboardInterrupt),
     ):
         forget()
-    assert interrupted_exit_code(INTERRUPTED) == code
+    assert interrupted_exit_code(ExitCode.INTERRUPTED) == code
     assert capfd.readouterr().err == ''
 
 
@@ -197,7 +197,7 @@ def test_given_signal_after_signal_then_the_second_gives_up_and_the_third_ends_a
     with pytest.raises(KeyboardInterrupt):
         thrice()
     assert heard == ['first', 'and on', 'second', *['and on'] * told]
-    assert interrupted_exit_code(INTERRUPTED) == code
+    assert interrupted_exit_code(ExitCode.INTERRUPTED) == code
     assert interrupted_exit_code(1) == 1
 
 

@@ -24,6 +24,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunResult
 from taxinet_ros.nodes import interface, simulator
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
@@ -303,7 +304,9 @@ def test_f4_given_a_peer_that_comes_when_the_bag_is_closed_then_he_alone_is_name
         options = GraphOptions(
             perception='truth', out=tmp_path, images='none', timeouts={'answer_timeout': 1.0})
         graph = stack.enter_context(composed_graph(options))
-        (result,) = run(graph, request(duration=1.0, specs=('phi=always(abs(cte) <= 100)',)))
+        (result,) = run(graph, request(
+            duration=1.0, judging=Judging(specs=('phi=always(abs(cte) <= 100)',))
+        ))
     assert (result.outcome, result.kind, result.who) == result_is, result
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
@@ -36,7 +37,7 @@ def requests() -> list[RunRequest]:
     return [
         RunRequest(
             run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            specs=SPECS, participants=PARTICIPANTS,
+            judging=Judging(specs=SPECS), participants=PARTICIPANTS,
         )
         for index, scene in enumerate(SCENES)
     ]

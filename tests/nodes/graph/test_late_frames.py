@@ -7,6 +7,7 @@ import pytest
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE, restore_frames
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
@@ -24,7 +25,8 @@ def requests() -> list[RunRequest]:
     scenario = scenario_from_human({**values, 'duration': 1})
     return [
         RunRequest(
-            run_id=spec, index=index, program='test', seed=1, scenario=scenario, specs=(spec,),
+            run_id=spec, index=index, program='test', seed=1, scenario=scenario,
+            judging=Judging(specs=(spec,)),
             participants=PARTICIPANTS,
         )
         for index, spec in enumerate(('phi_always', 'on_runway'))

@@ -9,6 +9,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.loop import Step, run_closed_loop
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import RunRequest, RunResult
@@ -50,7 +51,8 @@ def test_given_an_onnx_network_when_run_in_the_graph_then_its_trace_is_the_loops
     steps: list[Step] = []
     run_closed_loop(SCENE, perception, specs=[parse_spec('phi_always')], on_step=steps.append)
     request = RunRequest(
-        run_id='run-0', index=0, program='test', seed=1, scenario=SCENE, specs=('phi_always',),
+        run_id='run-0', index=0, program='test', seed=1, scenario=SCENE,
+        judging=Judging(specs=('phi_always',)),
         participants=PARTICIPANTS,
     )
     results: list[RunResult] = []

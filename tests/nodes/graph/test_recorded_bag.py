@@ -29,6 +29,7 @@ from taxinet_ros.bag.run.topics import (
     TRUTH,
     VERDICT,
 )
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -44,7 +45,7 @@ def request(run_id: str, duration: float) -> RunRequest:
     return RunRequest(
         run_id=run_id, index=0, program='mine', seed=0,
         scenario=scenario_from_human({'duration': duration, 'cross_track': 2}),
-        specs=('on_runway',), participants=PARTICIPANTS,
+        judging=Judging(specs=('on_runway',)), participants=PARTICIPANTS,
     )
 
 

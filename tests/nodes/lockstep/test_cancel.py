@@ -11,6 +11,7 @@ from rclpy.task import Future
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -66,7 +67,7 @@ def test_given_a_cancel_at_any_moment_then_what_is_cancelled_has_no_verdict(tmp_
             request = RunRequest(
                 run_id=f'r{index}', index=index, program='test', seed=0,
                 scenario=scenario_from_human({'cross_track': 1.0, 'duration': 0.5}),
-                specs=('phi_always',), participants=interface.PARTICIPANTS,
+                judging=Judging(specs=('phi_always',)), participants=interface.PARTICIPANTS,
             )
             taken, ended = client.cancelled_after(request, wait_s)
             status = ended.result.status

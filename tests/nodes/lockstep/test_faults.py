@@ -8,6 +8,7 @@ from waiting import wait_for
 
 from taxinet_ros.bag.errors import BagTruncated
 from taxinet_ros.bag.reader import read_messages
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
@@ -21,7 +22,7 @@ def request(run_id: str = 'run', duration: float = 60.0, **changes) -> RunReques
     values = {
         'run_id': run_id, 'index': 0, 'program': 'test', 'seed': 0,
         'scenario': scenario_from_human({'duration': duration}),
-        'specs': ('phi_eventually',), 'participants': PARTICIPANTS,
+        'judging': Judging(specs=('phi_eventually',)), 'participants': PARTICIPANTS,
     }
     return RunRequest(**{**values, **changes})
 

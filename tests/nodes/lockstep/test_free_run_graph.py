@@ -14,7 +14,8 @@ from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.campaign.past_runs.judged_run import find_run
 from taxinet_ros.campaign.shrink.options import make_shrink_options
 from taxinet_ros.cli.bag.replay import ReplayOptions, run_replay
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult, StopOn
+from taxinet_ros.core.judging import Judging, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import free_timing
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
@@ -65,7 +66,8 @@ STEPS = 101
 def request(**changes) -> RunRequest:
     return RunRequest(**{
         'run_id': 'free', 'index': 0, 'program': 'test', 'seed': 1,
-        'scenario': Scenario(cross_track_m=2.0, duration_s=10.0), 'specs': ('phi_eventually',),
+        'scenario': Scenario(cross_track_m=2.0, duration_s=10.0),
+        'judging': Judging(specs=('phi_eventually',)),
         'participants': PARTICIPANTS, **changes,
     })
 
@@ -174,7 +176,7 @@ def test_r5_given_a_perception_that_falls_silent_or_dies_then_the_run_breaks_and
 
 
 def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp_path):
-    asked = request(specs=('phi_always', 'phi_eventually', 'on_runway'))
+    asked = request(judging=Judging(specs=('phi_always', 'phi_eventually', 'on_runway')))
     result = run(composed_graph(options(tmp_path, 'truth', 'max')), asked)
     assert result.outcome.judged, result
     assert result.free['overruns'] == 0
@@ -182,7 +184,7 @@ def test_r5_given_no_pace_then_it_goes_as_fast_as_it_can_and_nothing_is_lost(tmp
 
 
 def test_r5_given_a_free_graph_then_a_rule_to_stop_is_refused(tmp_path):
-    asked = request(stop_on=StopOn.VIOLATED)
+    asked = request(judging=Judging(specs=('phi_eventually',), stop_on=StopOn.VIOLATED))
     result = run(composed_graph(options(tmp_path, 'truth', '1')), asked)
     assert (result.outcome, result.detail) == (
         Outcome.REJECTED,

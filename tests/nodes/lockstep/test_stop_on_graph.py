@@ -10,9 +10,10 @@ from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.bag.check.judge import judge_runs
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.judging import Judging, StopOn
 from taxinet_ros.core.loop import run_closed_loop
 from taxinet_ros.core.mtl import Assumptions, parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, StopOn
+from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.perception.perception import make_perception
 from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
@@ -29,7 +30,7 @@ def requests(stop_on: StopOn) -> list[RunRequest]:
     return [
         RunRequest(
             run_id=f'run-{index}', index=index, program='test', seed=1, scenario=scene,
-            specs=SPECS, participants=PARTICIPANTS, stop_on=stop_on,
+            participants=PARTICIPANTS, judging=Judging(specs=SPECS, stop_on=stop_on),
         )
         for index, scene in enumerate((LATE, GOOD))
     ]
@@ -99,18 +100,20 @@ def test_given_decided_when_a_run_ends_then_every_formula_is_decided_or_the_run_
 
 
 def test_given_rates_that_the_user_vouches_for_then_it_is_decided_earlier_as_without_ros(tmp_path):
+    specs = ('wide=always(abs(cte) <= 8)',)
     base = replace(
-        requests(StopOn.DECIDED)[1], specs=('wide=always(abs(cte) <= 8)',), rates=('cte=3',)
+        requests(StopOn.DECIDED)[1],
+        judging=Judging(specs=specs, stop_on=StopOn.DECIDED, rates=('cte=3',)),
     )
-    asked = [base, replace(
-        base, run_id='run-x', rates=('cte=0.001',), bounds=('cte=-20:20',), stop_on=StopOn.NEVER,
-    )]
+    asked = [base, replace(base, run_id='run-x', judging=Judging(
+        specs=specs, rates=('cte=0.001',), bounds=('cte=-20:20',),
+    ))]
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
     kept, broken = run_graph(composed_graph(options), asked)
 
     steps = []
     judgement = run_closed_loop(
-        GOOD, make_perception('truth'), specs=[parse_spec(base.specs[0])],
+        GOOD, make_perception('truth'), specs=base.judging.parsed_specs,
         stop_on=StopOn.DECIDED, assumptions=Assumptions(rates={'cte': 3.0}), on_step=steps.append,
     )
     assert (kept.outcome, kept.stopped_early) == (Outcome.PASS, True)

@@ -19,6 +19,7 @@ from sensor_msgs.msg import Image
 from taxinet_ros.bag.cdr.image import frame_of_cdr, image_cdr
 from taxinet_ros.bag.run import message_values
 from taxinet_ros.core.camera.camera import Camera, intrinsics, pose, project
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, quaternion
@@ -41,7 +42,7 @@ def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
         assert getattr(scenario, field.name) != getattr(default, field.name), field.name
     request = RunRequest(
         run_id='run', index=3, program='s_falsif', seed=9, scenario=scenario,
-        specs=('phi_always',), participants=('perception',),
+        judging=Judging(specs=('phi_always',)), participants=('perception',),
     )
     message = convert.scenario_message(request)
     assert message_values.scenario_of(message) == scenario

@@ -121,7 +121,7 @@ def test_given_an_interruption_when_resumed_then_every_byte_is_as_without(
     # As a kill leaves it: the last line torn, and a draft beside an image that is on no record.
     record = parts / 'finished.jsonl'
     record.write_bytes(record.read_bytes()[:-7])
-    (parts / 'images' / f'.00000{stop - 1}.png.draft').write_bytes(b'\x89PN')
+    (parts / 'images' / f'.00000{stop - 1}.part.png').write_bytes(b'\x89PN')
     (parts / 'images' / f'00000{stop - 1}.png').unlink()
     assert write_dataset(options(parts, resume=True)) == 6 - stop + 1
     assert contents(parts) == contents(whole)
@@ -229,7 +229,7 @@ def test_f1_given_a_full_disk_before_anything_is_begun_then_the_same_command_beg
     write_dataset(options(tmp_path / 'whole'))
     out = tmp_path / 'set'
     out.mkdir()
-    (out / '.request.json.draft').write_text('{"half')
+    (out / '.request.part.json').write_text('{"half')
     assert write_dataset(options(out)) == 6
     assert contents(out) == contents(tmp_path / 'whole')
 

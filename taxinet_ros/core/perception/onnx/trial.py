@@ -30,7 +30,13 @@ from taxinet_ros.core.perception.onnx.network import (
 )
 from taxinet_ros.core.perception.onnx.sidecar import file_error
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.processes.child import child_environment, die_with_parent, limit_cpu, limit_memory
+from taxinet_ros.processes.child import (
+    ChildProcess,
+    exit_words,
+    limit_cpu,
+    limit_memory,
+    module_command,
+)
 
 CPU_S = 30
 """Processor time in which it has to be through; a control step has a small part of it."""
@@ -73,28 +79,19 @@ def _try_elsewhere(files: NetworkFiles, fingerprint: str) -> str:
     Raises:
         UsageError, InfraError: as :func:`tried_network`.
     """
-    # -P: a numpy.py in the user's folder must not become numpy.
-    command = [
-        sys.executable,
-        '-P',
-        '-m',
-        'taxinet_ros.core.perception.onnx.trial',
-        str(files.path),
-        str(MEMORY_BYTES),
-        str(CPU_S),
-    ]
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        env=child_environment(), start_new_session=True,
+    command = module_command(
+        'taxinet_ros.core.perception.onnx.trial', str(files.path), str(MEMORY_BYTES), str(CPU_S)
+    )
+    with ChildProcess(
+        'trial', command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        killed_with_parent=True,
     ) as child:
         try:
-            said, _ = child.communicate(timeout=WALL_S)
+            said, _ = child.process.communicate(timeout=WALL_S)
         except subprocess.TimeoutExpired:
             raise file_error(files.path, f'was not tried within {WALL_S:g} s') from None
-        finally:
-            child.kill()
-    if child.returncode:
-        raise _lost(files.path, child.returncode)
+    if child.code:
+        raise _lost(files.path, child.code)
     answer = json.loads(said)
     if 'error' in answer:
         raise UsageError(answer['error'])
@@ -113,7 +110,7 @@ def _lost(path: Path, code: int) -> UsageError | InfraError:
             f'needs more than {CPU_S} s of processor time to be opened and to look at '
             'a few frames; make it smaller',
         )
-    how = f'killed by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+    how = exit_words(code)
     if code == -signal.SIGKILL:
         return InfraError(InfraKind.DIED, f'trial of {path}', -1, how)
     return file_error(path, f'breaks the process that tries it ({how}), which may have '
@@ -179,7 +176,6 @@ def _digest(answers: bytes) -> str:
 
 def main() -> None:
     """Try the network of ``NAME.onnx MEMORY_BYTES CPU_S``; print one line of JSON."""
-    die_with_parent(signal.SIGKILL)
     path, memory_bytes, cpu_s = sys.argv[1:]
     limit_memory(int(memory_bytes))
     limit_cpu(int(cpu_s))

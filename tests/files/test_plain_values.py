@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.errors import UsageError
+from taxinet_ros.files.plain_values import Section, load_yaml, parse_yaml
+
+FILE = Path('a.yaml')
+
+
+def section(text: str, **words: object) -> Section:
+    return Section(FILE, parse_yaml(FILE, text.encode(), about='it: '), about='it: ', **words)
+
+
+def test_given_a_file_when_asked_then_it_hands_out_what_is_there_and_else_the_default() -> None:
+    top = section('{n: 3, x: 2, on_: true, w: red, l: [1, 2.5], s: {t: a}, many: [a, b], one: c}')
+    assert (top.whole('n', 0), top.whole('m', 0, default=7)) == (3, 7)
+    assert (top.number('x', 0, 2), top.switch('on_'), top.word('w', ('red', 'blue'))) == (
+        2.0, True, 'red'
+    )
+    assert top.numbers('l', 2, 0, 3) == (1.0, 2.5)
+    assert top.section('s', ('t',)).text('t') == 'a'
+    assert list(top.section('gone', optional=True)) == []
+    assert [one.text('many') for one in top.several('many')] == ['a', 'b']
+    assert [one.text('one') for one in top.several('one')] == ['c']
+
+
+@pytest.mark.parametrize(('text', 'look', 'complaint'), [
+    ('[1]', lambda top: None, 'it: a.yaml: expected KEY: VALUE pairs, got [1]'),
+    ('on: 1', lambda top: None,
+     "it: a.yaml: expected words as keys, got True; put it in '…' quotes"),
+    ('s: {t: {u: 1}}', lambda top: top.section('s').section('t', ('v', 'w')),
+     'it: a.yaml: s.t.u: unknown key; known: v, w'),
+    ('s: {}', lambda top: top.section('s').whole('n', 1, 9),
+     "it: a.yaml: s: the key 'n' is missing; expected a whole number, 1 to 9"),
+    ('s: {n: 1.0}', lambda top: top.section('s').whole('n', 1),
+     'it: a.yaml: s.n: expected a whole number, 1 or more, got 1.0'),
+    ('x: 1e2', lambda top: top.number('x', 0),
+     "it: a.yaml: x: expected a number, 0 or more, got '1e2'; write it as 0.5 or 1.0e-3"),
+    ('x: .inf', lambda top: top.number('x', 0),
+     'it: a.yaml: x: expected a number, 0 or more, got inf'),
+    ('l: [{a: 1}, {b: 1}]', lambda top: top.sections('l', ('a',)),
+     'it: a.yaml: l[1].b: unknown key; known: a'),
+    ('l: [a, a]', lambda top: top.several('l'),
+     "it: a.yaml: l: expected one or several, each once, got ['a', 'a']"),
+    ('a: 1\na: 2', lambda top: None, 'it: a.yaml: line 2, column 1: a is given twice'),
+    ('<<: {a: 1}', lambda top: None,
+     'it: a.yaml: line 1, column 1: a merge key (<<) is not read; write it out'),
+])
+def test_given_what_is_wrong_then_one_line_has_file_key_and_what_is_expected(
+    text, look, complaint
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        look(section(text))
+    assert str(caught.value) == complaint
+
+
+def test_given_yaml_of_a_bag_then_a_key_twice_is_read_and_a_merge_key_is_not() -> None:
+    assert load_yaml('a: 1\na: 2') == {'a': 2}
+    with pytest.raises(ValueError, match='not YAML of plain values'):
+        load_yaml('b: &b {a: 1}\nc: {<<: *b}')
