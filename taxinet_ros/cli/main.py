@@ -11,6 +11,7 @@ import contextlib
 import errno
 import importlib
 import os
+import resource
 import signal
 import sys
 import tempfile
@@ -88,6 +89,8 @@ def start_node(name: str, arguments: Sequence[str]) -> None:
     importlib.import_module(f'taxinet_ros.nodes.{name}').main()
 
 
+_FILES_OF_A_NODE = 12
+"""What a node opens at once, about: sockets, pipes, shared memory."""
 _NOBODY_READS = 'output: nobody reads it any more'
 _PATH_ERRORS = (
     errno.EACCES, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR,
@@ -309,12 +312,31 @@ def _unforeseen(error: BaseException) -> str:
         traceback.print_exception(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f'{Path(frame.filename).name}:{frame.lineno}'
-    ours = isinstance(error, Exception)  # else it is SystemExit, as out of somebody's handler
-    what = 'this is a defect of taxinet' if ours else 'it ended what was at hand'
+    if scarce := _scarce_files():
+        what = scarce
+    elif isinstance(error, Exception):
+        what = 'this is a defect of taxinet'
+    else:  # it is SystemExit, as out of somebody's handler
+        what = 'it ended what was at hand'
     return (
         f'{type(error).__name__} in {place}: {plain_line(str(error))}; {what} '
         '(TAXINET_TRACEBACK=1 shows where it comes from)'
     )
+
+
+def _scarce_files() -> str:
+    """What there is to say where there are hardly any files left to open; else ''.
+
+    ROS tells no reason where it has none for its sockets.
+    """
+    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    try:
+        in_use = len(os.listdir('/proc/self/fd'))
+    except OSError as error:
+        in_use = allowed if error.errno in (errno.EMFILE, errno.ENFILE) else 0
+    if in_use + _FILES_OF_A_NODE <= allowed:
+        return ''
+    return f'too many open files: ulimit -n is {allowed}, and {in_use} are open; raise it'
 
 
 def _complain(line: str, code: int) -> int:

@@ -45,6 +45,10 @@ class Quality:
 
 # Nothing may be lost, so best effort is out; depth holds the lockstep's window with room to spare.
 LOCKSTEP = Quality(depth=16)
+# The window counts frames. Of each frame there is one message per formula, and several nodes report
+# how far they are; in a free run nobody waits until an answer that was lost on its way, and is sent
+# again within a second, has reached everybody, and there are at most 1000 frames in that.
+_QUEUE = 4000
 # What the loop's nodes look at: where they are slower than the frames, the newest and no backlog.
 NEWEST = Quality(depth=1)
 # Depth counts messages of all publishers together, and several nodes share node_status.
@@ -72,6 +76,8 @@ class Topic:
             where ``recorded``.
         recorded: how many messages a run's bag holds, or None where the topic is not recorded.
         carries: one line for people.
+        queue: messages that may wait at either end, where those are more than the depth in
+            ``quality``.
     """
 
     name: str
@@ -81,6 +87,7 @@ class Topic:
     subscribers: tuple[str, ...]
     recorded: str | None
     carries: str
+    queue: int = 0
 
     @property
     def each_step(self) -> bool:
@@ -141,16 +148,19 @@ ESTIMATE = Topic(
     publishers=(PERCEPTION,), subscribers=(SIMULATOR, STEERING_CONTROLLER, MTL_MONITOR),
     recorded=PER_STEP,
     carries="the perception's estimate for the frame that it names",
+    queue=_QUEUE,
 )
 COMMAND = Topic(
     name='taxi_command', type_name='taxinet_msgs/msg/TaxiCommand', quality=LOCKSTEP,
     publishers=(STEERING_CONTROLLER,), subscribers=(SIMULATOR, MTL_MONITOR), recorded=PER_STEP,
     carries='steering angle and speed for the frame that it names',
+    queue=_QUEUE,
 )
 ROBUSTNESS = Topic(
     name='monitor/robustness', type_name='taxinet_msgs/msg/Robustness', quality=LOCKSTEP,
     publishers=(MTL_MONITOR,), subscribers=(), recorded=PER_SPEC,
     carries='robust satisfaction interval of one formula so far',
+    queue=_QUEUE,
 )
 VERDICT = Topic(
     name='monitor/verdict', type_name='taxinet_msgs/msg/Verdict', quality=LATCHED,
@@ -161,6 +171,7 @@ PROGRESS = Topic(
     name='lockstep/progress', type_name='taxinet_msgs/msg/NodeStatus', quality=LOCKSTEP,
     publishers=FOLLOWERS, subscribers=(SIMULATOR,), recorded=None,
     carries='how far monitor and recorder have come',
+    queue=_QUEUE,
 )
 RUN_STATUS = Topic(
     name='run_status', type_name='taxinet_msgs/msg/RunStatus', quality=LATCHED,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -53,8 +53,14 @@ class Topic(topics.Topic):
 
     @functools.cached_property
     def qos(self) -> QoSProfile:
-        """Quality of service of both ends."""
+        """Quality of service of both ends, as bags tell it."""
         return qos_profile(self.quality)
+
+    @property
+    def end_qos(self) -> QoSProfile:
+        """What both ends are made with."""
+        depth = self.queue or self.quality.depth
+        return qos_profile(replace(self.quality, depth=depth))
 
 
 @functools.cache

@@ -72,7 +72,9 @@ class MtlMonitor(Participant):
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False
-        self._arrived = {interface.ODOMETRY.name: -1, interface.TRUTH.name: -1}
+        heard = interface.ODOMETRY, interface.TRUTH, interface.TIMING
+        self._arrived = {topic.name: -1 for topic in heard}
+        self._told_free = (-1, -1)
         self._judged = 0
         self._command = ROLLING_ON
         self._readings = ()
@@ -112,12 +114,14 @@ class MtlMonitor(Participant):
             for frame in frames:
                 for step, messages in self._steps.excuse(topic.name, frame):
                     self._judge_step(step, messages)
+        self._arrived[interface.TIMING.name] = timing.seq
         self._report_free()
 
     def _report_free(self) -> None:
-        if self._free:
-            arrived_ns = min(self._arrived.values()) * CONTROL_PERIOD_NS
-            self._progress.publish(self.progress(self._judged, max(arrived_ns, 0)))
+        now = self._judged, max(min(self._arrived.values()), 0)
+        if self._free and now != self._told_free:
+            self._told_free = now
+            self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
 
     def _judge_step(self, seq: int, messages: dict[str, list[Any]]) -> None:
         odometry, truth = (messages[topic.name][0] for topic in _INPUTS[:2])

@@ -299,8 +299,10 @@ class Recorder(Participant):
         self._free = False
         self._account: FreeRunAccount | None = None
         self._arrived = {
-            topic.name: -1 for topic in self._stepped if topic.publishers == (interface.SIMULATOR,)
+            topic.name: -1 for topic in (*self._stepped, interface.TIMING)
+            if topic.publishers == (interface.SIMULATOR,)
         }
+        self._told_free = (-1, -1)
 
     def figures(self) -> dict[str, object]:
         """See :class:`Participant`: of the bag at hand, and of the disk."""
@@ -393,13 +395,15 @@ class Recorder(Participant):
         ):
             for frame in frames:
                 self._held += self._steps.excuse(topic.name, frame)
+        self._arrived[interface.TIMING.name] = timing.seq
         self._write_steps()
         self._report_free()
 
     def _report_free(self) -> None:
-        if self._free:
-            arrived_ns = max(min(self._arrived.values()), 0) * CONTROL_PERIOD_NS
-            self._progress.publish(self.progress(max(self._written - 1, 0), arrived_ns))
+        now = max(self._written - 1, 0), max(min(self._arrived.values()), 0)
+        if self._free and now != self._told_free:
+            self._told_free = now
+            self._progress.publish(self.progress(now[0], now[1] * CONTROL_PERIOD_NS))
 
     def _on_status(self, cdr: bytes) -> None:
         status = deserialize_message(cdr, NodeStatus)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from taxinet_ros.core.perception.perception import Perception, make_perception, perception_names
+from taxinet_ros.core.perception.perception import (
+    GroundTruth,
+    Perception,
+    make_perception,
+    perception_names,
+)
+from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.perception import PerceptionNode
@@ -33,7 +39,13 @@ class TaxinetPerception(PerceptionNode):
 
     def choose(self) -> Perception:
         """The network that the parameter ``weights`` names."""
-        return make_perception(declare_all(self, _OPTIONS)['weights'])
+        word = declare_all(self, _OPTIONS)['weights']
+        if word == GroundTruth.word:
+            raise UsageError(
+                f'{USAGE.executable}: parameter weights: {word} looks at no picture; start '
+                'ground_truth_perception instead'
+            )
+        return make_perception(word)
 
 
 def main() -> None:

@@ -129,6 +129,16 @@ def test_given_an_override_of_the_quality_of_service_then_it_is_refused_by_name(
     assert 'parameter qos_overrides./clock.publisher.depth: the quality of service' in line
 
 
+def test_given_the_truth_as_a_network_then_it_is_refused_and_the_node_for_it_is_named():
+    words = ('taxinet_perception', '--ros-args', '-p', 'weights:=truth')
+    code, _, errors = ends_of({'x': words})['x']
+    assert code == 2, errors
+    assert errors.splitlines() == [
+        'error: taxinet_perception: parameter weights: truth looks at no picture; start '
+        'ground_truth_perception instead'
+    ]
+
+
 def test_r15_given_a_graph_that_is_not_whole_then_who_is_up_says_whom_it_waits_for(tmp_path):
     """And once it has them; a Ctrl-C meanwhile is no reason for a complaint."""
     with own_domain() as domain:

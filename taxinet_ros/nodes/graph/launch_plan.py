@@ -58,6 +58,10 @@ ARGUMENTS = {
 }
 """Default and description of every launch argument."""
 
+_EITHER = (
+    ('perception', 'perception_cmd'), ('controller', 'controller_cmd'), ('scenario', 'program'),
+)
+
 RENAMED = {'weights': 'perception'}
 """Arguments of older launch files, with the one that takes their value now."""
 
@@ -94,8 +98,12 @@ def check_names(given: Sequence[str]) -> None:
         given: ``NAME:=VALUE`` each.
 
     Raises:
-        UsageError: names the first that is none, and the nearest that is.
+        UsageError: names the first that is none, and the nearest that is; or two that say the same.
     """
+    typed = {name: value for name, _, value in (text.partition(':=') for text in given) if value}
+    for one, other in _EITHER:
+        if one in typed and other in typed:
+            raise UsageError(_one_of_two(one, other, typed))
     for text in given:
         name = text.partition(':=')[0]
         if name in RENAMED:
@@ -232,11 +240,15 @@ def _word_or_command(words: Mapping[str, str], role: str) -> str:
     """
     word, command = words[role], words[f'{role}_cmd']
     if command and word != ARGUMENTS[role][0]:
-        raise UsageError(f'{role}:={word} and {role}_cmd:={command}: give one of the two')
+        raise UsageError(_one_of_two(role, f'{role}_cmd', words))
     word = f'{COMMAND}{command}' if command else word
     if names_user_code(word):
         find_user_code(word, role)
     return word
+
+
+def _one_of_two(one: str, other: str, words: Mapping[str, str]) -> str:
+    return f'{one}:={words[one]} and {other}:={words[other]}: give one of the two'
 
 
 def _ours(name: str, **parameters: Any) -> NodePlan:
@@ -266,9 +278,7 @@ def _campaign(words: Mapping[str, str], out: str) -> dict[str, Any]:
     scenario = words['scenario']
     if words['program']:
         if scenario not in (ARGUMENTS['scenario'][0], words['program']):
-            raise UsageError(
-                f'scenario:={scenario} and program:={words["program"]}: give one of the two'
-            )
+            raise UsageError(_one_of_two('scenario', 'program', words))
         scenario = words['program']
     return {
         'program': scenario,

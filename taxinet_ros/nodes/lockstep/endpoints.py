@@ -276,7 +276,7 @@ class HeardSpeakers(Speakers):
             on_match()
 
         self.subscription = node.create_subscription(
-            topic.type, topic.name, callback, qos or topic.qos, raw=raw,
+            topic.type, topic.name, callback, qos or topic.end_qos, raw=raw,
             event_callbacks=SubscriptionEventCallbacks(matched=matched),
         )
         super().__init__(node, topic, self.subscription.topic_name)

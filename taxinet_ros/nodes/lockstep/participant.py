@@ -71,7 +71,7 @@ class Participant(Node):
 
     def speak(self, topic: Topic) -> Publisher:
         """Publish on a topic of the table."""
-        publisher = self.create_publisher(topic.type, topic.name, topic.qos)
+        publisher = self.create_publisher(topic.type, topic.name, topic.end_qos)
         self._speakers.append((topic, publisher))
         return publisher
 
@@ -91,7 +91,7 @@ class Participant(Node):
             callback, raw = self._reading(topic, callback), True
         self._listeners.append(HeardSpeakers(
             self, topic, self._guarded(callback, topic.each_step), raw=raw,
-            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.qos,
+            on_match=self.spoken_into, qos=interface.NEWEST if newest else topic.end_qos,
         ))
 
     def destroy_node(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -77,6 +78,18 @@ def test_f6_given_broken_surroundings_then_no_command_ends_in_a_traceback_or_a_v
         assert code == 2 or (code == 4 and surroundings in BREAK_ALL), (name, code, complaints)
         assert not WRONG.search(complaints), (name, complaints)
         assert len(complaints.splitlines()) <= 1, (name, complaints)
+
+
+def test_given_too_few_files_for_the_nodes_of_ros_then_that_is_said_and_no_defect(tmp_path):
+    asked = subprocess.run(
+        [SCRIPT, 'run', 's_falsif', '--perception', 'truth', '--runs', '1', '--out', 'out'],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (13, 13)),
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+    )
+    line = asked.stderr.splitlines()[-1]
+    assert asked.returncode == 4, asked.stderr
+    assert 'oo many open files' in line
+    assert not WRONG.search(line)
 
 
 @pytest.mark.parametrize(('surroundings', 'code', 'complaint'), [

@@ -7,36 +7,45 @@ import signal
 import threading
 
 import pytest
+import rclpy
 from fault_runs import request, run, steps_in
-from rclpy.node import Node
+from rclpy.context import Context
+from rclpy.parameter import Parameter
 from waiting import PATIENT_S, wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
+from taxinet_ros.nodes.graph.runner import (
+    GraphOptions,
+    SampledGraph,
+    node_processes,
+    process_graph,
+)
 from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
 from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
+from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.simulator import Simulator
 
 pytestmark = pytest.mark.ros
 
 LATE_S = 10.0
 
 
-def stopped(graph, name: str) -> int:
+def stopped(children, name: str) -> int:
     """Stop a node's process before it has come to anything; its number."""
-    pid = next(child.process.pid for child in graph.children if child.name == name)
+    pid = next(child.process.pid for child in children if child.name == name)
     os.kill(pid, signal.SIGSTOP)
     return pid
 
 
-def wait_for_others(graph, name: str) -> None:
-    """Until every other node is in the graph, however long the machine takes to start it."""
-    others = {SIMULATOR, *PARTICIPANTS} - {name}
-    looker = Node('looker', context=graph._context)
-    wait_for(
-        lambda: others <= set(looker.get_node_names()) and not missing_nodes(looker, [*others])
-    )
-    looker.destroy_node()
+@pytest.fixture
+def context():
+    """Of ROS, on a domain of its own."""
+    context = Context()
+    with own_domain() as domain:
+        rclpy.init(context=context, domain_id=domain)
+        yield context
+        rclpy.try_shutdown(context=context)
 
 
 def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_whole(tmp_path):
@@ -44,7 +53,8 @@ def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_who
         perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': PATIENT_S},
     )
     with process_graph(options, tmp_path / 'logs') as graph:
-        timer = threading.Timer(LATE_S, os.kill, (stopped(graph, PERCEPTION), signal.SIGCONT))
+        pid = stopped(graph.children, PERCEPTION)
+        timer = threading.Timer(LATE_S, os.kill, (pid, signal.SIGCONT))
         timer.start()
         (result,) = run(graph, request(duration=2.0))
         assert not timer.is_alive(), 'the run did not wait'
@@ -53,15 +63,20 @@ def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_who
     assert steps_in(tmp_path / 'run') == list(range(21))
 
 
-def test_r8_given_a_node_that_does_not_come_then_it_is_named_alone(tmp_path):
-    who = PERCEPTION
-    options = GraphOptions(
-        perception='truth', out=tmp_path, images='none', timeouts={'ready_timeout': 2.0},
-    )
-    with process_graph(options, tmp_path / 'logs') as graph:
-        pid = stopped(graph, who)
-        wait_for_others(graph, who)
+def test_r8_given_a_node_that_does_not_come_then_it_is_named_alone(context, tmp_path):
+    options = GraphOptions(perception='truth', out=tmp_path, images='none')
+    domain, logs = context.get_domain_id(), tmp_path / 'logs'
+    with node_processes(options, domain, logs, without=(SIMULATOR,)) as children:
+        pid = stopped(children, PERCEPTION)
+        simulator = Simulator(
+            context=context, parameter_overrides=[Parameter('ready_timeout', value=2.0)],
+        )
+        graph = SampledGraph(context, children=children)
+        graph.add(simulator)
+        # Its time runs only when it has found all others, however long the machine takes for that.
+        wait_for(lambda: set(missing_nodes(simulator, PARTICIPANTS)) == {PERCEPTION})
         (result,) = run(graph, request(duration=2.0))
         os.kill(pid, signal.SIGCONT)
+        graph.close()
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
-    assert (result.who, result.detail.partition(':')[0]) == (who, 'not ready within 2 s')
+    assert (result.who, result.detail.partition(':')[0]) == (PERCEPTION, 'not ready within 2 s')

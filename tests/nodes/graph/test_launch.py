@@ -173,6 +173,19 @@ def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignor
         check_names(['weights:=a.onnx'])
 
 
+@pytest.mark.parametrize(('one', 'other'), [
+    ('perception:=taxinet', 'perception_cmd:=mine'),
+    ('controller_cmd:=mine', 'controller:=steering'),
+    ('scenario:=s_falsif', 'program:=crossing'),
+])
+def test_r13_given_two_words_for_one_thing_then_a_default_that_was_typed_counts_too(one, other):
+    with pytest.raises(UsageError, match='give one of the two') as raised:
+        check_names([one, other])
+    assert one in str(raised.value)
+    assert other in str(raised.value)
+    check_names([one, other.partition(':=')[0] + ':='])
+
+
 @pytest.mark.parametrize(('code', 'left_with'), [(0, None), (1, 1), (4, 4), (130, 130), (-9, 4)])
 def test_given_the_end_of_the_campaign_then_all_ends_and_its_exit_code_is_that_of_the_launch(
     code, left_with
