@@ -132,7 +132,7 @@ def check_controller(word: str) -> None:
         complain.unless(answers == _elsewhere(_steer, word), 'answers differ in a worker')
 
 
-def check_sampler(name: str, runs: int = 40, **options: str | float) -> None:
+def check_sampler(name: str, runs: int = 24, **options: str | float) -> None:
     """See that a sampler can choose the runs of a campaign.
 
     In a space of three dimensions and in one with idle ones, its points are quantiles in [0, 1)
