@@ -37,7 +37,7 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import KMWH, ChosenWorld, find_world
+from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Run:
         stopped_early: whether the run ended before its end because that was decided.
         statistics: how far off, when settled, how wrong the estimates.
         steps: its control steps, without their frames.
-        world: what it took place in.
+        make_world: makes the world that it took place in.
     """
 
     scenario: Scenario
@@ -80,7 +80,7 @@ class Run:
     stopped_early: bool
     statistics: RunStatistics
     steps: tuple[Step, ...]
-    world: ChosenWorld
+    make_world: WorldMaker = SimulatedWorld
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -116,7 +116,7 @@ class Run:
         return f'<Run {self.outcome}, {len(self.steps)} steps, {known}>'
 
     def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        world = self.world.make(self.scenario)
+        world = self.make_world(self.scenario)
         for step in self.steps:
             asked = wanted(step.observation.seq)
             now = world.observe(picture=asked)
@@ -160,7 +160,7 @@ def run(
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
             :class:`Spec`; the first is the headline.
         stop_on: ``never``, or end as soon as the headline is ``violated`` or all is ``decided``.
-        world: ``kmwh``, or one that an installed package adds (``docs/extending.md``).
+        world: ``kmwh``, the simulated one, or what a package adds (docs/extending.md).
 
     Returns:
         The run with its trace, robustness and outcome.
@@ -171,7 +171,7 @@ def run(
         UserCodeError: a function in a file failed; what a function given here raises comes through.
         InfraError: the simulator failed.
     """
-    eyes, chosen = _perception(perception), find_world(world)
+    eyes, make_world = _perception(perception), find_world(world).make
     asked = tuple(map(parse_spec, spec_texts(specs)))
     steps: list[Step] = []
 
@@ -181,7 +181,7 @@ def run(
 
     judgement = run_closed_loop(
         scenario, eyes, specs=asked, controller=_controller(controller),
-        stop_on=parse_stop_on(stop_on), on_step=keep, make_world=chosen.make,
+        stop_on=parse_stop_on(stop_on), on_step=keep, make_world=make_world,
     )
     return Run(
         scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, specs=asked,
@@ -191,7 +191,7 @@ def run(
             for spec, reading in zip(asked, judgement.readings, strict=True)
         },
         stopped_early=judgement.stopped_early, statistics=judgement.statistics, steps=tuple(steps),
-        world=chosen,
+        make_world=make_world,
     )
 
 

@@ -62,11 +62,8 @@ _AFTER_RHO = {
     'real_time_factor': 'float64',
 }
 
-_ATTRIBUTES = {
-    **{field.column: field.key for field in SCENARIO_FIELDS},
-    **{column: name for name, column in ON_DISK.items()},
-}
-"""A row names these as people set them, without their units, and shorter."""
+_ATTRIBUTES = {column: name for name, column in ON_DISK.items()}
+"""A row names these shorter."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:

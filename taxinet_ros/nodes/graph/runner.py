@@ -112,12 +112,12 @@ class GraphOptions:
         }
         return {name: word for name, word in words.items() if is_node_elsewhere(word)}
 
-    def commands(self) -> dict[str, list[str]]:
+    def commands(self, remaps: Sequence[str] = ()) -> dict[str, list[str]]:
         """Program and arguments of every node that somebody's command is, by node name.
 
-        The node is given the name that the graph knows it by.
+        The node is given the name that the graph knows it by, and ``remaps``, ``FROM:=TO`` each.
         """
-        found = {name: node_command(word, name) for name, word in self.elsewhere.items()}
+        found = {name: node_command(word, name, remaps) for name, word in self.elsewhere.items()}
         return {name: words for name, words in found.items() if words}
 
 
@@ -258,7 +258,8 @@ def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
 
 @contextlib.contextmanager
 def node_processes(
-    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = ()
+    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = (),
+    remaps: Sequence[str] = (),
 ) -> Iterator[list[NodeProcess]]:
     """Start every node of a graph but the sampler; none of them outlasts the ``with``.
 
@@ -267,19 +268,20 @@ def node_processes(
         domain: ROS domain that the nodes join.
         logs: folder that takes what each of them prints.
         without: names of nodes to leave out.
+        remaps: rules for every node, ``FROM:=TO``.
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []
     with (
         tempfile.TemporaryDirectory(prefix='taxinet-') as scratch,
-        command_processes(options.commands(), domain, logs) as of_others,
+        command_processes(options.commands(remaps), domain, logs) as of_others,
     ):
         try:
             for name, (kind, parameters) in options.nodes().items():
                 if name not in without:
                     children.append(NodeProcess.of_ours(
                         name, kind, parameters, domain=domain, log=logs / f'{name}.log',
-                        scratch=Path(scratch),
+                        scratch=Path(scratch), remaps=remaps,
                     ))
             yield [*children, *of_others]
         finally:

@@ -74,8 +74,9 @@ def campaign(folder: Path, failures: int) -> None:
                 run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
                 outcome=Outcome.FAIL if failed else Outcome.PASS,
                 robustness=exact_intervals({'phi': -1.0 if failed else 1.0}),
-                cross_track=0.0, distance=50.0 * index,
-                heading=0.0, clouds='clear', rain=0.0, time_of_day=12.0, left_runway=False,
+                cross_track_m=0.0, distance_m=50.0 * index,
+                heading_deg=0.0, clouds='clear', rain_percent=0.0, time_of_day_h=12.0,
+                left_runway=False,
             ))
 
 
