@@ -415,9 +415,9 @@ class Recording(Sequence['Recording']):
     @property
     def trace(self) -> pd.DataFrame:
         """:attr:`columns` as a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
-        from taxinet_ros.bag.run.tables import trace_table
+        from taxinet_ros.core.trace import trace_table
 
-        return trace_table(self)
+        return trace_table(self.columns)
 
     def table(self, topic: str) -> pd.DataFrame:
         """The messages of one topic, see :meth:`tables`."""
