@@ -180,6 +180,11 @@ class Model:
     card: ModelCard
     weights: Weights
 
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the weights, by which bags and tables know the network."""
+        return self.card.weights_sha256
+
 
 def weights_path(word_or_file: str | Path) -> Path:
     """The file of a shipped network's word, or the file itself."""
