@@ -20,10 +20,7 @@ from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_
 from taxinet_ros.campaign.record.book import (
     CampaignBook,
 )
-from taxinet_ros.campaign.record.facts import (
-    campaign_facts,
-    extension_facts,
-)
+from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import (
     EarlierRuns,
     facts_of_graph,
@@ -96,9 +93,7 @@ class Search:
         self.exhausted = False
         self.interrupted = False
         self._campaign = options.campaign
-        self.book = CampaignBook(
-            self._campaign, participants, on_row, resume=options.resume
-        )
+        self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._source = SceneSource(
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,
