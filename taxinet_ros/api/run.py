@@ -34,7 +34,7 @@ from taxinet_ros.core.perception.perception import (
 )
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.trace import TRACE_UNITS, trace_columns, trace_signals
+from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
 from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
@@ -91,12 +91,7 @@ class Run:
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
         and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
         """
-        import pandas as pd
-
-        table = pd.DataFrame(trace_columns(self.steps, [spec.name for spec in self.specs]))
-        units = {name: TRACE_UNITS[name] for name in table.columns if name in TRACE_UNITS}
-        table.attrs['units'] = units
-        return table
+        return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
     def frame(self, seq: int) -> Frame:
         """What the camera saw at a control step, (200, 360, 3) uint8 RGB.
