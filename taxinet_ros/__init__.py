@@ -1,3 +1,73 @@
-"""Closed-loop testing of vision-based aircraft taxiing on ROS 2."""
+"""Closed-loop testing of vision-based aircraft taxiing, on ROS 2 and without it.
+
+The front door for Python; ``docs/python.md`` shows each name at work::
+
+    import taxinet_ros as tx
+
+    run = tx.run(tx.Scenario(cross_track_m=4.0), perception='taxinet')
+    run.outcome, run.rho['phi_eventually'], run.trace
+
+Importing this package loads nothing else: each name is imported when it is first used (PEP 562).
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign
+    from taxinet_ros.api.run import Run, load_perception, render, robustness, run
+    from taxinet_ros.api.search import falsify
+    from taxinet_ros.core.controller import SteeringGains, SteeringLaw
+    from taxinet_ros.core.mtl.specs import Spec
+    from taxinet_ros.core.outcome import Outcome
+    from taxinet_ros.core.scenario import Scenario
+    from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
+    from taxinet_ros.errors import InfraError, UsageError
 
 __version__ = '0.1.0'
+
+__all__ = [
+    'AircraftState',
+    'Campaign',
+    'Counterexample',
+    'InfraError',
+    'Outcome',
+    'Run',
+    'Scenario',
+    'Spec',
+    'SteeringGains',
+    'SteeringLaw',
+    'TaxiCommand',
+    'TrackingError',
+    'UsageError',
+    'falsify',
+    'load_perception',
+    'open_campaign',
+    'render',
+    'robustness',
+    'run',
+]
+
+_MODULES = {
+    'taxinet_ros.api.campaign': ('Campaign', 'Counterexample', 'open_campaign'),
+    'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
+    'taxinet_ros.api.search': ('falsify',),
+    'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
+    'taxinet_ros.core.mtl.specs': ('Spec',),
+    'taxinet_ros.core.outcome': ('Outcome',),
+    'taxinet_ros.core.scenario': ('Scenario',),
+    'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
+    'taxinet_ros.errors': ('InfraError', 'UsageError'),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _MODULES.items():
+        if name in names:
+            value = globals()[name] = getattr(importlib.import_module(module), name)
+            return value
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -34,6 +34,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.perception.substituted import AS_RECORDED, TRUTH, TRUTH_CTE, TRUTH_HEADING
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import PAPER_FIELDS
 from taxinet_ros.files.atomic import make_atomically
 
 
@@ -462,9 +463,8 @@ def _share_json(found: Localisation, word: str) -> dict[str, Any]:
 def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
     row, control = case.row, case.trials.get(AS_RECORDED)
     values: dict[str, Any] = {
-        'run_id': row.run_id, 'index': row.index, 'cross_track_m': row.cross_track,
-        'distance_m': row.distance, 'heading_deg': row.heading, 'clouds': row.clouds,
-        'rain_percent': row.rain, 'time_of_day_h': row.time_of_day,
+        'run_id': row.run_id, 'index': row.index,
+        **{field.column: row.scene[field.key] for field in PAPER_FIELDS},
         'rho': row.headline[0] if row.headline else None, 'blame': case.blame.value,
         'suffices': case.suffices.value, 'counted': case.counted,
         'scene_exact': None if control is None else control.exact,

@@ -46,7 +46,6 @@ from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.provenance import words
-from taxinet_ros.core.scenario import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
 
 MOST_RUNS = 10**7
@@ -346,7 +345,7 @@ def rerun_command(row: RunRow, folder: Path, facts: Mapping[str, Any]) -> str:
     """What to type to run a run again, to the last bit where its bag is there."""
     if row.bag:
         return shlex.join(['taxinet', 'run', '--from', str(folder / row.bag)])
-    settings = [f'{key}={_setting(getattr(row, key))}' for key in HUMAN_KEYS]
+    settings = [f'{key}={_setting(value)}' for key, value in row.scene.items()]
     settings += [f'steering.{name}={value!r}' for name, value in facts.get('gains', {}).items()]
     words = ['taxinet', 'run', 'nominal', '--perception', row.perception]
     words += controller_options(facts.get('controller', STEERING))

@@ -22,7 +22,7 @@ from taxinet_ros.analysis.runs.campaign import CampaignRuns, runs_of
 from taxinet_ros.analysis.runs.features import Floats
 from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.space import Dimension
-from taxinet_ros.core.scenario import CLOUDS
+from taxinet_ros.core.scenario_fields import CLOUDS
 
 SPACE = (
     Dimension(name='time_of_day'), Dimension(name='clouds', weights=(1.0,) * 6),

@@ -26,7 +26,8 @@ from taxinet_ros.bench.measure import machine_facts
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.outcome import RunRequest, RunResult
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
@@ -368,6 +369,6 @@ def _scenario(rng: np.random.Generator, duration_s: float) -> Scenario:
     rain = float(rng.uniform(0.25, 1.0)) if clouds in RAIN_CLOUDS and rng.random() < 0.5 else 0.0
     return Scenario(
         cross_track_m=float(rng.uniform(-8, 8)), distance_m=float(rng.uniform(0, 2000)),
-        heading_rad=math.radians(float(rng.uniform(-30, 30))), clouds=clouds, rain=rain,
+        heading_rad=math.radians(float(rng.uniform(-30, 30))), clouds=clouds, rain_fraction=rain,
         time_of_day_s=float(rng.uniform(6, 18)) * 3600, duration_s=duration_s,
     )

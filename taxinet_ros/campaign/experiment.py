@@ -43,7 +43,7 @@ from taxinet_ros.campaign.search_options import SearchOptions
 from taxinet_ros.core.controller import STEERING, SteeringGains, check_controller
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario import HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
@@ -349,11 +349,11 @@ def check_paired(
             other = base.get(row.index)
             if other is None or not (row.clouds and other.clouds):
                 continue  # no scene was drawn, or not yet
-            for key in HUMAN_KEYS:
-                if key not in free and getattr(row, key) != getattr(other, key):
+            for key, value in row.scene.items():
+                if key not in free and value != other.scene[key]:
                     raise UsageError(
                         f'experiment {experiment.name}: run {row.index} has {key} '
-                        f'{getattr(row, key)} in {arm.name} and {getattr(other, key)} in {first}, '
+                        f'{value} in {arm.name} and {other.scene[key]} in {first}, '
                         'though neither arm sets it; was the program changed between the arms?'
                     )
 

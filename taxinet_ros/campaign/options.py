@@ -151,6 +151,7 @@ class CampaignOptions:
             so campaigns that differ in them only have otherwise equal scenes.
         timing: when answers take effect.
         arms: of an arm of an experiment: the folders of all arms beside each other, in order.
+        bags: whether its runs leave bags; those of closed loops without a graph do not.
     """
 
     program: str
@@ -167,6 +168,7 @@ class CampaignOptions:
     controller: str = STEERING
     timing: Timing = AT_ONCE
     arms: tuple[str, ...] = ()
+    bags: bool = True
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.

@@ -16,6 +16,7 @@ from taxinet_ros.core.judge import SpecCheck
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.free_run import free_run_line
+from taxinet_ros.core.scenario_fields import clock_words
 
 _MOST_NAMED = 5
 """Most runs that one line names."""
@@ -89,11 +90,10 @@ def scene_words(row: RunRow) -> str:
     """A scene in a few words, in the units people read; empty where none was drawn."""
     if row.time_of_day is None or row.rain is None:
         return ''
-    hours, minutes = divmod(round(row.time_of_day * 60), 60)
     rain = f' rain {_percent(row.rain)} %' if row.rain > 0 else ''
     return (
         f'CTE {row.cross_track:+.1f} m  HE {row.heading:+.0f} deg  at {row.distance:.0f} m  '
-        f'{hours:02d}:{minutes:02d} {row.clouds}{rain}'
+        f'{clock_words(row.time_of_day)} {row.clouds}{rain}'
     )
 
 

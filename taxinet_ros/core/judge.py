@@ -24,7 +24,7 @@ from taxinet_ros.core.run_statistics import (
     RunStatistics,
     RunStatisticsCollector,
 )
-from taxinet_ros.core.scenario import RANGES
+from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
 
 _OVERSHOOT = 1.5
@@ -92,9 +92,8 @@ def signal_ranges(duration_s: float, gains: SteeringGains | None = None) -> Mapp
         return ranges
     fastest_mps = _OVERSHOOT * max(TAXI_SPEED_MPS, gains.speed_mps)
     way_m = fastest_mps * duration_s
-    for name, key in (('cte', 'cross_track_m'), ('x', 'distance_m')):
-        low, high, _ = RANGES[key]
-        ranges[name] = low - way_m, high + way_m
+    for name, start in (('cte', CROSS_TRACK), ('x', DISTANCE)):
+        ranges[name] = start.low - way_m, start.high + way_m
     ranges['speed'] = -fastest_mps, fastest_mps
     ranges['steering'] = -gains.max_steering_rad, gains.max_steering_rad
     return ranges

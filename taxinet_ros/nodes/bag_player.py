@@ -26,6 +26,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
+from taxinet_ros.bag.cdr.decode import definition_hash, with_present_names
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
 from taxinet_ros.bag.run.topics import ODOMETRY, TF, is_of_frames, is_topic
@@ -58,13 +59,19 @@ def message_class(topic: TopicInfo) -> type[Any] | None:
         installed = type_hash(topic.type)
     except UsageError:
         return None
-    if topic.type_hash and topic.type_hash != installed:
+    if topic.type_hash and topic.type_hash != installed and not _renamed(topic, installed):
         raise UsageError(
             f'{topic.name}: {topic.type} is of another version than the installed one; leave it '
             f'out: exclude:=["{topic.name}"]'
         )
     package, _, name = topic.type.split('/')
     return getattr(importlib.import_module(f'{package}.msg'), name)
+
+
+def _renamed(topic: TopicInfo, installed: str) -> bool:
+    """Whether nothing but names of fields differs, so that the bytes are those of now."""
+    present = with_present_names(topic)
+    return present != topic and definition_hash(present) == installed
 
 
 def recorded_qos(topic: TopicInfo) -> QoSProfile:

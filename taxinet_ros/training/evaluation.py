@@ -28,8 +28,8 @@ SLICES: dict[str, Callable[[Scenario], bool]] = {
     'like the training': lambda s: _as_trained(s),
     'early morning': lambda s: _fine(s) and s.time_of_day_s < 8.5 * 3600,
     'afternoon, clear': lambda s: s.clouds == 'clear' and s.time_of_day_s > 12 * 3600,
-    'broken or stratus, dry': lambda s: s.clouds in ('broken', 'stratus') and s.rain == 0,
-    'rain': lambda s: s.rain > 0,
+    'broken or stratus, dry': lambda s: s.clouds in ('broken', 'stratus') and s.rain_fraction == 0,
+    'rain': lambda s: s.rain_fraction > 0,
     'crossing': lambda s: _late_morning(s) and _at_crossing(s),
 }
 """Parts of S_falsif that the paper's analysis tells apart, each by what belongs to it."""
@@ -59,7 +59,7 @@ class SliceErrors:
 
 
 def _fine(s: Scenario) -> bool:
-    return s.rain == 0 and s.clouds not in ('broken', 'stratus') and not _at_crossing(s)
+    return s.rain_fraction == 0 and s.clouds not in ('broken', 'stratus') and not _at_crossing(s)
 
 
 def _late_morning(s: Scenario) -> bool:

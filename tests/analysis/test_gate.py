@@ -281,7 +281,7 @@ def test_given_an_open_criterion_then_it_is_skipped_only_where_that_passes():
 
 
 def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
-    scene = Scenario(heading_rad=0.25, clouds='broken', rain=0.5, crossing=False)
+    scene = Scenario(heading_rad=0.25, clouds='broken', rain_fraction=0.5, crossing=False)
     one = row(0, Outcome.FAIL, **scene.to_human())
     words = rerun_command(one, Path('c'), {'specs': {'phi': 'always(abs(cte) <= 1)'}})
     assert words.startswith('taxinet run nominal --perception original --spec ')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from functools import cache
 from pathlib import Path
@@ -124,11 +125,7 @@ def _stamped(step: Step) -> dict[str, int]:
 def _scenario(scene: Scenario) -> Any:
     return make(
         'taxinet_msgs/msg/Scenario', run_id=RUN_ID, index=3, program='program', seed=7,
-        cross_track=scene.cross_track_m, distance=scene.distance_m, heading=scene.heading_rad,
-        clouds=scene.clouds, rain=scene.rain, time_of_day=scene.time_of_day_s, date=scene.date,
-        shadows=scene.shadows, crossing=scene.crossing, aircraft=scene.aircraft,
-        duration=scene.duration_s,
-        specs=list(SPECS), participants=list(PARTICIPANTS),
+        **dataclasses.asdict(scene), specs=list(SPECS), participants=list(PARTICIPANTS),
     )
 
 

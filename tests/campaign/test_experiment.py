@@ -92,7 +92,7 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
     with SceneSource(found['shadows_afternoon'].program, seed=0) as source:
         scenes = [source.scene(index) for index in range(20)]
     assert min(scene.time_of_day_s for scene in scenes) > 12 * 3600
-    assert {(scene.clouds, scene.rain) for scene in scenes} == {('clear', 0.0)}
+    assert {(scene.clouds, scene.rain_fraction) for scene in scenes} == {('clear', 0.0)}
     assert max(scene.distance_m for scene in scenes) <= 1000
 
 

@@ -117,8 +117,8 @@ def test_people2_given_values_as_people_set_them_then_nothing_is_warned_of() -> 
 
 
 def test_people2_given_rain_of_less_than_a_percent_when_told_then_it_is_not_zero() -> None:
-    assert 'rain 0.5 %' in scene_words(row(0, clouds='broken', rain=0.005))
-    assert 'rain 50 %' in scene_words(row(0, clouds='broken', rain=0.5))
+    assert 'rain 0.5 %' in scene_words(row(0, clouds='broken', rain_fraction=0.005))
+    assert 'rain 50 %' in scene_words(row(0, clouds='broken', rain_fraction=0.5))
 
 
 def test_ros10_given_a_run_that_passed_blind_then_its_line_and_the_summary_say_so(

@@ -31,7 +31,8 @@ COMMAND = (sys.executable, str(Path(__file__).with_name('fake_worker.py')))
 
 def request(word: str, index: int = 0) -> RunRequest:
     return RunRequest(
-        run_id=f'run-{index}', index=index, program=word, seed=1, scenario=Scenario(rain=0.0),
+        run_id=f'run-{index}', index=index, program=word, seed=1,
+        scenario=Scenario(rain_fraction=0.0),
         judging=Judging(specs=('f',)), participants=(),
     )
 
@@ -59,7 +60,7 @@ def test_given_runs_then_they_travel_whole(tmp_path):
     asked = RunRequest(
         run_id='r', index=3, program='p', seed=2**60, participants=('c',),
         judging=Judging(specs=('a', 'b'), stop_on=StopOn.DECIDED, bounds=('d',), rates=('e',)),
-        scenario=Scenario(cross_track_m=0.1 + 0.2, clouds='stratus', rain=1 / 3),
+        scenario=Scenario(cross_track_m=0.1 + 0.2, clouds='stratus', rain_fraction=1 / 3),
     )
     statistics = RunStatistics(max_cross_track_m=31.5, he_error=ErrorStatistics(mean=-1 / 3))
     answer = RunResult(

@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxinet_ros.core.scenario import (
-    CLOUDS,
-    HUMAN_KEYS,
-    RAIN_CLOUDS,
-    Scenario,
-    scenario_from_human,
-)
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import CLOUDS, HUMAN_KEYS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 HUMAN = st.fixed_dictionaries({
@@ -40,7 +35,7 @@ def test_given_degrees_percent_and_hours_then_the_inside_is_radians_fraction_and
         {'heading': 30, 'rain': 50, 'clouds': 'overcast', 'time_of_day': 6.5}
     )
     assert scene.heading_rad == pytest.approx(math.pi / 6)
-    assert scene.rain == pytest.approx(0.5)
+    assert scene.rain_fraction == pytest.approx(0.5)
     assert scene.time_of_day_s == 23400.0
 
 
@@ -73,4 +68,4 @@ def test_given_a_bad_value_then_one_line_says_which_and_what_is_allowed(values, 
 @pytest.mark.parametrize('clouds', [c for c in CLOUDS if c not in RAIN_CLOUDS])
 def test_given_a_cloud_kind_without_rain_when_it_rains_then_it_is_refused(clouds):
     with pytest.raises(UsageError, match='rain needs clouds'):
-        Scenario(clouds=clouds, rain=0.3)
+        Scenario(clouds=clouds, rain_fraction=0.3)

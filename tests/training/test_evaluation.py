@@ -48,7 +48,7 @@ def test_given_scenes_of_several_slices_when_measured_then_each_has_its_own_erro
     scenes = (
         Scenario(time_of_day_s=10 * hour),
         Scenario(time_of_day_s=10 * hour, distance_m=1450.0),
-        Scenario(time_of_day_s=14 * hour, clouds='overcast', rain=0.5),
+        Scenario(time_of_day_s=14 * hour, clouds='overcast', rain_fraction=0.5),
         Scenario(time_of_day_s=7 * hour),
     )
     errors = np.array([[1.0, 0.1], [2.0, 0.2], [3.0, 0.3], [math.nan, math.nan]])
@@ -126,7 +126,7 @@ def test_given_the_original_when_measured_then_it_sees_well_in_its_world_and_bad
     unseen: list[Scenario],
 ) -> None:
     own = draw_scenes('training_original', seed=77, images=60)
-    wet = [scene for scene in unseen if scene.rain > 0]
+    wet = [scene for scene in unseen if scene.rain_fraction > 0]
     at_home, _ = mean_errors('original', own)
     in_rain, _ = mean_errors('original', wet)
     assert at_home <= 0.15

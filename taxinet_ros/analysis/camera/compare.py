@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros.analysis.camera.sheets import Picture, clock, contact_sheet
+from taxinet_ros.analysis.camera.sheets import Picture, contact_sheet
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.perception.labelled_frames import LabelledFrame
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
@@ -238,7 +239,7 @@ def comparison_sheet(
     contact_sheet(
         tiles, 2 * _PAIRS_IN_A_ROW, path, group=2,
         title=f'Labelled frames and our camera at the same poses; ours on {light.date}, '
-        f'{clock(light.time_of_day_s)}, {light.clouds}',
+        f'{clock_words(light.time_of_day_s / 3600)}, {light.clouds}',
     )
 
 

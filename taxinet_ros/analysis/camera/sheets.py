@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import clock_words
 
 Picture = NDArray[np.uint8]
 _GAP_PX = 6
@@ -231,19 +232,14 @@ def camera_sheet(scenes: Sequence[Sequence[Scenario]], path: Path) -> None:
     grid_sheet(
         [[Camera(scene).render(state, 0) for scene in row] for row in scenes],
         [_weather(row[0]) for row in scenes],
-        [clock(scene.time_of_day_s) for scene in scenes[0]],
+        [clock_words(scene.time_of_day_s / 3600) for scene in scenes[0]],
         path, title=f'Grant County (KMWH) runway 04, {first.date}, {pose_words(first)}',
     )
 
 
 def _weather(scene: Scenario) -> str:
-    return f'{scene.clouds}\nrain {100 * scene.rain:.0f} %' if scene.rain else scene.clouds
-
-
-def clock(time_s: float) -> str:
-    """Time of day as hours and minutes."""
-    hours, minutes = divmod(round(time_s / 60), 60)
-    return f'{hours:02d}:{minutes:02d}'
+    rain = f'\nrain {100 * scene.rain_fraction:.0f} %' if scene.rain_fraction else ''
+    return f'{scene.clouds}{rain}'
 
 
 def pose_words(scene: Scenario) -> str:

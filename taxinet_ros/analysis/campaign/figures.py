@@ -32,9 +32,9 @@ from taxinet_ros.analysis.runs.features import (
     Feature,
     Floats,
     Form,
-    clock_words,
     kinds_present,
 )
+from taxinet_ros.core.scenario_fields import clock_words
 
 _LINEAR = 2.0
 _TICKS = (1.0, 2.0, 5.0)

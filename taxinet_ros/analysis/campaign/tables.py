@@ -14,7 +14,8 @@ from taxinet_ros.analysis.causes.clusters import CLOUD_RANK
 from taxinet_ros.analysis.report.parts import Cell, Column, Table
 from taxinet_ros.analysis.runs.bins import bin_rates
 from taxinet_ros.analysis.runs.campaign import CampaignRuns, GroupRate
-from taxinet_ros.analysis.runs.features import BY_NAME, PAPER_FEATURES, clock_words
+from taxinet_ros.analysis.runs.features import BY_NAME, PAPER_FEATURES
+from taxinet_ros.core.scenario_fields import clock_words
 
 _RATE = (
     Column(name='runs', title='runs'), Column(name='failures', title='fail'),

@@ -14,21 +14,20 @@ from pathlib import Path
 from taxinet_ros.analysis.causes.causes import Cause
 from taxinet_ros.analysis.causes.region import Either, Kinds, Part, Slant
 from taxinet_ros.analysis.runs.campaign import CampaignRuns
+from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
 from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
 _FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
 _VALUES = {
-    'time_of_day_h': 'scene_time_of_day', 'clouds': 'scene_clouds',
-    'rain_percent': 'scene_rain', 'cross_track_m': 'ego.cross_track',
-    'distance_m': 'ego.distance', 'heading_deg': 'ego.heading_deg',
-    'abs_cross_track_m': 'abs(ego.cross_track)', 'abs_heading_deg': 'abs(ego.heading_deg)',
-    'shadows': 'scene_shadows', 'crossing': 'scene_crossing',
-    'aircraft': 'scene_aircraft', 'date': 'scene_date',
+    field.column: f'ego.{field.plane}' if field.plane else f'scene_{field.key}'
+    for field in SCENARIO_FIELDS
 }
+"""How a requirement of a program names what is in a column of the table."""
 _SWITCHES = {'on': True, 'off': False}
 
 
@@ -92,15 +91,21 @@ def _source(runs: CampaignRuns) -> str | None:
     return find_program(word).read_text(encoding='utf-8') if word in known_programs() else None
 
 
+def _value(name: str) -> str:
+    """What a requirement calls a feature."""
+    source = BY_NAME[name].source
+    return _VALUES[source] if name == source else f'abs({_VALUES[source]})'
+
+
 def _condition(part: Part) -> str:
     if isinstance(part, Either):
         return f'({_condition(part.first)}) != ({_condition(part.second)})'
     if isinstance(part, Kinds):
         kinds = tuple(_SWITCHES.get(kind, kind) for kind in part.kinds)
-        return f'{_VALUES[part.feature]} in {kinds!r}'
-    value = _VALUES[part.feature]
+        return f'{_value(part.feature)} in {kinds!r}'
+    value = _value(part.feature)
     if isinstance(part, Slant):
-        value = f'{value} + {part.factor!r} * {_VALUES[part.other]}'
+        value = f'{value} + {part.factor!r} * {_value(part.other)}'
     low, high = part.low, part.high
     bounds = [f'{low!r} <= {value}'] * (low is not None) + [f'{value} <= {high!r}'] * (
         high is not None)

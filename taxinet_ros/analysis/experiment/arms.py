@@ -17,7 +17,7 @@ from taxinet_ros.analysis.experiment.pairs import (
 from taxinet_ros.campaign.experiment import Experiment
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.scenario import HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 
 Rows = Mapping[str, Sequence[RunRow]]
 """Runs of an experiment, by the name of their arm."""
@@ -133,7 +133,7 @@ def compare_arms(
 def varied_keys(rows: Sequence[RunRow]) -> tuple[str, ...]:
     """Keys of the scenario that are not the same in all runs."""
     drawn = [row for row in rows if row.clouds]
-    return tuple(key for key in HUMAN_KEYS if len({getattr(row, key) for row in drawn}) > 1)
+    return tuple(key for key in HUMAN_KEYS if len({row.scene[key] for row in drawn}) > 1)
 
 
 def pairs_frame(found: PairedArms) -> pd.DataFrame:
@@ -155,7 +155,7 @@ def _line(
 ) -> dict[str, object]:
     base = by_arm[names[0]].get(index)
     values: dict[str, object] = {'index': index}
-    values |= {key: getattr(base, key) if base else None for key in HUMAN_KEYS}
+    values |= base.scene if base else dict.fromkeys(HUMAN_KEYS)
     for name in names:
         row = by_arm[name].get(index)
         values |= {

@@ -30,13 +30,8 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import STEERING
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import BY_KEY
 
-_NAMES = {
-    'time_of_day': ('time of day', 'h'), 'distance': ('distance past the threshold', 'm'),
-    'cross_track': ('cross-track error at the start', 'm'),
-    'heading': ('heading error at the start', '°'), 'rain': ('rain', '%'),
-}
-"""Keys of the scenario for people, with their units."""
 _LOWEST_SHOWN = -6.0
 """Runs that leave the centreline for good are shown at the picture's lower edge."""
 _MOST_CHANGE = 8.0
@@ -46,15 +41,15 @@ _BINS, LEAST_IN_BIN = 12, 3
 
 def title_of(key: str) -> str:
     """A key of the scenario for people, with its unit."""
-    name, unit = _NAMES.get(key, (key, ''))
-    return f'{name} [{unit}]' if unit else name
+    field = BY_KEY[key]
+    return f'{field.title} [{field.unit}]' if field.unit else field.title
 
 
 def range_words(key: str, low: float, high: float) -> str:
     """From where to where a key goes, for people."""
-    name, unit = _NAMES.get(key, (key, ''))
+    field = BY_KEY[key]
     digits = 0 if abs(high) >= 100 else 1
-    return f'{name} {low:.{digits}f} to {high:.{digits}f} {unit}'.strip()
+    return f'{field.title} {low:.{digits}f} to {high:.{digits}f}{field.unit_mark}'
 
 
 def arms_picture(found: PairedArms) -> Picture:

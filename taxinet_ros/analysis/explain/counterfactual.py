@@ -33,7 +33,8 @@ _CLOSE = 0.85
 
 _TEN = 10 * 3600.0
 _EASY: dict[str, Any] = {
-    'clouds': 'clear', 'rain': 0.0, 'time_of_day_s': _TEN, 'shadows': False, 'crossing': False,
+    'clouds': 'clear', 'rain_fraction': 0.0, 'time_of_day_s': _TEN, 'shadows': False,
+    'crossing': False,
 }
 
 
@@ -92,15 +93,15 @@ class Effect:
 
 def factors(scenario: Scenario) -> tuple[Factor, ...]:
     """What can be changed of a scene; left out is what is so already."""
-    rain = scenario.rain > 0
+    rain = scenario.rain_fraction > 0
     wanted: list[tuple[str, str, str, dict[str, Any]]] = [
         (SHADOW, 'without its shadow', "the aircraft's own shadow", {'shadows': False}),
         (CROSSING, 'without the crossing', 'the crossing runway', {'crossing': False}),
-        (RAIN, 'dry', 'the rain', {'rain': 0.0}),
+        (RAIN, 'dry', 'the rain', {'rain_fraction': 0.0}),
         ('overcast', 'under an overcast sky', f'the {scenario.clouds} sky', {'clouds': 'overcast'}),
         ('clear', 'dry under a clear sky' if rain else 'under a clear sky',
          f'the {scenario.clouds} sky with its rain' if rain else f'the {scenario.clouds} sky',
-         {'clouds': 'clear', 'rain': 0.0}),
+         {'clouds': 'clear', 'rain_fraction': 0.0}),
         ('ten', 'at 10:00', 'the hour', {'time_of_day_s': _TEN}),
         ('easy', 'all at once, under a clear sky', 'all of it together', _EASY),
     ]

@@ -28,6 +28,7 @@ from taxinet_ros.analysis.explain.occlusion import STRIDE_PX
 from taxinet_ros.analysis.explain.track import Floats, Frame, Moment
 from taxinet_ros.analysis.report.parts import Picture, Theme, style_axes
 from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, project
+from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import TrackingError
 
 _TRUE, _BELIEVED = '#35d0ff', '#ff9d00'
@@ -255,8 +256,7 @@ def _neighbour(axes: Axes, near: Neighbour, images: TrainingImages, unit: str) -
     axes.set_title(f'{near.distance:.2g} {unit} away', fontsize=8, loc='left')
     label = f'{row["cte_m"]:.1f} m, {row["heading_error_deg"]:.0f}°'.replace('-', '−')
     if 'time_of_day' in row and 'clouds' in row:
-        hour, minute = divmod(round(60 * float(row['time_of_day'])), 60)
-        label += f'; {hour:02d}:{minute:02d}, {row["clouds"]}'
+        label += f'; {clock_words(float(row["time_of_day"]))}, {row["clouds"]}'
         if float(row.get('rain', 0)) > 0:
             label += f', rain {float(row["rain"]):.0f} %'
     axes.set_xlabel(label, fontsize=7)

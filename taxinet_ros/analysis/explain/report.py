@@ -25,6 +25,7 @@ from taxinet_ros.analysis.explain.track import Moment
 from taxinet_ros.analysis.report.parts import Cell, Column, Report, Section, Table
 from taxinet_ros.analysis.report.values import plain_values
 from taxinet_ros.core.provenance import provenance
+from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import TrackingError
 
 _ESTIMATE = (
@@ -135,14 +136,13 @@ def _training_section(found: Explanation) -> Section:
 
 def _facts(found: Explanation) -> dict[str, str]:
     scene = found.run.request.scenario.to_human()
-    hour, minute = divmod(round(60 * scene['time_of_day']), 60)
     network = f'{found.perception} ({found.fingerprint[:8]})'
     recorded = found.run.perception or 'not told'
     return {
         'network': network if found.own else f'{network}; the run was driven by {recorded}',
         'scene': (
-            f'{hour:02d}:{minute:02d}, {scene["clouds"]}, rain {scene["rain"]:.0f} %, start '
-            f'{scene["distance"]:,.0f} m past the threshold'
+            f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}, rain {scene["rain"]:.0f} %, '
+            f'start {scene["distance"]:,.0f} m past the threshold'
         ),
         'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were examined',
     }

@@ -29,6 +29,7 @@ from taxinet_ros.core.place.runway import (
     Polygon,
     markings,
 )
+from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
 
@@ -133,11 +134,6 @@ def _webp(pixels: NDArray[np.uint8]) -> bytes:
     return data.tobytes()
 
 
-_UNITS = {
-    'cross_track': ' m', 'distance': ' m', 'heading': '°', 'rain': ' %', 'time_of_day': ' h',
-    'duration': ' s',
-}
-"""Units in which people read a scenario's values."""
 _COLUMNS = {
     'x': ('x_m', 1.0), 'y': ('y_m', 1.0), 'speed': ('speed_mps', 1.0), 'cte': ('cte_m', 1.0),
     'cteEstimate': ('est_cte_m', 1.0), 'he': ('he_rad', 180 / math.pi),
@@ -237,7 +233,7 @@ def _words(facts: RunFacts) -> dict[str, str]:
         words['perception'] = perception.implementation
     words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'
     for name, value in facts.scene.items():
-        words[name.replace('_', ' ')] = _scene_words(value) + _UNITS.get(name, '')
+        words[name.replace('_', ' ')] = _scene_words(value) + BY_KEY[name].unit_mark
     return {name: word for name, word in words.items() if word}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from enum import Enum
@@ -11,13 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core import scenario_fields as fields
+from taxinet_ros.core.scenario_fields import Kind, ScenarioField, clock_words
 
 Mask = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
-
-
-_MINUTES_PER_HOUR = 60
 
 
 class Form(Enum):
@@ -80,7 +79,7 @@ class Feature:
     def interval_words(self, low: float | None, high: float | None) -> str:
         """The interval for people; None for an end that no run lies beyond."""
         both, below, above = self.words
-        if self.name == 'rain_percent' and low is None and high == 0:
+        if self is RAIN and low is None and high == 0:
             return 'no rain'
         if low is None:
             return 'any ' + self.title if high is None else below.format(self.value_words(high))
@@ -89,63 +88,63 @@ class Feature:
         return both.format(self.value_words(low), self.value_words(high))
 
 
-def clock_words(hours: float) -> str:
-    """Hours after midnight as ``13:20``."""
-    whole, minutes = divmod(round(hours * _MINUTES_PER_HOUR), _MINUTES_PER_HOUR)
-    return f'{whole:02d}:{minutes:02d}'
+def _feature(
+    field: ScenarioField, *, form: Form = Form.NUMBER, step: float = 1.0,
+    words: tuple[str, str, str] = ('', '', ''), widths: tuple[float, ...] = (),
+) -> Feature:
+    """The feature that stands in a column of the table."""
+    return Feature(
+        name=field.column, title=field.title, unit='' if form is Form.CLOCK else field.unit,
+        form=form, step=step, words=words, source=field.column, widths=widths,
+        kinds=('off', 'on') if field.kind is Kind.SWITCH else field.words,
+    )
 
-TIME_OF_DAY = Feature(
-    name='time_of_day_h', title='time of day', form=Form.CLOCK, step=1 / 12,
-    words=('between {} and {}', 'before {}', 'after {}'), source='time_of_day_h',
-    widths=(0.5, 1.0, 2.0, 3.0, 6.0, 12.0),
+
+def _either_side(one: Feature, title: str, words: tuple[str, str, str]) -> Feature:
+    """A feature without its sign."""
+    return dataclasses.replace(one, name=f'{_ABS}{one.name}', title=title, words=words)
+
+
+_ABS = 'abs_'
+TIME_OF_DAY = _feature(
+    fields.TIME_OF_DAY, form=Form.CLOCK, step=1 / 12, widths=(0.5, 1.0, 2.0, 3.0, 6.0, 12.0),
+    words=('between {} and {}', 'before {}', 'after {}'),
 )
-CLOUDS_KIND = Feature(name='clouds', title='clouds', form=Form.KIND, source='clouds', kinds=CLOUDS)
-RAIN = Feature(
-    name='rain_percent', title='rain', unit='%', source='rain_percent',
-    widths=(5.0, 10.0, 20.0, 50.0, 100.0),
+CLOUDS_KIND = _feature(fields.SKY, form=Form.KIND)
+RAIN = _feature(
+    fields.RAIN, widths=(5.0, 10.0, 20.0, 50.0, 100.0),
     words=('rain of {} to {} %', 'rain of at most {} %', 'rain of {} % or more'),
 )
-CROSS_TRACK = Feature(
-    name='cross_track_m', title='start offset, left of the centreline', unit='m', step=0.1,
+CROSS_TRACK = _feature(
+    fields.CROSS_TRACK, step=0.1, widths=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
     words=('start at {} to {} m (left positive)', 'start below {} m (left positive)',
-           'start above {} m (left positive)'), source='cross_track_m',
-    widths=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+           'start above {} m (left positive)'),
 )
-DISTANCE = Feature(
-    name='distance_m', title='start distance along the runway', unit='m', step=10.0,
+DISTANCE = _feature(
+    fields.DISTANCE, step=10.0, widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
     words=('start {} to {} m along the runway', 'start on the first {} m of the runway',
-           'start beyond {} m along the runway'), source='distance_m',
-    widths=(50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0),
+           'start beyond {} m along the runway'),
 )
-HEADING = Feature(
-    name='heading_deg', title='start heading, nose left', unit='°',
+HEADING = _feature(
+    fields.HEADING, widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
     words=('start heading {} to {}° (nose left positive)',
            'start heading below {}° (nose left positive)',
-           'start heading above {}° (nose left positive)'), source='heading_deg',
-    widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
+           'start heading above {}° (nose left positive)'),
 )
-ABS_CROSS_TRACK = Feature(
-    name='abs_cross_track_m', title='start offset, to either side', unit='m', step=0.1,
-    words=('start {} to {} m beside the centreline, to either side',
-           'start within {} m of the centreline',
-           'start {} m or more beside the centreline, to either side'), source='cross_track_m',
-    widths=(0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
+ABS_CROSS_TRACK = _either_side(
+    CROSS_TRACK, 'start offset, to either side',
+    ('start {} to {} m beside the centreline, to either side',
+     'start within {} m of the centreline',
+     'start {} m or more beside the centreline, to either side'),
 )
-ABS_HEADING = Feature(
-    name='abs_heading_deg', title='start heading, to either side', unit='°',
-    words=('start heading {} to {}° off, to either side', 'start heading within {}°',
-           'start heading {}° or more off, to either side'), source='heading_deg',
-    widths=(1.0, 2.0, 5.0, 10.0, 30.0, 90.0),
+ABS_HEADING = _either_side(
+    HEADING, 'start heading, to either side',
+    ('start heading {} to {}° off, to either side', 'start heading within {}°',
+     'start heading {}° or more off, to either side'),
 )
-_SWITCHES = (
-    Feature(name='shadows', title='shadow of the aircraft', form=Form.KIND, source='shadows',
-            kinds=('off', 'on')),
-    Feature(name='crossing', title='crossing runway', form=Form.KIND, source='crossing',
-            kinds=('off', 'on')),
-)
-_OTHER_KINDS = (
-    Feature(name='aircraft', title='aircraft', form=Form.KIND, source='aircraft', kinds=AIRCRAFT),
-    Feature(name='date', title='date', form=Form.KIND, source='date'),
+_SWITCHES = tuple(_feature(one, form=Form.KIND) for one in (fields.SHADOWS, fields.CROSSING))
+_OTHER_KINDS = tuple(
+    _feature(one, form=Form.KIND) for one in (fields.AIRCRAFT_MODEL, fields.DATE)
 )
 PAPER_FEATURES = (TIME_OF_DAY, CLOUDS_KIND, RAIN, CROSS_TRACK, DISTANCE, HEADING)
 """The paper's six, as they stand in the table."""

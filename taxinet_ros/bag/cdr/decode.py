@@ -6,7 +6,9 @@ messages become plain objects with the fields of the definition.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from taxinet_ros.bag.errors import BagCorrupt, BagForeign
 from taxinet_ros.bag.topics import TopicInfo, is_type_name
+from taxinet_ros.core.scenario_fields import BY_KEY
 
 MAX_DEFINITION_CHARS = 2**17
 """Longer than any of ROS's own; reading more would take seconds."""
@@ -24,6 +27,9 @@ MAX_FIXED_ARRAY = 4096
 """Elements of a fixed array, for each of which code is generated."""
 MAX_PARTS = 10_000
 """Fields of a type with all within it; nested types could multiply without end."""
+
+_SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
+_BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(BY_KEY)})\b', re.MULTILINE)
 
 
 def decode(topic: TopicInfo, cdr: bytes) -> Any:
@@ -62,7 +68,7 @@ def definition_hash(topic: TopicInfo) -> str:
     Raises:
         BagForeign: there is no definition that could be used.
     """
-    store = typestore(topic)
+    store = _typestore(topic.type, topic.definition)
     try:
         return str(store.hash_rihs01(topic.type))
     except Exception as error:  # As in _typestore.
@@ -72,10 +78,27 @@ def definition_hash(topic: TopicInfo) -> str:
 def typestore(topic: TopicInfo) -> Typestore:
     """A store that knows the topic's type, and what is within it, from its definition alone.
 
+    Fields have the names of :func:`with_present_names`.
+
     Raises:
         BagForeign: there is no definition that could be used.
     """
+    topic = with_present_names(topic)
     return _typestore(topic.type, topic.definition)
+
+
+def with_present_names(topic: TopicInfo) -> TopicInfo:
+    """The topic as it would be defined now, where fields have only been renamed since.
+
+    Fields of the scenario message had no unit in their names before; the bytes are the same.
+    """
+    if topic.type != _SCENARIO_TYPE:
+        return topic
+    return replace(topic, definition=_BEFORE_UNITS.sub(_present_name, topic.definition))
+
+
+def _present_name(field: re.Match[str]) -> str:
+    return f'{field[1]}{BY_KEY[field[2]].attribute}'
 
 
 @lru_cache(maxsize=64)

@@ -12,25 +12,8 @@ from typing import Any
 from taxinet_ros.core.loop import ROLLING_ON, signals
 from taxinet_ros.core.mtl import Assumptions, parse_assumptions
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, ScenarioField
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
-
-SCENARIO_FIELDS = {
-    'cross_track_m': 'cross_track',
-    'distance_m': 'distance',
-    'heading_rad': 'heading',
-    'clouds': 'clouds',
-    'rain': 'rain',
-    'time_of_day_s': 'time_of_day',
-    'date': 'date',
-    'shadows': 'shadows',
-    'crossing': 'crossing',
-    'aircraft': 'aircraft',
-    'duration_s': 'duration',
-}
-"""Field of the scenario message by field of :class:`Scenario`; all floats, so no bit is lost."""
-
-_ADDED = {'crossing': True}
-"""Fields that bags from before do not have, and what the world was like then."""
 
 _NO_ESTIMATE = TrackingError(cte_m=math.nan, he_rad=math.nan, valid=False)
 _NO_COMMAND = TaxiCommand(steering_rad=math.nan, speed_mps=math.nan)
@@ -43,11 +26,13 @@ def scenario_of(message: Any) -> Scenario:
         UsageError: a value is out of range.
         AttributeError: it is no scenario message.
     """
-    values: dict[str, Any] = {
-        key: getattr(message, name, _ADDED[name]) if name in _ADDED else getattr(message, name)
-        for key, name in SCENARIO_FIELDS.items()
-    }
-    return Scenario(**values)
+    return Scenario(**{field.attribute: _value(message, field) for field in SCENARIO_FIELDS})
+
+
+def _value(message: Any, field: ScenarioField) -> Any:
+    if field.absent is not None:
+        return getattr(message, field.attribute, field.absent)
+    return getattr(message, field.attribute)
 
 
 def assumptions_of(message: Any) -> Assumptions:

@@ -299,7 +299,7 @@ class _SamplesReader:
             frozenset(topic for topic, messages in self.steps.items() if stamp in messages)
             for stamp in stamps
         )
-        duration_ns = round(float(self.scenario.duration) * NS_PER_S)
+        duration_ns = round(float(self.scenario.duration_s) * NS_PER_S)
         watch = EstimateWatch(duration_ns, CONTROL_PERIOD_NS)
         commands = HeldCommand(free=self.free)
         samples = [self._sample(stamp, commands) for stamp in stamps]

@@ -23,7 +23,7 @@ from taxinet_ros.core.controller import STEERING, SteeringGains
 from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
@@ -132,12 +132,11 @@ def _controller(facts: Mapping[str, Any], said: str) -> str:
 
 
 def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
-    values = {key: getattr(row, key) for key in HUMAN_KEYS}
-    if None in values.values():
+    if None in row.scene.values():
         raise UsageError(f'{row.run_id}: {row.outcome}, no scene was drawn')
     formulas: Mapping[str, str] = facts.get('specs', {})
     return JudgedRun(
-        run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(values),
+        run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(row.scene),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
         outcome=row.outcome, robustness=row.robustness, perception=row.perception,
         fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
@@ -195,9 +194,9 @@ def bag_differences(
 
 def _of_scene(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
     """What was asked for, in the units people read; a row without a scene has nothing to say."""
-    pairs = {key: (told.scene[key], getattr(row, key)) for key in HUMAN_KEYS}
+    pairs = ((key, told.scene[key], there) for key, there in row.scene.items())
     return {
-        key: (here, there) for key, (here, there) in pairs.items()
+        key: (here, there) for key, here, there in pairs
         if there not in (None, '') and not _near(here, there)
     }
 

@@ -17,7 +17,7 @@ from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.record.table import table
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario, scenario_from_human
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -168,7 +168,6 @@ def scenario_of_row(
             return recording.scenario, True
         except BagError:
             pass  # a damaged bag says less than the ledger does
-    values = {key: getattr(row, key) for key in HUMAN_KEYS}
-    if None in values.values():
+    if None in row.scene.values():
         raise UsageError(f'{folder / row.run_id}: has neither a bag nor a scene in the ledger')
-    return scenario_from_human(values), False
+    return scenario_from_human(row.scene), False

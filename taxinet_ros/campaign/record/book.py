@@ -75,7 +75,7 @@ def finished_row(options: CampaignOptions, request: RunRequest, result: RunResul
     """The row of a run that the graph has answered."""
     # A verdict stands only where the recorder has closed the bag, wherever its folder is by now.
     recorded = result.outcome.judged or (options.out / request.run_id).is_dir()
-    bag = request.run_id if recorded else ''
+    bag = request.run_id if recorded and options.bags else ''
     sim_s = max(result.last_seq, 0) * CONTROL_PERIOD_NS / NS_PER_S
     perception = options.perception
     if not perception or is_node_elsewhere(perception):

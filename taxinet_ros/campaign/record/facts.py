@@ -66,6 +66,7 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'processes': options.processes,
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
+        **({} if options.bags else {'bags': False}),
         **extension_facts(perceptions=options.perception, controllers=options.controller),
     }
 

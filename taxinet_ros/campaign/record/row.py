@@ -14,7 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -132,11 +132,12 @@ class RunRow:
             raise ValueError(f'index is {self.index}')
         if self.bag and not is_run_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
-        for name, value, known in (
-            ('clouds', self.clouds, CLOUDS), ('aircraft', self.aircraft, AIRCRAFT),
-        ):
-            if value and value not in known:
-                raise ValueError(f'{name} is {value!r:.40}, not one of {", ".join(known)}')
+        for known in SCENARIO_FIELDS:
+            value = getattr(self, known.key)
+            if known.words and value and value not in known.words:
+                raise ValueError(
+                    f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
+                )
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
@@ -160,6 +161,11 @@ class RunRow:
             raise ValueError(
                 f'run {self.run_id}: {self.outcome} with robustness {dict(self.robustness)}'
             )
+
+    @property
+    def scene(self) -> dict[str, Any]:
+        """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
+        return {known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}
 
     @property
     def unusable_share(self) -> float:
@@ -271,12 +277,16 @@ class RunRow:
             UsageError: a column is missing, unknown or of another kind, the outcome is none of the
                 five, or the row is none that can be (:meth:`check`).
         """
-        # A row from before the crossing could be taken away has a crossing if it has a scene.
-        drawn = None if values.get('shadows') is None else True
+        # Rows from before there was a key have its value of then, if they have a scene.
+        drawn = values.get('shadows') is not None
+        before = {
+            known.key: known.absent if drawn else None for known in SCENARIO_FIELDS
+            if known.absent is not None
+        }
         try:
             columns = {name: value for name, value in values.items() if name not in _BOUNDS}
             row = cls(**{
-                'crossing': drawn, **columns, 'outcome': Outcome(values['outcome']),
+                **before, **columns, 'outcome': Outcome(values['outcome']),
                 'robustness': _robustness(values),
             })
             for column in dataclasses.fields(cls):

@@ -23,7 +23,7 @@ from taxinet_ros.campaign.record.facts import (
 )
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.scenario import AIRCRAFT, CLOUDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
 from taxinet_ros.files.atomic import make_atomically, write_atomically
 
@@ -48,9 +48,7 @@ _BEFORE_POINT = {
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
-    'cross_track_m': 'float64', 'distance_m': 'float64', 'heading_deg': 'float64',
-    'clouds': 'string', 'rain_percent': 'float64', 'time_of_day_h': 'float64', 'date': 'string',
-    'shadows': 'boolean', 'crossing': 'boolean', 'aircraft': 'string', 'duration_s': 'float64',
+    **{field.column: field.column_type for field in SCENARIO_FIELDS},
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
@@ -64,10 +62,7 @@ _AFTER_RHO = {
     'real_time_factor': 'float64',
 }
 
-_ATTRIBUTES = {
-    'cross_track_m': 'cross_track', 'distance_m': 'distance', 'heading_deg': 'heading',
-    'rain_percent': 'rain', 'time_of_day_h': 'time_of_day', 'duration_s': 'duration',
-}
+_ATTRIBUTES = {field.column: field.key for field in SCENARIO_FIELDS}
 """A row names these as people set them, without their units."""
 
 
@@ -227,7 +222,8 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     """
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
-    known = {'outcome': [*Outcome], 'clouds': ['', *CLOUDS], 'aircraft': ['', *AIRCRAFT]}
+    known = {field.column: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
+    known['outcome'] = [*Outcome]
     for name, words in known.items():
         if name in frame.columns:
             _refuse(path, ~frame[name].fillna('').isin(words), f'an unknown word for {name}')

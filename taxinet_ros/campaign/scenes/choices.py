@@ -42,13 +42,14 @@ from scenic.core.vectors import Vector, VectorMethodDistribution, VectorOperator
 
 from taxinet_ros.campaign.samplers.space import Branch, Dimension
 from taxinet_ros.campaign.scenes.regions import coordinates, ends, point_at
-from taxinet_ros.campaign.scenes.values import EGO_VALUES, scenario_parameters
+from taxinet_ros.campaign.scenes.values import scenario_parameters
 from taxinet_ros.campaign.scenes.verifai_choices import (
     buckets_of,
     default_buckets,
     pieces_of,
     place_of,
 )
+from taxinet_ros.core.scenario_fields import PLANE_PROPERTIES
 
 QUANTILED = (Range, Normal, TruncatedNormal, DiscreteRange)
 """Choices whose inverse distribution function is known here; not their subclasses.
@@ -109,7 +110,7 @@ def find_choices(scenario: Any) -> tuple[list[Found], list[str]]:
 def random_keys(scenario: Any) -> list[str]:
     """Keys of the scenario whose values are not the same in every scene."""
     ego = scenario.egoObject
-    moved = set(EGO_VALUES) if isinstance(ego, Constructible) and _draws(ego) else set()
+    moved = set(PLANE_PROPERTIES) if isinstance(ego, Constructible) and _draws(ego) else set()
     return sorted(moved | {
         key for key, values in _entries(scenario).items()
         if key != REQUIREMENTS and any(needsSampling(value) for value in values)
@@ -262,7 +263,7 @@ def _coordinate_names(params: dict[str, Any]) -> dict[int, dict[int, str]]:
 def _entries(scenario: Any) -> dict[str, list[Any]]:
     """What each key of the scenario is drawn as, and what decides whether a scene is accepted."""
     entries = {key: [value] for key, value in scenario_parameters(scenario.params).items()}
-    for key, name in EGO_VALUES.items():
+    for key, name in PLANE_PROPERTIES.items():
         # An ego of another class is reported when its scene is drawn.
         entries[key] = [vars(scenario.egoObject or object).get(name)]
     judged = [value for req in scenario.userRequirements for value in req.dependencies]

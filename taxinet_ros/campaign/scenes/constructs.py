@@ -18,7 +18,7 @@ import difflib
 import functools
 import importlib
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
@@ -37,14 +37,13 @@ from taxinet_ros.campaign.scenes.chance import check_clocks
 from taxinet_ros.campaign.scenes.overrides import check_value
 from taxinet_ros.campaign.scenes.programs import MODEL
 from taxinet_ros.campaign.scenes.values import (
-    EGO_VALUES,
     Place,
     ProgramError,
     check_level,
     plain_value,
     scenario_parameters,
 )
-from taxinet_ros.core.scenario import CLOUDS, HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import CLOUDS, HUMAN_KEYS, PARAMETERS, PLANE_PROPERTIES
 from taxinet_ros.errors import UsageError
 
 _SCENIC, _IMPORTLIB = (str(Path(module.__file__ or '').parent) for module in (scenic, importlib))
@@ -259,7 +258,7 @@ class Constructs:
                 name: specifier._taxinet_place for specifier in specifiers
                 for name in specifier.priorities if hasattr(specifier, '_taxinet_place')
             }
-            for name in EGO_VALUES.values():
+            for name in PLANE_PROPERTIES.values():
                 if name in given and name in getattr(kind, '_finalProperties', ()):
                     raise ProgramError(
                         f'with {name}: it follows from where the aircraft stands; say that with '
@@ -284,17 +283,16 @@ class Constructs:
     def _check_name(self, name: str) -> None:
         place = self.params.get(name)
         word = name.rpartition('/')[2].removesuffix('[0]')
-        if name in EGO_VALUES:
+        if name in PLANE_PROPERTIES:
             raise ProgramError(
                 f'parameter {name!r} belongs to the plane: place the ego there', place
             )
         if word in _OF_THE_PAPER:
             raise ProgramError(f'param {name}: here it is {_OF_THE_PAPER[word]}', place)
         if name not in HUMAN_KEYS:
-            known = [key for key in HUMAN_KEYS if key not in EGO_VALUES]
             raise ProgramError(
-                f'param {name}: unknown, so it has no effect{_meant(name, known)}; '
-                f'known: {", ".join(known)}', place,
+                f'param {name}: unknown, so it has no effect{_meant(name, PARAMETERS)}; '
+                f'known: {", ".join(PARAMETERS)}', place,
             )
 
     def _check_value(self, name: str, value: Any) -> None:
@@ -390,7 +388,7 @@ def _sentence(word: str, why: str) -> str:
     return f'{word} has no effect here: {why}; leave it out'
 
 
-def _meant(name: str, known: list[str]) -> str:
+def _meant(name: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, known, 1)
     return f'; did you mean {close[0]}?' if close else ''
 

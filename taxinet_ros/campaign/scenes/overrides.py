@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from taxinet_ros.core.scenario import RAIN_CLOUDS, Scenario, scenario_from_human
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import RAIN_CLOUDS
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 

@@ -7,15 +7,16 @@ other.
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import taxinet_ros
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import PARAMETERS, PLANE_PROPERTIES, SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 
 MODEL = 'runway_world'
@@ -148,15 +149,11 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
         remarks: comments by key of the scenario.
     """
     values = {**scenario.to_human(), **_exact(scenario)}
-    parameters = (
-        'time_of_day', 'clouds', 'rain', 'date', 'shadows', 'crossing', 'aircraft', 'duration',
-    )
     lines = [f'"""{_quotable(about)}"""', f'model {MODEL}', '']
     lines += [
-        f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in parameters
+        f'param {key} = {_literal(values[key])}{_comment(remarks, key)}' for key in PARAMETERS
     ]
-    place = ('cross_track', 'distance', 'heading')
-    lines += ['', *(f'# {key} {remarks[key]}' for key in place if key in remarks)]
+    lines += ['', *(f'# {key} {remarks[key]}' for key in PLANE_PROPERTIES if key in remarks)]
     right, along = _literal(0 - values['cross_track']), _literal(values['distance'])
     lines.append(
         f'ego = new Plane at ({right}, {along}), facing {_literal(values["heading"])} deg'
@@ -164,18 +161,14 @@ def scenario_program(scenario: Scenario, about: str, remarks: Mapping[str, str])
     return '\n'.join(lines) + '\n'
 
 
-def _exact(scenario: Scenario) -> dict[str, float]:
+def _exact(scenario: Scenario) -> dict[str, Any]:
     """Numbers that rounding for people would change."""
     read = scenario_from_human(scenario.to_human())
-    exact = {
-        'cross_track': (scenario.cross_track_m, read.cross_track_m, 1.0),
-        'distance': (scenario.distance_m, read.distance_m, 1.0),
-        'heading': (scenario.heading_rad, read.heading_rad, math.pi / 180),
-        'rain': (scenario.rain, read.rain, 0.01),
-        'time_of_day': (scenario.time_of_day_s, read.time_of_day_s, 3600.0),
-        'duration': (scenario.duration_s, read.duration_s, 1.0),
+    values = {
+        field: (getattr(scenario, field.attribute), getattr(read, field.attribute))
+        for field in SCENARIO_FIELDS
     }
-    return {key: value / unit for key, (value, back, unit) in exact.items() if value != back}
+    return {field.key: value / field.si for field, (value, back) in values.items() if value != back}
 
 
 def _literal(value: float | str | bool) -> str:

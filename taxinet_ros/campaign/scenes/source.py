@@ -26,7 +26,8 @@ from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_
 from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-EGO_VALUES = {'cross_track': 'cross_track', 'distance': 'distance', 'heading': 'heading_deg'}
-"""Key of a scenario, and the property of the plane that says the same within a program."""
+from taxinet_ros.core.scenario_fields import PLANE_PROPERTIES
 
 SAMPLER_PARAMETERS = (
     'verifaiSamplerType', 'verifaiSamplerParams', 'externalSampler',
@@ -53,7 +52,7 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
             plane's to say, or a value of another kind.
     """
     ego = scene.egoObject
-    if ego is None or not all(hasattr(ego, name) for name in EGO_VALUES.values()):
+    if ego is None or not all(hasattr(ego, name) for name in PLANE_PROPERTIES.values()):
         raise ProgramError(
             'no plane to start from; write "model runway_world" and "ego = new Plane at (x, y)"'
         )
@@ -63,7 +62,7 @@ def scene_values(scene: Any) -> dict[str, float | str | bool]:
         'distance': ego.position.y,
         'heading': math.degrees(ego.heading),
     }
-    for key, name in EGO_VALUES.items():
+    for key, name in PLANE_PROPERTIES.items():
         if not math.isclose(getattr(ego, name), values[key], abs_tol=1e-6):
             raise ProgramError(
                 f'{name} is {getattr(ego, name):g}, but where the aircraft stands it is '

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,8 @@ from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.runway import CROSSING_X_M
-from taxinet_ros.core.scenario import (
-    AIRCRAFT,
-    CLOUDS,
-    RAIN_CLOUDS,
-    Scenario,
-    scenario_from_human,
-)
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import UsageError
 
@@ -40,14 +35,11 @@ DISTANCES_M = (1000.0, 1800.0)
 NOMINAL_HOUR = 10.0
 STEPS = {'cross_track': 0.1, 'distance': 10.0, 'heading': 0.5, 'rain': 1.0, 'time_of_day': 0.05}
 """Step of each parameter that is a number: m, m, degrees, percent, h (that is 3 min)."""
-_FIELDS = {
-    'cross_track': 'cross_track_m', 'heading': 'heading_rad', 'distance': 'distance_m',
-    'time_of_day': 'time_of_day_s', 'clouds': 'clouds', 'rain': 'rain', 'shadows': 'shadows',
-    'crossing': 'crossing', 'date': 'date', 'aircraft': 'aircraft',
-}
-KEYS = tuple(_FIELDS)
+KEYS = (
+    'cross_track', 'heading', 'distance', 'time_of_day', 'clouds', 'rain', 'shadows', 'crossing',
+    'date', 'aircraft',
+)
 """What may be taken to nominal; the last four are as in the run unless a person says otherwise."""
-_ORDERED: Mapping[str, tuple[str, ...]] = {'clouds': CLOUDS, 'aircraft': AIRCRAFT}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,8 +91,8 @@ class ShrinkSpace:
             for one in self.moving if steps[one.key] < one.axis.steps
         }
         built = scenario_from_human({**self.original.to_human(), **changed})
-        fields = {_FIELDS[key]: getattr(built, _FIELDS[key]) for key in changed}
-        return dataclasses.replace(self.original, **fields)
+        names = [BY_KEY[key].attribute for key in changed]
+        return dataclasses.replace(self.original, **{name: getattr(built, name) for name in names})
 
     def possible(self, point: Point, axis: int) -> Point:
         """``point``, or where its sky has no rain for it, clouds or rain taken to nominal.
@@ -167,8 +159,8 @@ def _chosen(settings: Iterable[str]) -> dict[str, str]:
 def _values(key: str, nominal: Any, original: Any) -> tuple[Any, ...]:
     if nominal == original:
         return (nominal,)
-    if key in _ORDERED:
-        return _words(_ORDERED[key], nominal, original)
+    if BY_KEY[key].words:
+        return _words(BY_KEY[key].words, nominal, original)
     if key not in STEPS:
         return nominal, original
     step = math.copysign(STEPS[key], original - nominal)

@@ -31,7 +31,8 @@ from taxinet_ros.core.controller import controller_options
 from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.scenario import HUMAN_KEYS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 
 
 class Shrinking:
@@ -189,7 +190,7 @@ class Shrinking:
 
 def _scene(row: RunRow) -> str:
     """The scene of a run, as :meth:`Shrinking._key` has that of a point."""
-    return json.dumps({key: getattr(row, key) for key in HUMAN_KEYS})
+    return json.dumps(row.scene)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -219,6 +220,10 @@ class Finding:
     def matters(self) -> bool:
         """Whether the failure needs it to be other than nominal."""
         return bool(self.shrunk != self.nominal)
+
+    def words(self, value: Any) -> str:
+        """A value of the parameter, with its unit."""
+        return BY_KEY[self.key].value_words(value)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -258,7 +263,7 @@ def make_report(shrinking: Shrinking) -> Report:
         scenario=space.scenario(state.at),
         original=shrinking.row(search.start), nominal=shrinking.row(search.origin),
         shrunk=shrinking.row(state.at),
-        dry=space.original.rain > 0 and space.nominal.clouds not in RAIN_CLOUDS,
+        dry=space.original.rain_fraction > 0 and space.nominal.clouds not in RAIN_CLOUDS,
     )
 
 
@@ -274,10 +279,6 @@ def _finding(shrinking: Shrinking, one: Parameter, axis: int, at: Point) -> Find
     )
 
 
-_UNITS = {
-    'cross_track': '{:+.1f} m', 'distance': '{:.0f} m', 'heading': '{:+.1f} deg',
-    'rain': '{:.0f} %',
-}
 _MATTERS = {True: Text('matters', style='bold red'), False: Text('does not matter', style='dim')}
 
 
@@ -306,8 +307,7 @@ def parameter_table(report: Report) -> Table:
         if one.original == one.nominal:
             verdict = Text('nominal already', style='dim')
         table.add_row(
-            one.key, *(value_words(one.key, value) for value in (
-                one.original, one.nominal, one.shrunk)),
+            one.key, one.words(one.original), one.words(one.nominal), one.words(one.shrunk),
             _rho(one.rho_in_original), _rho(one.rho_in_shrunk), verdict,
         )
     return table
@@ -328,14 +328,14 @@ def finding_lines(report: Report) -> list[str]:
 
 def edge_words(one: Finding) -> str:
     """Where along one parameter the failure begins, all others as in the shrunk run."""
-    fails, passes = value_words(one.key, one.shrunk), value_words(one.key, one.passes_at)
+    fails, passes = one.words(one.shrunk), one.words(one.passes_at)
     return f'{fails} fails, {passes} passes (rho {one.rho_passes_at:+.2f})'
 
 
 def off_nominal(report: Report) -> str:
     """The shrunk scenario in a few words: what in it is not nominal."""
     words = [
-        f'{one.key} {value_words(one.key, one.shrunk)}' for one in report.findings if one.matters
+        f'{one.key} {one.words(one.shrunk)}' for one in report.findings if one.matters
     ]
     return ', '.join(words) or 'everything nominal'
 
@@ -366,19 +366,6 @@ def run_command(options: ShrinkOptions, program: str) -> str:
     words += [word for name, value in campaign.gains.items()
               for word in ('--set', f'steering.{name}={value!r}')]
     return shlex.join([*words, *campaign.timing.options])
-
-
-def value_words(key: str, value: Any) -> str:
-    """A value as people say it."""
-    if key == 'time_of_day':
-        hours, minutes = divmod(round(value * 60), 60)
-        return f'{hours:02d}:{minutes:02d}'
-    if isinstance(value, bool):
-        return 'on' if value else 'off'
-    if key not in _UNITS:
-        return str(value)
-    words = _UNITS[key].format(value)
-    return words.removeprefix('+') if value == 0 else words
 
 
 def _rho(value: float | None) -> str:

@@ -24,7 +24,6 @@ from taxinet_ros.analysis.camera.sheets import (
     HOURS,
     POSE,
     camera_sheet,
-    clock,
     scene_picture,
     sheet_scenes,
 )
@@ -32,7 +31,8 @@ from taxinet_ros.campaign.options import DEFAULT_ROOT
 from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, scenario_from_human
+from taxinet_ros.core.scenario import scenario_from_human
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
 from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
@@ -89,7 +89,7 @@ def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> No
     print('time   elevation  the nose  in shadow  rendered    light       luminance   energy')
     for one in shadow_appearances(values, columns, turbidity):
         print(
-            f'{clock(3600 * one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
+            f'{clock_words(one.hour)}  {one.elevation_deg:7.1f}°  {one.from_nose_deg:6.0f}°  '
             f'{100 * one.share:8.1f}%  {_ratio(one.rendered)}       {_ratio(one.light)}       '
             f'{_ratio(one.physics)}       {_ratio(one.energy)}'
         )

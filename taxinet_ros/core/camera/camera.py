@@ -203,7 +203,7 @@ class Camera:
         self._atmosphere = Atmosphere(self._light, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._airframe = AirframeView(self._light)
         self._rain = (
-            RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if scenario.rain > 0 else None
+            RainSheet(self._light, IMAGE_HEIGHT, IMAGE_WIDTH) if self._light.rain > 0 else None
         )
         sunny = float(self._light.direct.max()) > 0.01 * float(self._light.total.max())
         casts = scenario.shadows and sunny and self._light.sun_elevation_rad > LOWEST_SUN_RAD

@@ -168,7 +168,7 @@ def scenario_light(scenario: Scenario, runway: Runway = KMWH_04) -> Light:
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))
     level = float(LUMINANCE @ ((direct + diffuse) / reference))
     gain = min(level**-_EXPOSURE_COMPENSATION, _EXPOSURE_LIMIT) / reference
-    cloud = _CLOUDS[scenario.clouds]
+    cloud, rain = _CLOUDS[scenario.clouds], scenario.rain_fraction
     low, high = _sky(cloud, diffuse * gain, direct * gain, elevation)
     return Light(
         sun=sun_direction(azimuth, elevation, runway),
@@ -178,9 +178,9 @@ def scenario_light(scenario: Scenario, runway: Runway = KMWH_04) -> Light:
         sky_low=low,
         sky_high=high,
         sun_width_rad=math.radians(cloud.sun_width_deg),
-        visibility_m=1 / (1 / cloud.visibility_m + scenario.rain / 500.0),
-        wetness=0.0 if scenario.rain <= 0 else min(1.0, 0.45 + 0.55 * scenario.rain),
-        rain=scenario.rain,
+        visibility_m=1 / (1 / cloud.visibility_m + rain / 500.0),
+        wetness=0.0 if rain <= 0 else min(1.0, 0.45 + 0.55 * rain),
+        rain=rain,
         clouds=scenario.clouds,
     )
 
@@ -200,13 +200,13 @@ def _clear(elevation_rad: float) -> tuple[Colour, Colour]:
 def _weathered(scenario: Scenario, elevation_rad: float) -> tuple[Colour, Colour]:
     cloud = _CLOUDS[scenario.clouds]
     direct, diffuse = _clear(elevation_rad)
-    thinned = 1 - 0.45 * scenario.rain
+    thinned = 1 - 0.45 * scenario.rain_fraction
     grey = float(LUMINANCE @ (direct + diffuse)) * np.array(cloud.tint)
     # Under a closed cover the colour of a low sun only tints the clouds a little.
     grey *= 0.75 + 0.25 * (direct + diffuse) / float(LUMINANCE @ (direct + diffuse))
     diffuse = cloud.clear_diffuse * diffuse + cloud.cloud_diffuse * grey
     # Rain falls from the thick parts of a cover, which let hardly any beam through.
-    return direct * cloud.beam * (1 - scenario.rain) ** 2, diffuse * thinned
+    return direct * cloud.beam * (1 - scenario.rain_fraction) ** 2, diffuse * thinned
 
 
 def _sky(

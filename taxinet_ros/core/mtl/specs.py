@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from taxinet_ros import registry
@@ -59,8 +59,13 @@ class Spec:
     """
 
     name: str
-    formula: ast.Formula
+    formula: ast.Formula = field(repr=False)
     text: str
+
+    @classmethod
+    def parse(cls, text: str) -> Spec:
+        """Read a requirement as a user writes it; see :func:`parse_spec`."""
+        return parse_spec(text)
 
 
 def parse_formula(text: str, predicates: Mapping[str, str] | None = None) -> ast.Formula:

@@ -155,10 +155,11 @@ class UserPerception(Perception):
             return NO_ESTIMATE
         else:
             argument = truth
-        return self._run.answer(argument, _read_estimate, 'a pair (cte_m, he_rad), or None')
+        return self._run.answer(argument, read_estimate, 'a pair (cte_m, he_rad), or None')
 
 
-def _read_estimate(answer: Any) -> TrackingError | None:
+def read_estimate(answer: Any) -> TrackingError | None:
+    """The estimate that a function of somebody's answered; None where it is none."""
     if answer is None:
         return NO_ESTIMATE
     if not isinstance(answer, TrackingError):

@@ -6,6 +6,7 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from typing import Any
 
@@ -17,7 +18,6 @@ from taxinet_msgs import msg as taxinet
 from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
-from taxinet_ros.bag.run.message_values import SCENARIO_FIELDS
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera import camera
 from taxinet_ros.core.mtl import Reading, Spec
@@ -47,7 +47,6 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """The message that asks for a run."""
-    values = {name: getattr(request.scenario, key) for key, name in SCENARIO_FIELDS.items()}
     return taxinet.Scenario(
         header=header(0),
         run_id=request.run_id,
@@ -59,7 +58,7 @@ def scenario_message(request: RunRequest) -> taxinet.Scenario:
         bounds=list(request.judging.bounds),
         rates=list(request.judging.rates),
         participants=list(request.participants),
-        **values,
+        **dataclasses.asdict(request.scenario),
     )
 
 

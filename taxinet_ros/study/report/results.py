@@ -18,6 +18,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
 from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.perception.weights import weights_path
+from taxinet_ros.core.scenario_fields import PAPER_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.sealed_json import read_sealed
@@ -36,7 +37,7 @@ from taxinet_ros.study.stages.plan import (
 SETTLED_RUNS = 400
 """Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
 
-_SCENE = ('cross_track_m', 'distance_m', 'heading_deg', 'clouds', 'rain_percent', 'time_of_day_h')
+_SCENE = tuple(field.column for field in PAPER_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -115,7 +115,7 @@ def test_given_a_change_that_takes_the_answer_away_then_it_takes_no_error_away()
 
 @pytest.mark.parametrize(('scenario', 'names'), [
     (Scenario(), ['shadow', 'crossing', 'overcast', 'ten', 'easy']),
-    (Scenario(clouds='stratus', rain=0.5, time_of_day_s=36000.0, shadows=False),
+    (Scenario(clouds='stratus', rain_fraction=0.5, time_of_day_s=36000.0, shadows=False),
      ['crossing', 'rain', 'overcast', 'clear', 'easy']),
     (Scenario(time_of_day_s=36000.0, shadows=False, crossing=False), ['overcast']),
 ])
@@ -124,7 +124,7 @@ def test_given_a_scene_then_what_is_so_already_is_not_changed(scenario, names):
     assert [factor.name for factor in found] == names
     assert all(factor.scenario != scenario for factor in found)
     assert all(
-        factor.scenario.rain == scenario.rain for factor in found
+        factor.scenario.rain_fraction == scenario.rain_fraction for factor in found
         if factor.name not in ('rain', 'clear', 'easy')
     )
 

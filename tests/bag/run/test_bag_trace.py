@@ -5,6 +5,7 @@ Recordings from before the crossing could be taken away have it.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from hypothesis import strategies as st
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import decoded_messages
-from taxinet_ros.bag.run.message_values import SCENARIO_FIELDS, scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.bag.writer import BagWriter
@@ -221,8 +222,7 @@ def test_given_the_bag_package_when_imported_then_no_ros_comes_with_it() -> None
 
 def message(**changes):
     scene = Scenario()
-    values = {name: getattr(scene, key) for key, name in SCENARIO_FIELDS.items()} | changes
-    return SimpleNamespace(**values)
+    return SimpleNamespace(**dataclasses.asdict(scene) | changes)
 
 
 def test_given_a_message_without_the_field_then_there_is_a_crossing():

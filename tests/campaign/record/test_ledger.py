@@ -27,7 +27,7 @@ from taxinet_ros.errors import UsageError
 def row(index: int, outcome: Outcome = Outcome.PASS, rho: float = 0.1 + 0.2) -> RunRow:
     request = RunRequest(
         run_id=f'run-{index}', index=index, program='s_falsif', seed=5,
-        scenario=Scenario(clouds='stratus', rain=1 / 3),
+        scenario=Scenario(clouds='stratus', rain_fraction=1 / 3),
         judging=Judging(specs=('phi_eventually',)),
         participants=(),
     )

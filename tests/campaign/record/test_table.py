@@ -19,7 +19,8 @@ from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
 
 SPECS = ('phi_eventually', 'phi_always')

@@ -19,7 +19,8 @@ from taxinet_ros.campaign.scenes.programs import (
     shipped_folder,
 )
 from taxinet_ros.campaign.scenes.source import SceneSource, sample_scenarios
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 N = 600
@@ -50,11 +51,11 @@ def falsification() -> list[Scenario]:
 def test_given_s_falsif_when_drawn_then_a_third_is_wet_and_only_rain_clouds_rain(
     falsification: list[Scenario],
 ) -> None:
-    wet = [scene for scene in falsification if scene.rain > 0]
+    wet = [scene for scene in falsification if scene.rain_fraction > 0]
     assert_share(len(wet), 1 / 3)
     assert {scene.clouds for scene in wet} == set(RAIN_CLOUDS)
-    assert_uniform([scene.rain for scene in wet], 0.25, 1.0)
-    dry = Counter(scene.clouds for scene in falsification if scene.rain == 0)
+    assert_uniform([scene.rain_fraction for scene in wet], 0.25, 1.0)
+    dry = Counter(scene.clouds for scene in falsification if scene.rain_fraction == 0)
     assert set(dry) == set(CLOUDS)
     for kind in CLOUDS:
         assert_share(dry[kind], 1 / 6, dry.total())
@@ -76,7 +77,7 @@ def test_given_runway_position_when_drawn_then_the_ranges_have_the_weights_of_fi
         inside = [scene.distance_m for scene in scenes if low <= scene.distance_m < high]
         assert_share(len(inside), weight)
         assert_uniform(inside, low, high)
-    assert_share(sum(scene.rain > 0 for scene in scenes), 1 / 3)
+    assert_share(sum(scene.rain_fraction > 0 for scene in scenes), 1 / 3)
 
 
 def test_given_nominal_when_drawn_then_it_starts_on_the_line_in_fine_weather() -> None:
@@ -85,7 +86,7 @@ def test_given_nominal_when_drawn_then_it_starts_on_the_line_in_fine_weather() -
     assert_uniform([math.degrees(scene.heading_rad) for scene in scenes], -3, 3)
     assert_uniform([scene.time_of_day_s / 3600 for scene in scenes], 9.5, 11.5)
     assert {scene.clouds for scene in scenes} == {'clear', 'cirrus', 'scattered'}
-    assert {scene.rain for scene in scenes} == {0}
+    assert {scene.rain_fraction for scene in scenes} == {0}
     driven_m = 30 * 5
     assert all(scene.distance_m > 900 for scene in scenes)
     assert all(not 1350 - driven_m < scene.distance_m < 1550 for scene in scenes)
@@ -97,7 +98,7 @@ def test_given_training_original_when_drawn_then_its_gaps_are_gaps() -> None:
     assert_uniform([math.degrees(scene.heading_rad) for scene in scenes], -32, 32)
     assert_uniform([scene.time_of_day_s / 3600 for scene in scenes], 8.5, 12)
     assert {scene.clouds for scene in scenes} == {'clear', 'cirrus', 'scattered', 'overcast'}
-    assert {scene.rain for scene in scenes} == {0}
+    assert {scene.rain_fraction for scene in scenes} == {0}
     before = [scene.distance_m for scene in scenes if scene.distance_m <= 1300]
     after = [scene.distance_m for scene in scenes if scene.distance_m > 1300]
     assert_share(len(before), 13 / 21, 300)

@@ -172,7 +172,7 @@ def test_given_overrides_when_drawn_then_only_they_differ() -> None:
     plain = sample_scenarios('s_falsif', 3, 6)
     changed = sample_scenarios('s_falsif', 3, 6, overrides)
     assert [scene.cross_track_m for scene in changed] == [scene.cross_track_m for scene in plain]
-    assert [scene.rain for scene in changed] == [scene.rain for scene in plain]
+    assert [scene.rain_fraction for scene in changed] == [scene.rain_fraction for scene in plain]
     assert {scene.heading_rad for scene in changed} == {np.radians(12.5)}
     assert {(s.shadows, s.clouds, s.duration_s) for s in changed} == {(False, 'stratus', 5.0)}
 
@@ -194,14 +194,14 @@ def test_given_half_of_the_weather_when_overridden_then_both_keys_are_named_at_t
 
 def test_given_both_halves_of_the_weather_when_overridden_then_all_scenes_have_them() -> None:
     scenes = sample_scenarios('s_falsif', 1, 30, {'clouds': 'clear', 'rain': '0'})
-    assert {(scene.clouds, scene.rain) for scene in scenes} == {('clear', 0.0)}
+    assert {(scene.clouds, scene.rain_fraction) for scene in scenes} == {('clear', 0.0)}
 
 
 @pytest.mark.parametrize(('overrides', 'message'), [
     ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track"),
     ({'heading': 'left'}, "override heading=left: heading needs a number, got 'left'"),
     ({'cross_track': '99'}, 'override cross_track=99: cross_track_m is 99, outside -15..15'),
-    ({'rain': '120'}, 'override rain=120: rain is 1.2, outside 0..1'),
+    ({'rain': '120'}, 'override rain=120: rain_fraction is 1.2, outside 0..1'),
     ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain=50: rain needs clouds'),
     ({'distance': 'nan'}, 'override distance=nan: distance_m is nan'),
 ])
@@ -215,7 +215,7 @@ def test_given_a_bad_override_when_checked_then_one_line_names_it(
 
 def test_given_rain_words_when_overridden_over_dry_draw_then_the_sum_is_checked() -> None:
     scene = apply_overrides({'clouds': 'overcast'}, {'rain': '40'}, 'x')
-    assert (scene.clouds, scene.rain) == ('overcast', pytest.approx(0.4))
+    assert (scene.clouds, scene.rain_fraction) == ('overcast', pytest.approx(0.4))
 
 
 @pytest.mark.parametrize('seed', [-1, 1 << 63])
@@ -285,7 +285,7 @@ def test_s6_given_an_override_of_what_is_drawn_out_of_range_then_nothing_is_reje
 ) -> None:
     path = write(tmp_path, OFF_CENTRE + 'param rain = Range(500, 900)\nparam clouds = "broken"\n')
     with SceneSource(path, seed=0, overrides={'rain': '20', 'cross_track': '3'}) as source:
-        assert {(scene.rain, scene.cross_track_m)
+        assert {(scene.rain_fraction, scene.cross_track_m)
                 for scene in (source.scene(index) for index in range(50))} == {(0.2, 3.0)}
 
 

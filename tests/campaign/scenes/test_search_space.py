@@ -81,7 +81,7 @@ def test_given_a_point_when_a_scene_is_drawn_then_every_choice_is_at_its_quantil
         'distance': 1400, 'heading': 0,
     }
     dry = s_falsif.scene(0, (0.25, 0.66, 0.17, None, None, 0.75, 0.7, 0.5))
-    assert (dry.clouds, dry.rain) == ('cirrus', 0)
+    assert (dry.clouds, dry.rain_fraction) == ('cirrus', 0)
 
 
 def test_given_a_point_when_scenes_without_one_follow_then_these_are_as_ever(
@@ -100,9 +100,9 @@ def test_given_uniform_points_when_scenes_are_drawn_then_they_follow_the_prior(
 ) -> None:
     points = np.random.default_rng(5).random((600, 8))
     scenes = [s_falsif.scene(0, s_falsif.space().point(point)) for point in points]
-    wet = [scene for scene in scenes if scene.rain > 0]
+    wet = [scene for scene in scenes if scene.rain_fraction > 0]
     assert len(wet) == np.sum(points[:, 1] >= 2 / 3)
-    rain = [scene.rain for scene in wet]
+    rain = [scene.rain_fraction for scene in wet]
     assert kstest(rain, 'uniform', (0.25, 0.75)).pvalue > 1e-4
     assert kstest([s.distance_m for s in scenes], 'uniform', (0, 2000)).pvalue > 1e-4
 

@@ -44,7 +44,7 @@ from taxinet_ros.errors import UsageError
 NAME = 'phi_eventually'
 WET = Scenario(
     cross_track_m=3.0123456789012345, distance_m=420.0, heading_rad=0.2, clouds='stratus',
-    rain=0.8, time_of_day_s=15.5 * 3600, duration_s=1.0,
+    rain_fraction=0.8, time_of_day_s=15.5 * 3600, duration_s=1.0,
 )
 
 Judge = Callable[[RunRequest], RunResult]
@@ -53,7 +53,7 @@ Judge = Callable[[RunRequest], RunResult]
 def judged(request: RunRequest, outcome: Outcome | None = None) -> RunResult:
     """What a run gives: a failure in more than 30.5 % of rain on the first 705 m."""
     scenario = request.scenario
-    rho = max(0.305 - scenario.rain, (scenario.distance_m - 705) / 1000)
+    rho = max(0.305 - scenario.rain_fraction, (scenario.distance_m - 705) / 1000)
     outcome = outcome or (Outcome.PASS if rho > 0 else Outcome.FAIL)
     return RunResult(
         outcome=outcome, last_seq=10,
@@ -218,7 +218,8 @@ def test_f1_given_a_bench_that_broke_when_resumed_then_the_table_is_that_of_an_u
 def test_given_a_run_that_passes_now_then_it_is_not_reproduced(tmp_path):
     shrinking = drive(
         options(campaign(tmp_path / 'c'), tmp_path / 'out'),
-        lambda request: judged(request, None) if request.scenario.rain < 0.1 else RunResult(
+        lambda request: judged(request, None)
+        if request.scenario.rain_fraction < 0.1 else RunResult(
             outcome=Outcome.PASS, robustness=exact_intervals({NAME: 0.5}), last_seq=10,
             statistics=RunStatistics(max_cross_track_m=1.0),
         ),
@@ -255,7 +256,7 @@ def test_given_the_outcome_when_printed_then_it_fits_80_columns(tmp_path):
 def test_given_a_run_with_two_causes_then_that_is_said(tmp_path):
     def either(request: RunRequest) -> RunResult:
         scenario = request.scenario
-        rho = min(0.305 - scenario.rain, 1.0 if scenario.distance_m > 705 else -0.1)
+        rho = min(0.305 - scenario.rain_fraction, 1.0 if scenario.distance_m > 705 else -0.1)
         return RunResult(
             outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
             robustness=exact_intervals({NAME: rho}), last_seq=10,

@@ -23,7 +23,7 @@ from taxinet_ros.core.world import SimulatedWorld
 pytestmark = pytest.mark.ros
 
 SCENE = Scenario(
-    clouds='stratus', rain=0.9, heading_rad=0.4, cross_track_m=2.0, distance_m=900.0,
+    clouds='stratus', rain_fraction=0.9, heading_rad=0.4, cross_track_m=2.0, distance_m=900.0,
     duration_s=2.0,
 )
 SEQS = 21

@@ -28,7 +28,8 @@ from taxinet_ros.core.camera.camera import (
 )
 from taxinet_ros.core.camera.light import ground_table, scenario_light, sun_direction, sun_position
 from taxinet_ros.core.place import runway
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.core.types import AircraftState
 
 Picture = NDArray[np.uint8]
@@ -199,7 +200,7 @@ def golden_shots() -> list[Picture]:
     return [
         shot(at(333.25, 1.5, 7.0), 15.0),
         shot(at(900.0, -4.0, -20.0), 7.0, clouds='scattered'),
-        shot(at(1400.0, 3.0, 0.0), 16.0, 300_000_000, clouds='broken', rain=0.7),
+        shot(at(1400.0, 3.0, 0.0), 16.0, 300_000_000, clouds='broken', rain_fraction=0.7),
     ]
 
 
@@ -218,7 +219,7 @@ def test_given_one_camera_when_used_again_then_old_pictures_stay_and_equal_state
 
 
 @pytest.mark.parametrize('weather', [
-    {'clouds': 'scattered'}, {'clouds': 'stratus', 'rain': 0.7}, {'hour': 7.0},
+    {'clouds': 'scattered'}, {'clouds': 'stratus', 'rain_fraction': 0.7}, {'hour': 7.0},
 ], ids=['shadows', 'rain', 'glare'])  # fmt: skip
 def test_given_ground_that_the_aircraft_covers_when_left_out_then_the_picture_is_the_same(
     weather: dict[str, object], monkeypatch: pytest.MonkeyPatch
@@ -295,7 +296,7 @@ def test_given_rain_when_it_grows_then_the_marks_on_the_ground_lose_contrast(clo
     (stripe, asphalt), _ = project(state, points)
     contrasts = []
     for rain in (0.0, 0.3, 0.6, 1.0):
-        camera = Camera(Scenario(clouds=clouds, rain=rain))
+        camera = Camera(Scenario(clouds=clouds, rain_fraction=rain))
         mean = np.mean([camera.render(state, k * 10**8) for k in range(12)], axis=0)
         bright, dark = (float(mean[round(v), round(u)].mean()) for u, v in (stripe, asphalt))
         contrasts.append((bright - dark) / (bright + dark))
@@ -304,7 +305,7 @@ def test_given_rain_when_it_grows_then_the_marks_on_the_ground_lose_contrast(clo
 
 
 def test_given_rain_when_the_stamp_changes_then_the_streaks_do_and_repeat_with_it() -> None:
-    camera = Camera(Scenario(clouds='stratus', rain=0.8))
+    camera = Camera(Scenario(clouds='stratus', rain_fraction=0.8))
     first, second, again = (camera.render(at(), stamp) for stamp in (0, 100_000_000, 0))
     assert (first != second).mean() > 0.05
     np.testing.assert_array_equal(first, again)
@@ -336,7 +337,7 @@ def test_given_a_camera_under_the_ground_when_rendered_then_it_is_refused() -> N
 def test_given_a_light_table_when_split_then_gain_and_curve_give_it_back(
     hour: float, clouds: str, rain: float
 ) -> None:
-    light = scenario_light(Scenario(time_of_day_s=hour * 3600, clouds=clouds, rain=rain))
+    light = scenario_light(Scenario(time_of_day_s=hour * 3600, clouds=clouds, rain_fraction=rain))
     table = ground_table(light)
     curve, gain = shared_curve(table)
     codes = np.arange(256)
@@ -351,7 +352,8 @@ def test_given_a_listener_when_rendered_then_it_hears_the_stages_and_the_picture
     None
 ):
     heard: list[str] = []
-    wet, state = Camera(Scenario(clouds='broken', rain=0.3, time_of_day_s=15 * 3600.0)), at()
+    scene = Scenario(clouds='broken', rain_fraction=0.3, time_of_day_s=15 * 3600.0)
+    wet, state = Camera(scene), at()
     with_marks = wet.render(state, 5, heard.append)
     assert tuple(heard) == STAGES
     np.testing.assert_array_equal(with_marks, wet.render(state, 5))

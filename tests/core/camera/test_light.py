@@ -18,7 +18,8 @@ from taxinet_ros.core.camera.light import (
     sun_direction,
     sun_position,
 )
-from taxinet_ros.core.scenario import CLOUDS, RAIN_CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS
 from taxinet_ros.errors import UsageError
 
 LATITUDE_DEG = 47.2
@@ -82,7 +83,7 @@ def test_given_nonsense_when_asked_for_the_sun_then_one_line_says_so(
 
 
 def light(hour: float = 12.0, clouds: str = 'clear', rain: float = 0.0) -> Light:
-    return scenario_light(Scenario(time_of_day_s=hour * 3600, clouds=clouds, rain=rain))
+    return scenario_light(Scenario(time_of_day_s=hour * 3600, clouds=clouds, rain_fraction=rain))
 
 
 def test_given_known_elevations_when_computing_the_air_mass_then_it_is_the_papers() -> None:

@@ -23,7 +23,8 @@ from picture_samples import FOCAL, OPEN, Picture, at, ground_points, luminance, 
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera, project
 from taxinet_ros.core.place.runway import EDGE_STRIPE_Y_M
-from taxinet_ros.core.scenario import CLOUDS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import CLOUDS
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 
 Numbers = NDArray[np.float64]

@@ -39,7 +39,9 @@ def digest() -> str:
     found = hashlib.sha256()
     for number, clouds in enumerate(('clear', 'cirrus', 'scattered', 'broken', 'stratus')):
         rain = 0.6 if clouds == 'stratus' else 0.0
-        camera = Camera(Scenario(time_of_day_s=3600.0 * (7 + 2 * number), clouds=clouds, rain=rain))
+        camera = Camera(Scenario(
+            time_of_day_s=3600.0 * (7 + 2 * number), clouds=clouds, rain_fraction=rain,
+        ))
         for x, y, heading, pitch in ((333.3, 2.0, 9.0, 0.1), (1400.0, -5.0, -20.0, -4.0)):
             picture = camera.render(at(x, y, heading, pitch), number)
             found.update(picture.tobytes() + shrink(picture).tobytes())

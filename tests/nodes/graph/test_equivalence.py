@@ -1,20 +1,17 @@
-"""One closed loop, three layouts: in process without ROS, composed graph, separate processes.
+"""One closed loop, three layouts: ``tx.run`` without ROS, composed graph, separate processes.
 
-The traces are the same to the bit, and so are the bags of the two graphs.
+The traces are the same to the bit, and the frames, and so are the bags of the two graphs.
 """
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+import taxinet_ros as tx
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.judging import Judging
-from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.mtl import parse_spec
-from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
-from taxinet_ros.core.perception.perception import make_perception
-from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
 
@@ -58,28 +55,6 @@ def run_graph(opened, asked: list[RunRequest]) -> dict[str, RunResult]:
     return results
 
 
-def run_loop(scene: Scenario, word: str) -> tuple[dict[str, np.ndarray], list[np.ndarray], object]:
-    steps: list[Step] = []
-    specs = [parse_spec(text) for text in SPECS]
-    judgement = run_closed_loop(scene, make_perception(word), specs=specs, on_step=steps.append)
-    columns = {
-        't_ns': [s.observation.stamp_ns for s in steps],
-        'x_m': [s.observation.state.x_m for s in steps],
-        'cte_m': [s.observation.state.tracking_error.cte_m for s in steps],
-        'he_rad': [s.observation.state.tracking_error.he_rad for s in steps],
-        'speed_mps': [s.observation.state.speed_mps for s in steps],
-        'est_cte_m': [s.estimate.cte_m for s in steps],
-        'est_he_rad': [s.estimate.he_rad for s in steps],
-        'steering_rad': [s.command.steering_rad for s in steps],
-        'speed_cmd_mps': [s.command.speed_mps for s in steps],
-    }
-    for number, spec in enumerate(specs):
-        columns[f'rho_lower.{spec.name}'] = [s.readings[number].lower for s in steps]
-        columns[f'rho_upper.{spec.name}'] = [s.readings[number].upper for s in steps]
-    images = [s.observation.image for s in steps if s.observation.image is not None]
-    return {name: np.array(values) for name, values in columns.items()}, images, judgement
-
-
 @pytest.mark.parametrize('word', ['truth', 'taxinet'])
 def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(word, tmp_path):
     options = {name: GraphOptions(perception=word, out=tmp_path / name) for name in ('one', 'many')}
@@ -87,24 +62,27 @@ def test_given_one_scene_when_run_in_three_layouts_then_every_bit_is_the_same(wo
     processes = run_graph(process_graph(options['many'], tmp_path / 'logs'), requests())
 
     for request in requests():
-        expected, images, judgement = run_loop(request.scenario, word)
-        assert len(expected['t_ns']) == STEPS
+        run = tx.run(request.scenario, perception=word, specs=SPECS)
+        images = list(run.frames())
+        assert len(run.trace) == STEPS
         for name, results in (('one', composed), ('many', processes)):
             bag = tmp_path / name / request.run_id
-            trace = open_recording(bag).columns
-            for column, values in expected.items():
-                assert trace[column].tobytes() == values.astype(trace[column].dtype).tobytes(), (
-                    name, column
-                )
+            trace = open_recording(bag).trace
+            assert list(trace.columns) == list(run.trace.columns)
+            assert trace.attrs == run.trace.attrs
+            for column in trace.columns:
+                there, here = (table[column].to_numpy() for table in (trace, run.trace))
+                assert there.dtype == here.dtype
+                assert there.tobytes() == here.tobytes(), (name, column)
             result = results[request.run_id]
-            assert result.outcome == (Outcome.PASS if judgement.satisfied else Outcome.FAIL)
-            assert list(result.rho) == list(SPECS)
-            assert list(result.rho.values()) == [r.lower for r in judgement.readings]
-            assert result.statistics == judgement.statistics
+            assert result.outcome is run.outcome
+            assert list(result.rho) == list(run.rho) == list(SPECS)
+            assert list(result.rho.values()) == [interval.lower for interval in run.rho.values()]
+            assert result.statistics == run.statistics
             assert result.last_seq == STEPS - 1
             seen = [frame.image for frame in open_recording(bag).frames(render=False)]
             assert len(seen) == STEPS
-            for image, rendered in zip(seen, images, strict=False):
+            for image, rendered in zip(seen, images, strict=True):
                 assert image.tobytes() == rendered.tobytes()
         files = [_files(tmp_path / name / request.run_id) for name in ('one', 'many')]
         assert set(files[0]) == {f'{request.run_id}_0.mcap', 'metadata.yaml'}

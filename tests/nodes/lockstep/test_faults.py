@@ -175,7 +175,7 @@ def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_re
 ):
     def broken(asked):
         message = scenario_message(asked)
-        message.cross_track = 99.0
+        message.cross_track_m = 99.0
         return message
 
     monkeypatch.setattr(sampler, 'scenario_message', broken)

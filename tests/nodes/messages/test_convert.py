@@ -33,8 +33,8 @@ def test_given_a_stamp_when_sent_and_read_then_no_nanosecond_is_lost(stamp_ns):
 
 def test_given_a_scenario_when_sent_and_read_then_every_field_is_there():
     scenario = Scenario(
-        cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast', rain=0.4,
-        time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
+        cross_track_m=-1.25, distance_m=812.5, heading_rad=0.1, clouds='overcast',
+        rain_fraction=0.4, time_of_day_s=30000.0, date='2020-06-01', shadows=False, crossing=False,
         aircraft='c172p', duration_s=12.0,
     )
     default = Scenario()

@@ -90,7 +90,7 @@ def test_given_an_even_sampler_when_scenes_are_drawn_then_they_cover_the_program
     assert scenes == draw_scenes('s_falsif', seed=3, images=64, sampler=sampler)
     quarters = np.histogram([s.distance_m for s in scenes], bins=4, range=(0, 2000))[0]
     assert quarters.min() >= 12
-    wet = sum(s.rain > 0 for s in scenes) / 64
+    wet = sum(s.rain_fraction > 0 for s in scenes) / 64
     assert wet == pytest.approx(1 / 3, abs=0.12)  # the program's own weights are kept
 
 

@@ -16,7 +16,8 @@ from training_samples import SCENES
 
 from taxinet_ros.campaign.doctor import examine
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
-from taxinet_ros.core.scenario import HUMAN_KEYS, Scenario
+from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.training.data import dataset_folder as folder

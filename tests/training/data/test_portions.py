@@ -54,8 +54,8 @@ def test_given_a_failed_run_then_scenes_lie_along_its_path_under_its_sky(tmp_pat
     scenes = counterexample_scenes(folder, 400, 5)
     trace, recorded = open_recording(GOLDEN).columns, open_recording(GOLDEN).run.request.scenario
     assert len(scenes) == 400
-    assert {(one.clouds, one.rain, one.time_of_day_s, one.aircraft) for one in scenes} == {
-        (recorded.clouds, recorded.rain, recorded.time_of_day_s, recorded.aircraft)
+    assert {(one.clouds, one.rain_fraction, one.time_of_day_s, one.aircraft) for one in scenes} == {
+        (recorded.clouds, recorded.rain_fraction, recorded.time_of_day_s, recorded.aircraft)
     }
     places = {float(x): i for i, x in enumerate(trace['x_m'])}
     rows = [places[one.distance_m] for one in scenes]

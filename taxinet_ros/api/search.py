@@ -1,0 +1,90 @@
+"""A search for failures from Python: closed loops in worker processes, without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from taxinet_ros.analysis.search.learned import write_learned
+from taxinet_ros.api.campaign import Campaign, open_campaign
+from taxinet_ros.api.run import spec_texts
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.loop_worker import loop_worker_command
+from taxinet_ros.campaign.options import DEFAULT_SPECS, make_options
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_options import make_search_options
+from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
+from taxinet_ros.core.controller import STEERING, check_controller
+from taxinet_ros.core.mtl.specs import Spec
+from taxinet_ros.core.perception.perception import check_perception
+
+
+def falsify(
+    program: str | os.PathLike[str], *, runs: int = 100, seed: int = 0, sampler: str | None = None,
+    sampler_options: Mapping[str, object] | None = None, perception: str = 'taxinet',
+    controller: str = STEERING, specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS,
+    settings: Mapping[str, object] | None = None, stop_on: str = 'never', until: str | None = None,
+    workers: int = 1, out: str | os.PathLike[str] | None = None, resume: bool = False,
+) -> Campaign:
+    """Search a Scenic program for scenes that fail, as ``taxinet falsify`` does, without ROS.
+
+    Scenes, robustness and rates are those of the command; the runs leave no bags. After Ctrl-C the
+    folder holds what was done, and ``resume=True`` goes on with it.
+
+    Args:
+        program: word of a shipped Scenic program (``s_falsif``, ...) or path of one.
+        runs: most runs.
+        seed: of the scenes.
+        sampler: who chooses the scenes: ``active``, ``ce``, ``random``, ...; None for what the
+            program asks for, else ``active``.
+        sampler_options: its options by name.
+        perception: a word or file as of ``tx.load_perception``.
+        controller: ``steering`` or ``FILE.py:NAME``.
+        specs: as of ``tx.run``; the first, the headline, is what the sampler tries to violate.
+        settings: scenario values that replace what is drawn, in human units as in Scenic programs,
+            or ``steering.<gain>``.
+        stop_on: as of ``tx.run``.
+        until: ``failures=K`` or ``half-width=W`` of the failure rate's interval; None: all runs.
+        workers: processes; the results do not depend on it.
+        out: folder of the campaign, new or empty; None for a new one below ``bags/``.
+        resume: go on with what is in ``out``.
+
+    Returns:
+        The campaign: rows, counterexamples, rates.
+
+    Raises:
+        UsageError: bad input, in one line; or no scene could be run.
+    """
+    check_perception(perception)  # none that only a graph could have
+    check_controller(controller)
+    options = make_options(
+        program=os.fspath(program), runs=runs, seed=seed, perception=perception,
+        settings=_texts(settings), specs=spec_texts(specs),
+        out=None if out is None else Path(out), processes=False, images='none', resume=resume,
+        stop_on=stop_on, controller=controller,
+    )
+    search = Search(
+        make_search_options(
+            dataclasses.replace(options, bags=False), sampler=sampler,
+            sampler_options=_texts(sampler_options), workers=workers, resume=resume, until=until,
+            budget_min=None,
+        ),
+        participants=(),
+    )
+    with search:
+        for line in (*filter(None, [search.book.warning]), *search.check.warnings):
+            warnings.warn(line, stacklevel=2)
+        sha256 = search.book.facts['controller_sha256']
+        command = loop_worker_command(search.options.campaign, sha256)
+        with WorkerPool(command, workers, options.out / 'logs') as pool:
+            run_search(search, pool)
+        write_learned(search)
+    exit_code(search.rows)  # raises where there is nothing to tell of
+    return open_campaign(options.out)
+
+
+def _texts(values: Mapping[str, object] | None) -> list[str]:
+    return [f'{name}={value}' for name, value in (values or {}).items()]

@@ -1,0 +1,227 @@
+"""The keys of a scenario, one row each: names, units, range, words, and what people call them.
+
+A key is what people type, in Scenic programs, after ``--set`` and in experiments. The attribute of
+:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units, the
+column of tables in the units that people read. Whatever else has a line for each key (scenario
+message, rows and tables of runs, features of an analysis, world model of the programs, pages of
+the documentation) is made from these rows, or compared with them by
+``tests/core/test_scenario_fields.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from taxinet_ros.errors import UsageError
+
+CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
+"""The six cloud kinds, from clear sky to dark stratus, in X-Plane 11's order."""
+
+RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
+"""The cloud kinds that rain may fall from."""
+
+AIRCRAFT = ('caravan', 'c172p')
+
+_SWITCH_WORDS = {
+    'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
+}
+_DECIMALS = 9
+"""Rounding to a nano-unit makes degrees -> radians -> degrees give back what was typed."""
+
+
+class Kind(Enum):
+    """What a key's values are."""
+
+    NUMBER = 'number'
+    WORD = 'word'
+    DATE = 'date'
+    SWITCH = 'switch'
+
+
+_COLUMN_TYPES = {
+    Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
+}
+_MESSAGE_TYPES = {
+    Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ScenarioField:
+    """One key of a scenario.
+
+    Attributes:
+        key: as people type it; also in ``scenario.json`` and in rows of the ledger.
+        attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
+            SI units. Messages of before these names had units called it by the key.
+        column: of tables of runs, in the units that people read.
+        title: for people, without the unit.
+        kind: of its values.
+        unit: in which people type and read it, '' for words.
+        si: how much one ``unit`` is in SI units.
+        low, high: least and greatest number in SI units, both allowed.
+        range_unit: of ``low`` and ``high``, with what is counted how.
+        form: format of a number for people.
+        words: all that there are, in their order.
+        plane: property of the Scenic program's aircraft that says it, in ``unit``; '' where a
+            parameter of the program does.
+        absent: its value in recordings of before there was such a key; None where there always was.
+    """
+
+    key: str
+    attribute: str
+    column: str
+    title: str
+    kind: Kind = Kind.NUMBER
+    unit: str = ''
+    si: float = 1.0
+    low: float = -math.inf
+    high: float = math.inf
+    range_unit: str = ''
+    form: str = '{:g}'
+    words: tuple[str, ...] = ()
+    plane: str = ''
+    absent: bool | None = None
+
+    @property
+    def column_type(self) -> str:
+        """Its type in tables, as pandas calls it."""
+        return _COLUMN_TYPES[self.kind]
+
+    @property
+    def message_type(self) -> str:
+        """Its type in the scenario message."""
+        return _MESSAGE_TYPES[self.kind]
+
+    @property
+    def unit_mark(self) -> str:
+        """The unit as it follows a number: ``' m'``, ``'°'``, ``''``."""
+        return self.unit if self.unit in ('', '°') else f' {self.unit}'
+
+    def from_human(self, value: Any) -> Any:
+        """A value that a person typed, in SI units.
+
+        Raises:
+            UsageError: it is no number, or no switch, where there should be one.
+        """
+        if self.kind is Kind.NUMBER:
+            return self._number(value) * self.si
+        return self._switch(value) if self.kind is Kind.SWITCH else str(value)
+
+    def to_human(self, value: Any) -> Any:
+        """The inverse of :meth:`from_human`."""
+        return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
+
+    def check(self, value: Any) -> None:
+        """See that a value in SI units is within the range, or one of the words.
+
+        Raises:
+            UsageError: it is not.
+        """
+        if self.kind is Kind.NUMBER and not (
+            math.isfinite(value) and self.low <= value <= self.high
+        ):
+            raise UsageError(
+                f'scenario: {self.attribute} is {value:g}, outside {self.low:g}..{self.high:g} '
+                f'{self.range_unit}'
+            )
+        if self.words and value not in self.words:
+            known = ', '.join(self.words)
+            raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
+
+    def value_words(self, value: Any) -> str:
+        """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
+        if self is TIME_OF_DAY:
+            return clock_words(value)
+        if self.kind is Kind.SWITCH:
+            return 'on' if value else 'off'
+        if self.kind is not Kind.NUMBER:
+            return str(value)
+        number = self.form.format(value)
+        unit = 'deg' if self.unit == '°' else self.unit
+        return f'{number.removeprefix("+") if value == 0 else number} {unit}'
+
+    def _number(self, value: Any) -> float:
+        if isinstance(value, bool):
+            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}') from None
+
+    def _switch(self, value: Any) -> bool:
+        if isinstance(value, bool):
+            return value
+        if str(value).lower() not in _SWITCH_WORDS:
+            raise UsageError(f'scenario: {self.key} needs on or off, got {value!r}')
+        return _SWITCH_WORDS[str(value).lower()]
+
+
+def clock_words(hours: float) -> str:
+    """Hours after midnight as ``13:20``."""
+    whole, minutes = divmod(round(hours * 60), 60)
+    return f'{whole:02d}:{minutes:02d}'
+
+
+CROSS_TRACK = ScenarioField(
+    key='cross_track', attribute='cross_track_m', column='cross_track_m',
+    title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
+    range_unit='m left of the centreline (on the runway)', plane='cross_track',
+)
+DISTANCE = ScenarioField(
+    key='distance', attribute='distance_m', column='distance_m',
+    title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
+    range_unit='m past the threshold', plane='distance',
+)
+HEADING = ScenarioField(
+    key='heading', attribute='heading_rad', column='heading_deg',
+    title='start heading, nose left', unit='°', si=math.pi / 180, form='{:+.1f}',
+    low=-math.pi / 2, high=math.pi / 2, range_unit='rad, nose left positive', plane='heading_deg',
+)
+SKY = ScenarioField(
+    key='clouds', attribute='clouds', column='clouds', title='clouds',
+    kind=Kind.WORD, words=CLOUDS,
+)
+RAIN = ScenarioField(
+    key='rain', attribute='rain_fraction', column='rain_percent', title='rain', unit='%', si=0.01,
+    form='{:.0f}', low=0.0, high=1.0, range_unit='as a fraction',
+)
+TIME_OF_DAY = ScenarioField(
+    key='time_of_day', attribute='time_of_day_s', column='time_of_day_h',
+    title='time of day', unit='h', si=3600.0, low=0.0, high=86400.0,
+    range_unit='s after local midnight',
+)
+DATE = ScenarioField(
+    key='date', attribute='date', column='date', title='date', kind=Kind.DATE,
+)
+SHADOWS = ScenarioField(
+    key='shadows', attribute='shadows', column='shadows',
+    title='shadow of the aircraft', kind=Kind.SWITCH,
+)
+CROSSING = ScenarioField(
+    key='crossing', attribute='crossing', column='crossing',
+    title='crossing runway', kind=Kind.SWITCH, absent=True,
+)
+AIRCRAFT_MODEL = ScenarioField(
+    key='aircraft', attribute='aircraft', column='aircraft', title='aircraft',
+    kind=Kind.WORD, words=AIRCRAFT,
+)
+DURATION = ScenarioField(
+    key='duration', attribute='duration_s', column='duration_s',
+    title='duration', unit='s', low=0.1, high=600.0, range_unit='s',
+)
+
+PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
+"""The six dimensions of the paper's feature space."""
+SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
+BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
+HUMAN_KEYS = tuple(BY_KEY)
+"""Scenario keys as people type them."""
+
+PLANE_PROPERTIES = {field.key: field.plane for field in SCENARIO_FIELDS if field.plane}
+"""Keys that a Scenic program says by the place of the aircraft, and its property that says it."""
+PARAMETERS = tuple(field.key for field in SCENARIO_FIELDS if not field.plane)
+"""Keys that a Scenic program says as global parameters."""

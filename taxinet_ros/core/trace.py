@@ -1,0 +1,110 @@
+"""The trace of a run: a row for each control step, in columns with units.
+
+The same columns are made of the steps of a loop and of the messages of a bag, and formulas can be
+judged on them again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taxinet_ros.core.run_statistics import EstimateWatch
+from taxinet_ros.core.types import NS_PER_S
+
+if TYPE_CHECKING:
+    from taxinet_ros.core.loop import Step
+
+Column = NDArray[np.generic]
+
+TRACE_UNITS: Mapping[str, str] = MappingProxyType({
+    't_s': 's', 't_ns': 'ns', 'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm',
+    'he_rad': 'rad', 'est_cte_m': 'm', 'est_he_rad': 'rad', 'steering_rad': 'rad',
+    'speed_cmd_mps': 'm/s',
+})
+"""Unit of each column that has one. The position is in ``map``, the first ``cte_m`` and ``he_rad``
+are the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps`` the
+command; signs are those of :mod:`taxinet_ros.core.types`."""
+
+SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
+    'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'x_m', 'steering': 'steering_rad',
+    'cte_estimate': 'est_cte_m', 'he_estimate': 'est_he_rad',
+})
+"""The column of each signal of :data:`.mtl.specs.SIGNALS` that a frame has by itself."""
+
+_OF_STEP: Mapping[str, Callable[[Step], float]] = {
+    'x_m': lambda step: step.observation.state.x_m,
+    'y_m': lambda step: step.observation.state.y_m,
+    'speed_mps': lambda step: step.observation.state.speed_mps,
+    'cte_m': lambda step: step.observation.state.tracking_error.cte_m,
+    'he_rad': lambda step: step.observation.state.tracking_error.he_rad,
+    'est_cte_m': lambda step: step.estimate.cte_m if step.estimate.valid else math.nan,
+    'est_he_rad': lambda step: step.estimate.he_rad if step.estimate.valid else math.nan,
+    'steering_rad': lambda step: step.command.steering_rad,
+    'speed_cmd_mps': lambda step: step.command.speed_mps,
+}
+
+
+def trace_columns(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Column]:
+    """Columns of a run, a row for each of its steps.
+
+    Args:
+        steps: of the run, in order.
+        specs: names of the formulas that the readings of each step are of.
+
+    Returns:
+        ``t_s`` (simulated time), ``seq`` and ``t_ns`` as int64, ``est_valid`` as bool, the others
+        of :data:`TRACE_UNITS` as float64, NaN for an estimate that was declared invalid, and for
+        each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
+    """
+    stamps_ns = np.array([step.observation.stamp_ns for step in steps], dtype=np.int64)
+    columns: dict[str, Column] = {
+        't_s': stamps_ns / NS_PER_S,
+        'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
+        't_ns': stamps_ns,
+        'est_valid': np.array([step.estimate.valid for step in steps], dtype=np.bool_),
+    }
+    for name, value in _OF_STEP.items():
+        columns[name] = np.array([value(step) for step in steps], dtype=np.float64)
+    for number, spec in enumerate(specs):
+        for end in ('lower', 'upper'):
+            columns[f'rho_{end}.{spec}'] = np.array(
+                [getattr(step.readings[number], end) for step in steps], dtype=np.float64
+            )
+    return columns
+
+
+def trace_signals(
+    stamps_ns: NDArray[np.int64], columns: Mapping[str, ArrayLike]
+) -> dict[str, Column]:
+    """The signals that the columns of a trace hold, to judge formulas on.
+
+    Args:
+        stamps_ns: (n,) simulated time of each row [ns].
+        columns: (n,) each, by name; what is missing has no signal.
+
+    Returns:
+        (n,) float64 for each signal. Where the estimates are there, so are the two signals that
+        depend on the frames before (:class:`.run_statistics.EstimateWatch`), with the rows taken
+        for a whole run at a steady pace.
+    """
+    signals: dict[str, Column] = {
+        name: np.asarray(columns[column], dtype=np.float64)
+        for name, column in SIGNAL_COLUMNS.items() if column in columns
+    }
+    if 'cte_estimate' in signals and 'he_estimate' in signals and len(stamps_ns):
+        period_ns = int(stamps_ns[1] - stamps_ns[0]) if len(stamps_ns) > 1 else NS_PER_S
+        watch = EstimateWatch(int(stamps_ns[-1] - stamps_ns[0]), max(period_ns, 1))
+        estimates = zip(signals['cte_estimate'], signals['he_estimate'], strict=True)
+        watched = [
+            watch.signals(int(stamp_ns), {'cte_estimate': cte_m, 'he_estimate': he_rad})
+            for stamp_ns, (cte_m, he_rad) in zip(stamps_ns, estimates, strict=True)
+        ]
+        for name in EstimateWatch.NAMES:
+            signals[name] = np.array([sample[name] for sample in watched], dtype=np.float64)
+    return signals

@@ -1,0 +1,154 @@
+"""``tx.run``, ``tx.render``, ``tx.robustness``: the graph's numbers, clear words for bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.bag.check.compare import same_stack
+from taxinet_ros.bag.run.recording import open_recording
+
+GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
+SHORT = tx.Scenario(cross_track_m=2.0, duration_s=2.0)
+EVERY = ('phi_always', 'phi_eventually', 'on_runway', 'usable')
+
+
+class Blinking:
+    """Sees the truth in two frames of three."""
+
+    needs_image = False
+
+    def __init__(self):
+        self.seen = 0
+
+    def reset(self):
+        self.seen = 0
+
+    def __call__(self, truth):
+        self.seen += 1
+        return None if self.seen % 3 == 0 else (truth.cte_m, truth.he_rad)
+
+
+@pytest.mark.parametrize('name', ['truth-nominal', 'taxinet-broken-clouds'])
+def test_given_a_run_that_the_graph_recorded_when_made_here_then_its_trace_is_the_same(name):
+    recording = open_recording(GOLDEN / name)
+    recorded, asked = recording.trace, recording.run
+    run = tx.run(asked.request.scenario, perception=asked.perception, specs=asked.request.specs)
+    assert len(run.trace) == 121
+    assert list(run.trace.columns) == list(recorded.columns)
+    assert run.trace.attrs == recorded.attrs
+    assert run.fingerprint == asked.fingerprint
+    if same_stack(GOLDEN):
+        pd.testing.assert_frame_equal(run.trace, recorded, check_exact=True)
+    else:
+        np.testing.assert_allclose(run.trace['cte_m'], recorded['cte_m'], atol=0.2)
+
+
+def test_given_a_whole_run_then_each_formula_has_the_robustness_of_its_trace():
+    run = tx.run(SHORT, perception=Blinking(), specs=EVERY)
+    assert list(run.rho) == list(EVERY)
+    assert run.statistics.unusable_estimates == 7
+    for name, (lower, upper) in run.rho.items():
+        assert lower == upper == tx.robustness(name, run.trace)
+    assert run.outcome == 'FAIL'  # usable: two frames in three
+
+
+def test_given_a_function_with_reset_then_each_run_finds_it_as_new():
+    blinking = Blinking()
+    first, second = (tx.run(SHORT, perception=blinking) for _ in range(2))
+    assert not first.trace['est_valid'].all()
+    pd.testing.assert_frame_equal(first.trace, second.trace, check_exact=True)
+
+
+def test_given_a_formula_on_an_estimate_that_is_missing_then_the_run_has_no_verdict():
+    spec = 'always(abs(cte_estimate) <= 9)'
+    run = tx.run(SHORT, perception=Blinking(), specs=spec)
+    assert run.outcome == 'INFRA_ERROR'
+    with pytest.raises(tx.UsageError, match=r'cte_estimate.* is nan at sample 2'):
+        tx.robustness(spec, run.trace)
+
+
+def test_given_a_run_that_is_stopped_then_its_robustness_is_an_interval():
+    run = tx.run(SHORT, specs='phi_always', stop_on='violated')
+    assert (run.outcome, run.stopped_early, len(run.steps)) == ('FAIL', True, 1)
+    assert run.rho['phi_always'].lower < run.rho['phi_always'].upper < 0
+    assert len(list(run.frames())) == 1
+
+
+def test_given_a_run_then_its_frames_are_those_that_the_perception_saw():
+    seen = []
+
+    def look(frame):
+        seen.append(frame.copy())
+        frame[:] = 0  # what it writes is its own affair
+        return 0.0, 0.0
+
+    run = tx.run(tx.Scenario(cross_track_m=2.0, clouds='broken', rain=0.5, duration_s=1.0),
+                 perception=look)
+    frames = list(run.frames())
+    assert len(frames) == len(seen) == 11
+    assert all(np.array_equal(*pair) for pair in zip(frames, seen, strict=True))
+    assert np.array_equal(run.frame(7), seen[7])
+    state = run.steps[7].observation.state
+    assert np.array_equal(tx.render(run.scenario, state, t_s=0.7), seen[7])
+
+
+def test_given_a_pose_then_the_picture_is_that_of_a_run_that_starts_there():
+    light = {'time_of_day_s': 16 * 3600.0, 'clouds': 'cirrus'}
+    there = tx.Scenario(distance_m=900.0, cross_track_m=-2.0, heading_rad=0.05, **light)
+    picture = tx.render(tx.Scenario(**light), (900.0, -2.0, 0.05))
+    assert (picture.shape, picture.dtype) == ((200, 360, 3), np.uint8)
+    assert np.array_equal(picture, tx.render(there))
+
+
+def test_given_gains_then_they_steer():
+    asked = tx.Scenario(cross_track_m=3.0, duration_s=5.0)
+    idle = tx.run(asked, controller=tx.SteeringLaw(tx.SteeringGains(heading_gain=0.0)))
+    assert (idle.trace['steering_rad'] == 0).all()
+    assert (tx.run(asked).trace['steering_rad'] != 0).all()
+
+
+def test_given_columns_of_ones_own_then_formulas_read_them():
+    mine = pd.DataFrame({'t_s': [0.0, 0.5, 1.0], 'gap_m': [4.0, 2.5, 3.0], 'word': ['a', 'b', 'c']})
+    assert tx.robustness('always(gap_m >= 2)', mine) == 0.5
+    assert tx.robustness('eventually[0.6:1](gap_m >= 2)', mine) == 1.0
+    assert tx.robustness(tx.Spec.parse('on_runway'), mine.assign(cte=1.24)) == 14.0
+
+
+def answering(answer):
+    return lambda seen: answer
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda: tx.run(SHORT, perception='nothing'), "perception: 'nothing' is unknown"),
+    (lambda: tx.run(SHORT, perception=3), 'perception: 3 is neither'),
+    (lambda: tx.run(SHORT, perception=answering('left')), "perception: answered 'left'; expected"),
+    (lambda: tx.run(SHORT, controller='nothing'), "controller: 'nothing' is unknown"),
+    (lambda: tx.run(SHORT, controller=3), 'controller: 3 is neither'),
+    (lambda: tx.run(SHORT, controller=answering((0.1, -1.0))), r'controller: answered \(0.1, -1'),
+    (lambda: tx.run(SHORT, controller=answering(None)), 'controller: answered None; expected'),
+    (lambda: tx.run(SHORT, specs=[]), 'no requirement'),
+    (lambda: tx.run(SHORT, specs='phi_never'), "unknown name 'phi_never'"),
+    (lambda: tx.run(SHORT, specs=['usable', 'usable']), 'usable is given twice'),
+    (lambda: tx.run(SHORT, specs='always[50:60](cte <= 1)'), 'always'),
+    (lambda: tx.run(SHORT, stop_on='tired'), 'tired'),
+    (lambda: tx.run(SHORT).frame(21), 'no control step 21; it has 0 to 20'),
+    (lambda: tx.render(SHORT, (400.0, 99.0, 0.0)), 'cross_track_m is 99, outside'),
+    (lambda: tx.render(SHORT, t_s=-1.0), 't_s is -1'),
+    (lambda: tx.robustness('always(gap <= 1)', pd.DataFrame({'gap': [1.0]})), 'no column t_ns'),
+    (lambda: tx.robustness('phi_always', pd.DataFrame({'t_s': [0.0]})), 'reads cte, which is no'),
+    (lambda: tx.robustness('x <= 1', pd.DataFrame({'t_s': [np.nan], 'x': [1.0]})), 't_s is not'),
+])
+def test_given_what_cannot_be_then_one_line_says_so(call, words):
+    with pytest.raises(tx.UsageError, match=words) as caught:
+        call()
+    assert '\n' not in str(caught.value)
+
+
+def test_given_a_function_that_raises_then_what_it_raises_comes_through():
+    with pytest.raises(ZeroDivisionError):
+        tx.run(SHORT, perception=lambda frame: 1 / 0)

@@ -1,0 +1,88 @@
+"""``tx.falsify``: the search of the command line, with closed loops for graphs."""
+
+from __future__ import annotations
+
+import pytest
+
+import taxinet_ros as tx
+from taxinet_ros.campaign.campaign import exit_code
+from taxinet_ros.campaign.options import make_options
+from taxinet_ros.campaign.search import Search
+from taxinet_ros.campaign.search_options import make_search_options
+from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
+
+SETTINGS = {'duration': 4, 'cross_track': 3}
+PER_MACHINE = ['bag', 'wall_s', 'real_time_factor']
+
+
+def search(out, **asked):
+    with pytest.warns(UserWarning, match='ends at 10 s, after the run of 4 s'):
+        return tx.falsify(
+            's_falsif', perception='truth', sampler='random', settings=SETTINGS, out=out, **asked
+        )
+
+
+@pytest.mark.ros
+def test_given_a_search_then_its_table_is_that_of_graphs(tmp_path):
+    from taxinet_ros.nodes.graph.runner import campaign_graph
+    from taxinet_ros.nodes.graph.worker import worker_command
+    from taxinet_ros.nodes.interface import PARTICIPANTS
+
+    found = search(tmp_path / 'loops', runs=3)
+    campaign = make_options(
+        program='s_falsif', runs=3, seed=0, perception='truth', specs=(), out=tmp_path / 'graphs',
+        settings=[f'{name}={value}' for name, value in SETTINGS.items()], processes=False,
+        images='none',
+    )
+    options = make_search_options(
+        campaign, sampler='random', sampler_options=(), workers=1, resume=False, until=None,
+        budget_min=None,
+    )
+    with Search(options, PARTICIPANTS) as graphs:
+        command = worker_command(campaign_graph(campaign, graphs.book.facts['controller_sha256']))
+        with WorkerPool(command, 1, campaign.out / 'logs') as pool:
+            run_search(graphs, pool)
+    assert exit_code(graphs.rows) in (0, 1)
+    there = tx.open_campaign(campaign.out)
+    assert len(found.rows) == len(there.rows) == 3
+    assert found.rows.drop(columns=PER_MACHINE).equals(there.rows.drop(columns=PER_MACHINE))
+    assert found.rows['bag'].eq('').all()
+    assert there.rows['bag'].ne('').all()
+    assert {**there.facts, 'bags': False} == found.facts
+
+
+def test_given_more_runs_and_workers_when_resumed_then_the_table_is_that_of_one_sitting(tmp_path):
+    whole = search(tmp_path / 'whole', runs=4)
+    search(tmp_path / 'parts', runs=2)
+    parts = search(tmp_path / 'parts', runs=4, workers=2, resume=True)
+    assert len(whole.rows) == 4
+    assert parts.rows.drop(columns=PER_MACHINE).equals(whole.rows.drop(columns=PER_MACHINE))
+
+
+def test_given_a_function_that_fails_then_its_runs_are_infrastructure_errors(tmp_path):
+    file = tmp_path / 'eyes.py'
+    file.write_text('def look(frame):\n    raise ValueError("blind")\n')
+    found = tx.falsify(
+        's_falsif', perception=f'{file}:look', runs=1, sampler='random', specs='phi_always',
+        settings=SETTINGS, out=tmp_path / 'campaign',
+    )
+    [row] = found.rows.to_dict('records')
+    assert (row['outcome'], row['kind']) == ('INFRA_ERROR', 'node_error')
+    assert 'ValueError: blind' in row['detail']
+
+
+@pytest.mark.parametrize(('asked', 'words'), [
+    ({'perception': 'external'}, 'is a node in a graph, and this needs none'),
+    ({'controller': 'cmd:steer'}, 'is a node in a graph, and this needs none'),
+    ({'sampler': 'luck'}, 'luck'),
+    ({'sampler': 'ce', 'sampler_options': {'flor': 0.3}}, 'flor'),
+    ({'settings': {'fog': 1}}, 'fog'),
+    ({'until': 'tired'}, 'tired'),
+    ({'workers': 0}, 'workers'),
+    ({'specs': ()}, 'no requirement'),
+    ({'resume': True}, 'nothing was begun'),
+])
+def test_given_what_cannot_be_then_one_line_says_so_and_nothing_is_written(asked, words, tmp_path):
+    with pytest.raises(tx.UsageError, match=words):
+        tx.falsify('s_falsif', out=tmp_path / 'out', **asked)
+    assert not (tmp_path / 'out').exists()

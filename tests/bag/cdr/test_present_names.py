@@ -1,0 +1,85 @@
+"""The scenario message named its units later on: bags of before and of now read alike."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bag_samples import ROOT
+from whole_runs import SCENE, write_run
+
+from taxinet_ros.bag.cdr.decode import decode, definition_hash, with_present_names
+from taxinet_ros.bag.errors import BagForeign
+from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
+from taxinet_ros.bag.run.facts import read_run
+from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, Kind
+
+SCENARIO = 'taxinet_msgs/msg/Scenario'
+BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
+RENAMED = {
+    field.attribute: field.key for field in SCENARIO_FIELDS if field.attribute != field.key
+}
+
+
+def scenario_message(bag: Path) -> StoredMessage:
+    return next(stored_messages(bag, lambda name: name.endswith('/scenario')))
+
+
+def before_units(topic: TopicInfo) -> TopicInfo:
+    """The topic as a recorder of before described it."""
+    definition = re.sub(
+        r'^(float64 )(\w+)', lambda field: field[1] + RENAMED[field[2]], topic.definition,
+        flags=re.MULTILINE,
+    )
+    old = replace(topic, definition=definition)
+    return replace(old, type_hash=definition_hash(old))
+
+
+def test_given_the_renamed_fields_then_they_are_the_numbers_of_a_scenario():
+    numbers = [field.attribute for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
+    assert list(RENAMED) == numbers
+    assert re.findall(r'^float64 (\w+)', message_definition(SCENARIO), re.MULTILINE) == numbers
+
+
+def test_given_a_bag_of_before_when_read_then_its_scene_is_there_under_the_names_of_now():
+    message = scenario_message(BEFORE)
+    assert re.search(r'^float64 time_of_day\b', message.topic.definition, re.MULTILINE)
+    assert message.topic.type_hash == definition_hash(message.topic) != type_hash(SCENARIO)
+    scene = decode(message.topic, message.cdr)
+    assert not hasattr(scene, 'time_of_day')
+    assert scene.time_of_day_s == scenario_of(scene).time_of_day_s
+    assert read_run(BEFORE).request.scenario == scenario_of(scene)
+
+
+def test_given_a_bag_of_now_when_read_as_one_of_before_then_every_value_is_the_same(tmp_path):
+    write_run(tmp_path / 'run')
+    message = scenario_message(tmp_path / 'run')
+    old = before_units(message.topic)
+    assert definition_hash(message.topic) == message.topic.type_hash == type_hash(SCENARIO)
+    assert old.type_hash == scenario_message(BEFORE).topic.type_hash
+    assert scenario_of(decode(message.topic, message.cdr)) == SCENE
+    assert scenario_of(decode(old, message.cdr)) == SCENE
+    assert definition_hash(with_present_names(old)) == type_hash(SCENARIO)
+
+
+def test_given_other_messages_then_no_field_is_renamed(tmp_path):
+    write_run(tmp_path / 'run')
+    for topic in read_info(tmp_path / 'run').topics:
+        assert with_present_names(topic) == topic, 'of now there is nothing to rename'
+    other = TopicInfo(
+        name='/x', type='other_msgs/msg/Scenario', qos='', definition='float64 rain', type_hash='',
+    )
+    assert with_present_names(other) is other
+
+
+def test_given_a_scenario_with_both_names_of_a_field_then_it_is_not_understood():
+    both = TopicInfo(
+        name='/scenario', type=SCENARIO, qos='', definition='float64 rain\nfloat64 rain_fraction',
+        type_hash='',
+    )
+    with pytest.raises(BagForeign, match='not understood'):
+        decode(both, bytes(20))

@@ -1,0 +1,147 @@
+"""One row per key of a scenario: whatever else has a line for each key says the same."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.table import table
+from taxinet_ros.core.scenario import Scenario, scenario_from_human
+from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT,
+    BY_KEY,
+    CLOUDS,
+    HUMAN_KEYS,
+    PAPER_FIELDS,
+    PARAMETERS,
+    PLANE_PROPERTIES,
+    RAIN_CLOUDS,
+    SCENARIO_FIELDS,
+    Kind,
+    ScenarioField,
+    clock_words,
+)
+from taxinet_ros.errors import UsageError
+
+ROOT = Path(__file__).parents[2]
+MESSAGE = ROOT / 'msg_defs/msg/Scenario.msg'
+WORLD = ROOT / 'scenarios/runway_world.scenic'
+TYPES = {Kind.NUMBER: 'float', Kind.WORD: 'str', Kind.DATE: 'str', Kind.SWITCH: 'bool'}
+UNITS = {'m': 'm', 'rad': '°', 's': 'h', '0..1': '%'}
+"""Units of the message by what people type; a duration is in seconds either way."""
+
+NUMBERS = [field for field in SCENARIO_FIELDS if field.kind is Kind.NUMBER]
+
+
+def keys(field: ScenarioField) -> str:
+    return field.key
+
+
+def test_given_the_rows_then_no_name_stands_for_two_keys():
+    for name in ('key', 'attribute', 'column', 'title'):
+        names = [getattr(field, name) for field in SCENARIO_FIELDS]
+        assert len(set(names)) == len(names), name
+    assert tuple(field.key for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
+
+
+def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_no_other():
+    attributes = {one.name: str(one.type) for one in dataclasses.fields(Scenario)}
+    assert list(attributes) == [field.attribute for field in SCENARIO_FIELDS]
+    for field in SCENARIO_FIELDS:
+        assert attributes[field.attribute] == TYPES[field.kind], field.key
+        field.check(getattr(Scenario(), field.attribute))
+
+
+def test_given_the_rows_then_the_message_has_a_field_of_each_with_its_unit_and_its_words():
+    lines = re.findall(r'^(\w+) (\w+) +# (.*)$', MESSAGE.read_text(encoding='utf-8'), re.MULTILINE)
+    said = {name: (kind, comment) for kind, name, comment in lines}
+    assert [name for name in said if name in {field.attribute for field in SCENARIO_FIELDS}] == [
+        field.attribute for field in SCENARIO_FIELDS
+    ]
+    for field in SCENARIO_FIELDS:
+        kind, comment = said[field.attribute]
+        assert kind == field.message_type, field.key
+        assert all(word in comment for word in field.words), field.key
+        if field.kind is Kind.NUMBER:
+            unit = re.match(r'\[(.+?)\]', comment)[1]
+            assert UNITS[unit] == field.unit or unit == field.unit, field.key
+
+
+def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_type():
+    columns = {one.name: str(one.type) for one in dataclasses.fields(RunRow)}
+    empty = {Kind.WORD: 'str', Kind.DATE: 'str'}
+    for field in SCENARIO_FIELDS:
+        wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
+        assert columns[field.key] == wanted, field.key
+    frame = table([])
+    start = list(frame.columns).index(SCENARIO_FIELDS[0].column)
+    assert list(frame.columns)[start:start + len(SCENARIO_FIELDS)] == [
+        field.column for field in SCENARIO_FIELDS
+    ]
+    for field in SCENARIO_FIELDS:
+        assert frame[field.column].dtype == field.column_type, field.key
+
+
+def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_properties():
+    text = WORLD.read_text(encoding='utf-8')
+    assert f'\nCLOUDS = {CLOUDS!r}\n' in text
+    assert f'\nRAIN_CLOUDS = {RAIN_CLOUDS!r}\n' in text
+    properties = re.findall(r'^    (\w+)\[dynamic, final\]:', text, re.MULTILINE)
+    assert properties == list(PLANE_PROPERTIES.values())
+    said = re.search(r'may set these parameters: (.*?)\.\n', text, re.DOTALL)[1]
+    assert sorted(set(re.findall(r'\w+', said)) & set(BY_KEY)) == sorted(PARAMETERS)
+    for field in NUMBERS:
+        assert field.plane or re.search(rf'\b{field.key} \[{field.unit}[],]', said), field.key
+
+
+def test_given_the_rows_then_the_pages_list_them_all():
+    scenic = (ROOT / 'docs/scenic.md').read_text(encoding='utf-8')
+    said = re.search(r'^\| `param` of the scenario: (.*?) \|', scenic, re.MULTILINE)[1]
+    assert sorted(re.findall(r'`(\w+)`', said)) == sorted(PARAMETERS)
+    said = re.search(r'^\| `with (.*?) \| refused: they follow', scenic, re.MULTILINE)[1]
+    assert re.findall(r'\w+', said) == list(PLANE_PROPERTIES.values())
+    columns = (ROOT / 'docs/falsification.md').read_text(encoding='utf-8')
+    said = re.search(r'^\| (.*?) \| the scene \|$', columns, re.MULTILINE)[1]
+    assert re.findall(r'`(\w+)`', said) == [field.column for field in SCENARIO_FIELDS]
+
+
+@pytest.mark.parametrize('field', SCENARIO_FIELDS, ids=keys)
+def test_given_a_key_when_its_value_goes_out_and_in_again_then_it_is_the_same(field):
+    value = getattr(Scenario(), field.attribute)
+    typed = field.to_human(value)
+    assert field.from_human(str(typed) if not isinstance(typed, bool) else typed) == value
+    assert getattr(scenario_from_human({field.key: typed}), field.attribute) == value
+
+
+@pytest.mark.parametrize('field', NUMBERS, ids=keys)
+def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyond(field):
+    field.check(field.low)
+    field.check(field.high)
+    for value in (field.low - 0.01, field.high + 0.01, float('nan')):
+        with pytest.raises(UsageError, match=f'scenario: {field.attribute} is'):
+            field.check(value)
+
+
+@pytest.mark.parametrize(
+    ('key', 'value', 'words'),
+    [
+        ('cross_track', 2.55, '+2.5 m'), ('cross_track', 0.0, '0.0 m'), ('distance', 400, '400 m'),
+        ('heading', -20.0, '-20.0 deg'), ('rain', 30.0, '30 %'), ('time_of_day', 10.55, '10:33'),
+        ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration', 30.0, '30 s'),
+    ],
+)
+def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):
+    assert BY_KEY[key].value_words(value) == words
+
+
+def test_given_hours_when_said_as_a_clock_then_rounded_to_the_minute():
+    assert [clock_words(hours) for hours in (0, 9.999, 13 + 1 / 3)] == ['00:00', '10:00', '13:20']
+
+
+def test_given_words_then_they_are_those_that_a_scenario_takes():
+    for word in AIRCRAFT:
+        assert Scenario(aircraft=word).aircraft == word
+    for word in CLOUDS:
+        assert Scenario(clouds=word).clouds == word
