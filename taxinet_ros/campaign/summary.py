@@ -88,12 +88,12 @@ def rho_words(row: RunRow, width: int = 0) -> str:
 
 def scene_words(row: RunRow) -> str:
     """A scene in a few words, in the units people read; empty where none was drawn."""
-    if row.time_of_day is None or row.rain is None:
+    if row.time_of_day_h is None or row.rain_percent is None:
         return ''
-    rain = f' rain {_percent(row.rain)} %' if row.rain > 0 else ''
+    rain = f' rain {_percent(row.rain_percent)} %' if row.rain_percent > 0 else ''
     return (
-        f'CTE {row.cross_track:+.1f} m  HE {row.heading:+.0f} deg  at {row.distance:.0f} m  '
-        f'{clock_words(row.time_of_day)} {row.clouds}{rain}'
+        f'CTE {row.cross_track_m:+.1f} m  HE {row.heading_deg:+.0f} deg  '
+        f'at {row.distance_m:.0f} m  {clock_words(row.time_of_day_h)} {row.clouds}{rain}'
     )
 
 
@@ -190,8 +190,8 @@ def stopped_words(rows: Sequence[RunRow]) -> list[str]:
     stopped = [row for row in rows if row.stopped_early]
     if not stopped:
         return []
-    whole_s = sum(row.duration or 0.0 for row in rows if row.outcome.judged)
-    saved_s = sum((row.duration or 0.0) - row.sim_s for row in stopped)
+    whole_s = sum(row.duration_s or 0.0 for row in rows if row.outcome.judged)
+    saved_s = sum((row.duration_s or 0.0) - row.sim_s for row in stopped)
     return [
         f'{len(stopped)} stopped early, which saved {saved_s:.0f} of {whole_s:.0f} s of simulated '
         f'time ({saved_s / whole_s:.0%})'

@@ -74,6 +74,11 @@ class Scenario:
             field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
 
+    def to_columns(self) -> dict[str, Any]:
+        """The same by the columns of tables, which have the unit in their names."""
+        human = self.to_human()
+        return {field.column: human[field.key] for field in SCENARIO_FIELDS}
+
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from the units people type (m, degrees, percent, hours).

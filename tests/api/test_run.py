@@ -37,7 +37,8 @@ class Blinking:
 def test_given_a_run_that_the_graph_recorded_when_made_here_then_its_trace_is_the_same(name):
     recording = open_recording(GOLDEN / name)
     recorded, asked = recording.trace, recording.run
-    run = tx.run(asked.request.scenario, perception=asked.perception, specs=asked.request.specs)
+    specs = asked.request.judging.specs
+    run = tx.run(recording.scenario, perception=asked.perception, specs=specs)
     assert len(run.trace) == 121
     assert list(run.trace.columns) == list(recorded.columns)
     assert run.trace.attrs == recorded.attrs
@@ -87,7 +88,7 @@ def test_given_a_run_then_its_frames_are_those_that_the_perception_saw():
         frame[:] = 0  # what it writes is its own affair
         return 0.0, 0.0
 
-    run = tx.run(tx.Scenario(cross_track_m=2.0, clouds='broken', rain=0.5, duration_s=1.0),
+    run = tx.run(tx.Scenario(cross_track_m=2.0, clouds='broken', rain_fraction=0.5, duration_s=1.0),
                  perception=look)
     frames = list(run.frames())
     assert len(frames) == len(seen) == 11

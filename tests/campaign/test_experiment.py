@@ -168,7 +168,7 @@ def test_given_a_choice_that_an_arm_fixes_then_points_still_give_the_same_scenes
 
 
 def row(index: int, **changes) -> RunRow:
-    scene = {**Scenario(distance_m=300.0 + index).to_human(), **changes}
+    scene = {**Scenario(distance_m=300.0 + index).to_columns(), **changes}
     return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='truth',
                   outcome=Outcome.PASS, robustness=exact_intervals({'phi': 1.0}), **scene)
 
@@ -178,7 +178,7 @@ def test_given_arms_with_other_scenes_then_they_are_not_compared(tmp_path):
     same = {'a': (row(0), row(1)), 'b': (row(0, shadows=False), row(1, shadows=False))}
     check_paired(one, same)
     with pytest.raises(UsageError, match=r'run 1 has heading 3.0 in b and 0.0 in a'):
-        check_paired(one, {**same, 'b': (row(0, shadows=False), row(1, heading=3.0))})
+        check_paired(one, {**same, 'b': (row(0, shadows=False), row(1, heading_deg=3.0))})
     rejected = RunRow(run_id='r-1', index=1, program='p', seed=0, perception='truth',
                       outcome=Outcome.REJECTED)
     check_paired(one, {**same, 'b': (row(0), rejected)})

@@ -74,7 +74,7 @@ def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_ty
     empty = {Kind.WORD: 'str', Kind.DATE: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
-        assert columns[field.key] == wanted, field.key
+        assert columns[field.column] == wanted, field.key
     frame = table([])
     start = list(frame.columns).index(SCENARIO_FIELDS[0].column)
     assert list(frame.columns)[start:start + len(SCENARIO_FIELDS)] == [

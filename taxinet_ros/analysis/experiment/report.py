@@ -70,7 +70,7 @@ def arms_picture(found: PairedArms) -> Picture:
 def _draw(found: PairedArms, figure: Figure, theme: Theme) -> None:
     axes = figure.subplots()
     experiment = found.experiment
-    places = {row.index: getattr(row, found.over) for row in found.rows[experiment.compare_to]}
+    places = {row.index: row.scene[found.over] for row in found.rows[experiment.compare_to]}
     if not found.alone:
         for one in found.comparisons:
             _join_flips(axes, one, places, theme)
@@ -155,8 +155,8 @@ def _draw_change(found: PairedArms, one: ArmComparison, figure: Figure, theme: T
 def changes(found: PairedArms, one: ArmComparison) -> tuple[np.ndarray, np.ndarray]:
     """Where each pair is, and how much its rho changes."""
     known = [
-        (float(getattr(a, found.over)), rho_of(b) - rho_of(a)) for a, b in one.pairs
-        if getattr(a, found.over) is not None
+        (float(a.scene[found.over]), rho_of(b) - rho_of(a)) for a, b in one.pairs
+        if a.scene[found.over] is not None
     ]
     points = np.array(known, dtype=np.float64).reshape(-1, 2)
     points = points[np.isfinite(points).all(axis=1)]
@@ -408,7 +408,7 @@ def _flips_tables(found: PairedArms, one: ArmComparison) -> tuple[Table, ...]:
             Column(name=f'rho_{one.arm}', title=f'ρ, {one.arm}', decimals=2),
         ),
         rows=tuple(
-            (a.index, getattr(a, found.over), a.outcome, b.outcome, rho_of(a), rho_of(b))
+            (a.index, a.scene[found.over], a.outcome, b.outcome, rho_of(a), rho_of(b))
             for a, b in flips[:_MOST_FLIPS]
         ),
     ),)

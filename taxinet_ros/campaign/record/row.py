@@ -36,14 +36,15 @@ class RunRow:
         weight: density of the program's distribution over that of the sampler's, if known.
         drawn: whether the scene was drawn from the program itself, whatever the results before it:
             what rates rest on. None in a row from before that was written down.
-        perception, perception_fingerprint: the swap word, and the hash of the weights.
+        perception, fingerprint: the swap word, and the hash of the weights; on disk
+            ``perception_fingerprint``.
         timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
             where each did at once. A free run need not come out so again.
         free: of a free run how it went, by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
-        cross_track, distance, heading, clouds, rain, time_of_day, date, shadows, crossing,
-            aircraft, duration: the scenario in human units (m left, m, degrees nose left, word,
-            percent, h, ISO date, two switches, word, s); None if no scene could be drawn.
+        cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
+            crossing, aircraft, duration_s: the scenario, see
+            :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
             a run that was stopped early. On disk these are ``rho``, what is known of it, and
@@ -76,20 +77,20 @@ class RunRow:
     refused: int = 0
     weight: float | None = None
     drawn: bool | None = None
-    perception_fingerprint: str = ''
+    fingerprint: str = ''
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
-    cross_track: float | None = None
-    distance: float | None = None
-    heading: float | None = None
+    cross_track_m: float | None = None
+    distance_m: float | None = None
+    heading_deg: float | None = None
     clouds: str = ''
-    rain: float | None = None
-    time_of_day: float | None = None
+    rain_percent: float | None = None
+    time_of_day_h: float | None = None
     date: str = ''
     shadows: bool | None = None
     crossing: bool | None = None
     aircraft: str = ''
-    duration: float | None = None
+    duration_s: float | None = None
     kind: str = ''
     who: str = ''
     detail: str = ''
@@ -133,7 +134,7 @@ class RunRow:
         if self.bag and not is_run_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
         for known in SCENARIO_FIELDS:
-            value = getattr(self, known.key)
+            value = getattr(self, known.column)
             if known.words and value and value not in known.words:
                 raise ValueError(
                     f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
@@ -165,7 +166,7 @@ class RunRow:
     @property
     def scene(self) -> dict[str, Any]:
         """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
-        return {known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}
+        return {known.key: getattr(self, known.column) for known in SCENARIO_FIELDS}
 
     @property
     def unusable_share(self) -> float:
@@ -237,9 +238,9 @@ class RunRow:
         """
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
-            perception=perception, perception_fingerprint=result.fingerprint,
+            perception=perception, fingerprint=result.fingerprint,
             timing=result.timing, free=dict(result.free),
-            **request.scenario.to_human(),
+            **request.scenario.to_columns(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             robustness=dict(result.robustness), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
@@ -266,7 +267,7 @@ class RunRow:
                 values['rho_lower'] = {spec: interval.lower for spec, interval in ends.items()}
                 values['rho_upper'] = {spec: interval.upper for spec, interval in ends.items()}
             else:
-                values[name] = value
+                values[_KEYS.get(name, name)] = value
         return {**values, 'outcome': self.outcome.value}
 
     @classmethod
@@ -280,11 +281,16 @@ class RunRow:
         # Rows from before there was a key have its value of then, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
-            known.key: known.absent if drawn else None for known in SCENARIO_FIELDS
+            known.column: known.absent if drawn else None for known in SCENARIO_FIELDS
             if known.absent is not None
         }
         try:
-            columns = {name: value for name, value in values.items() if name not in _BOUNDS}
+            if stray := values.keys() & _KEYS.keys():
+                raise ValueError(f'unexpected {min(stray)}')
+            columns = {
+                _COLUMNS.get(name, name): value for name, value in values.items()
+                if name not in _BOUNDS
+            }
             row = cls(**{
                 **before, **columns, 'outcome': Outcome(values['outcome']),
                 'robustness': _robustness(values),
@@ -297,7 +303,15 @@ class RunRow:
             raise UsageError(f'not a row of this version: {error}') from error
 
 
+ON_DISK = {'fingerprint': 'perception_fingerprint'}
+"""Columns of ledgers and tables that have a longer name than a row's attribute."""
 _BOUNDS = ('rho', 'rho_lower', 'rho_upper')
+_KEYS = {
+    **{known.column: known.key for known in SCENARIO_FIELDS if known.column != known.key},
+    **ON_DISK,
+}
+"""The ledger has a scene by its keys, a row by the columns of the table."""
+_COLUMNS = {key: column for column, key in _KEYS.items()}
 
 
 def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:

@@ -21,7 +21,7 @@ from taxinet_ros.campaign.record.facts import (
     recorded_stacks,
     seal_facts,
 )
-from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
@@ -62,8 +62,8 @@ _AFTER_RHO = {
     'real_time_factor': 'float64',
 }
 
-_ATTRIBUTES = {field.column: field.key for field in SCENARIO_FIELDS}
-"""A row names these as people set them, without their units."""
+_ATTRIBUTES = {column: name for name, column in ON_DISK.items()}
+"""A row names these shorter."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:

@@ -6,11 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
-
-import rclpy
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
+from typing import Protocol
 
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.launch_plan import namespace_remaps
@@ -18,6 +14,7 @@ from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.runner import GraphOptions, node_processes
 from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.processes.child import IN_ORDER, end_all
 
@@ -97,20 +94,17 @@ def run_standing_graph(
     with (
         own_domain(options.domain, options.namespace) as domain,
         node_processes(options.graph, domain, options.logs, without, options.remaps) as processes,
-        _ros(domain) as (context, executor),
+        NodeExecutor(domain) as spinning,
         _in_order(processes),
     ):
         supervisor = Supervisor(
-            processes, options.care, shown.say, context=context, cli_args=options.ros_arguments
+            processes, options.care, shown.say, context=spinning.context,
+            cli_args=options.ros_arguments,
         )
-        executor.add_node(supervisor)
+        spinning.add(supervisor)
         on_stop(supervisor.stop)
-        try:
-            with shown.watching(supervisor, domain):
-                spin_until(executor, supervisor.ended)
-        finally:
-            executor.remove_node(supervisor)
-            supervisor.destroy_node()
+        with shown.watching(supervisor, domain):
+            spin_until(spinning.executor, supervisor.ended)
 
 
 @contextlib.contextmanager
@@ -121,15 +115,3 @@ def _in_order(processes: list[NodeProcess]) -> Iterator[None]:
     except KeyboardInterrupt:
         end_all(processes, ())
         raise
-
-
-@contextlib.contextmanager
-def _ros(domain: int) -> Iterator[tuple[Context, Any]]:
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    executor = EventsExecutor(context=context)
-    try:
-        yield context, executor
-    finally:
-        executor.shutdown()
-        rclpy.try_shutdown(context=context)

@@ -138,13 +138,13 @@ def row(index: int, rho: float | None, *, shadows: bool, settled: bool = True) -
     scene = Scenario(time_of_day_s=(6 + index) * 3600.0, shadows=shadows)
     if rho is None:
         return RunRow(run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
-                      outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_human())
+                      outcome=Outcome.INFRA_ERROR, kind='died', **scene.to_columns())
     return RunRow(
         run_id=f'r-{index}', index=index, program='p', seed=0, perception='original',
         outcome=Outcome.PASS if rho > 0 else Outcome.FAIL,
         robustness=exact_intervals({'phi_eventually': rho}),
         left_runway=rho < -10, max_cross_track_m=2.0 - rho,
-        settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_human(),
+        settle_time_s=4.0 if settled and rho > 0 else None, **scene.to_columns(),
     )
 
 

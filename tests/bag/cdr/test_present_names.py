@@ -13,8 +13,8 @@ from whole_runs import SCENE, write_run
 from taxinet_ros.bag.cdr.decode import decode, definition_hash, with_present_names
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.reader import StoredMessage, read_info, stored_messages
-from taxinet_ros.bag.run.facts import read_run
 from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo, message_definition, type_hash
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, Kind
 
@@ -52,7 +52,7 @@ def test_given_a_bag_of_before_when_read_then_its_scene_is_there_under_the_names
     scene = decode(message.topic, message.cdr)
     assert not hasattr(scene, 'time_of_day')
     assert scene.time_of_day_s == scenario_of(scene).time_of_day_s
-    assert read_run(BEFORE).request.scenario == scenario_of(scene)
+    assert open_recording(BEFORE).scenario == scenario_of(scene)
 
 
 def test_given_a_bag_of_now_when_read_as_one_of_before_then_every_value_is_the_same(tmp_path):

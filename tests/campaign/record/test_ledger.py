@@ -21,6 +21,7 @@ from taxinet_ros.core.mtl import exact_intervals
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS
 from taxinet_ros.errors import UsageError
 
 
@@ -173,3 +174,11 @@ def test_given_another_fault_of_the_system_then_it_is_not_hidden(capsys):
 
     assert cli._exit_code(fail) == 2, 'a path that does not do'
     assert 'not a directory' in capsys.readouterr().err
+
+
+def test_given_a_row_when_written_then_its_scene_stands_by_keys_and_is_read_so_alone() -> None:
+    written = row(0).to_json()
+    assert {key: written[key] for key in HUMAN_KEYS} == row(0).scene
+    assert RunRow.from_json(written) == row(0)
+    with pytest.raises(UsageError, match='not a row of this version: unexpected rain_percent'):
+        RunRow.from_json({**written, 'rain_percent': 3.0})

@@ -17,8 +17,9 @@ ALPHA = 0.05
 
 def row(index: int, rho: float, **changes) -> RunRow:
     scene = {
-        'cross_track': 0.0, 'distance': 100.0 * (index % 20), 'heading': 0.0, 'clouds': 'clear',
-        'rain': 0.0, 'time_of_day': 6 + index % 12, 'left_runway': False,
+        'cross_track_m': 0.0, 'distance_m': 100.0 * (index % 20), 'heading_deg': 0.0,
+        'clouds': 'clear', 'rain_percent': 0.0, 'time_of_day_h': 6 + index % 12,
+        'left_runway': False,
     }
     return RunRow(
         run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
@@ -74,8 +75,8 @@ def test_given_fewer_failures_in_all_but_more_at_one_hour_then_the_place_is_name
     """40 failures mended at 12-15 h, 12 new ones at 6-9 h."""
     def campaign(failed: set[int]) -> list[RunRow]:
         return [
-            row(index, -1.0 if index in failed else 1.0, distance=50.0,
-                time_of_day=7.0 if index < 100 else 13.0)
+            row(index, -1.0 if index in failed else 1.0, distance_m=50.0,
+                time_of_day_h=7.0 if index < 100 else 13.0)
             for index in range(200)
         ]
     made = decide(campaign(set(range(100, 140))), campaign(set(range(12))), ALPHA)
@@ -124,8 +125,10 @@ def share_accepted(chances, *, runs=400, rounds=40, gain_m=0.0, causes=()):
         rng = np.random.default_rng(number)
         distance, hour = rng.uniform(0, 2000, runs), rng.uniform(6, 18, runs)
         scenes = [
-            {'distance': float(d), 'time_of_day': float(h), 'heading': float(rng.uniform(-30, 30)),
-             'cross_track': float(rng.uniform(-8, 8))} for d, h in zip(distance, hour, strict=True)
+            {'distance_m': float(d), 'time_of_day_h': float(h),
+             'heading_deg': float(rng.uniform(-30, 30)),
+             'cross_track_m': float(rng.uniform(-8, 8))}
+            for d, h in zip(distance, hour, strict=True)
         ]
         both = [
             np.where(rng.random(runs) < np.asarray(chance(distance, hour)), -1.0, 1.0)

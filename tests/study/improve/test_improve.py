@@ -74,8 +74,9 @@ def campaign(folder: Path, failures: int) -> None:
                 run_id=f'r{index}', index=index, program='s', seed=0, perception='p',
                 outcome=Outcome.FAIL if failed else Outcome.PASS,
                 robustness=exact_intervals({'phi': -1.0 if failed else 1.0}),
-                cross_track=0.0, distance=50.0 * index,
-                heading=0.0, clouds='clear', rain=0.0, time_of_day=12.0, left_runway=False,
+                cross_track_m=0.0, distance_m=50.0 * index,
+                heading_deg=0.0, clouds='clear', rain_percent=0.0, time_of_day_h=12.0,
+                left_runway=False,
             ))
 
 
@@ -130,8 +131,8 @@ def test_given_no_candidate_that_is_better_then_the_network_stays_what_it_was(be
     code, rounds = go(options, out, Bench(out, failing))
     assert code == 0
     assert [one.decision.why for one in rounds] == ['not better beyond doubt'] * 2
-    start = load_model(options.start_path).card.weights_sha256
-    assert load_model(out / BEST).card.weights_sha256 == start == rounds[1].incumbent
+    start = load_model(options.start_path).fingerprint
+    assert load_model(out / BEST).fingerprint == start == rounds[1].incumbent
 
 
 def test_given_no_failure_then_the_loop_ends_there_and_says_so(begun):

@@ -125,5 +125,5 @@ def _row(index: int, arm: str) -> RunRow:
         run_id=f'r-{index}', index=index, program='halton_time_of_day', seed=0,
         perception='original', outcome=Outcome.PASS,
         robustness=exact_intervals({'phi_eventually': rho}),
-        left_runway=False, max_cross_track_m=1.0, settle_time_s=3.0, **scene.to_human(),
+        left_runway=False, max_cross_track_m=1.0, settle_time_s=3.0, **scene.to_columns(),
     )
