@@ -390,7 +390,9 @@ def _check_experiment(place: Path, found: Examination) -> None:
         why = f'{left[0]} is there' if left else why
         found.report(index, f'does not vouch for the experiment, and {why}', _RESUME)
     else:
-        found.notes.append(f'{place}: an experiment that is not finished; --resume goes on')
+        # One that was interrupted between two arms looks just so; what --resume makes is the same.
+        which = f', without {" and ".join(missing)}' if missing else ''
+        found.notes.append(f'{place}: an experiment that is not finished{which}; --resume goes on')
 
 
 def _arms(place: Path) -> dict[str, LedgerContent | None]:

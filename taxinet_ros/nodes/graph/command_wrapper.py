@@ -2,7 +2,8 @@
 
 ``ros2 run`` starts the node as a child of its own, which would outlive a killed parent. The
 wrapper adopts whatever its command leaves behind, in whatever session. When the command ends,
-or the wrapper's parent goes, however it goes, all of it is ended.
+or the wrapper's parent goes, however it goes, all of it is ended. Of what it prints into a file
+the beginning and the end are kept, so that none fills the disk.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ import contextlib
 import functools
 import os
 import signal
+import stat
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from types import FrameType
+from typing import IO, Any
 
 import psutil
 
@@ -27,6 +31,9 @@ Shorter than what whoever ends a keeper waits: what is in another session is kno
 """
 CHILDREN_LEFT = 'keeper: ended what the command left behind: '
 """How the line begins that a keeper prints on processes which outlived its command."""
+_BEGINNING_BYTES, _END_BYTES = 8_000_000, 1_000_000
+"""What is kept in a file of what a command prints in one life."""
+_LAST_WORDS_S = 1.0
 
 
 def wrapped_command(
@@ -63,18 +70,51 @@ def main() -> int:
     adopt_orphans()
     if os.getppid() != parent:
         return 1
+    into_file = stat.S_ISREG(os.fstat(sys.stdout.fileno()).st_mode)
+    streams: dict[str, Any] = {}
+    if into_file:
+        streams = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT}
     try:
-        child = subprocess.Popen(command, preexec_fn=_usual_signals)
+        child = subprocess.Popen(command, preexec_fn=_usual_signals, **streams)
     except OSError as error:
         print(f'{command[0]}: cannot be started: {error.strerror}', flush=True)
         return 127
+    passing_on = threading.Thread(target=_pass_on, args=(child.stdout,), daemon=True)
+    if into_file:
+        passing_on.start()
     code = child.wait()
     _end_what_is_left()
+    if into_file:
+        passing_on.join(_LAST_WORDS_S)
     if code < 0:
         if -code not in (signal.SIGKILL, signal.SIGSTOP):
             signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
     return code
+
+
+def _pass_on(printed: IO[bytes]) -> None:
+    """Write what a command prints: its beginning as it comes, and at its end the last of it."""
+    room, left_out, end = _BEGINNING_BYTES, 0, b''
+    while data := os.read(printed.fileno(), 1 << 16):
+        if room:
+            _write(data[:room])
+        end += data[room:]
+        room = max(0, room - len(data))
+        if len(end) > 2 * _END_BYTES:
+            if not left_out:
+                _write(b'\nkeeper: it prints too much; from here on the last of it is kept alone\n')
+            left_out += len(end) - _END_BYTES
+            end = end[-_END_BYTES:]
+    if left_out:
+        _write(f'keeper: {left_out / 1e6:.1f} MB are left out here\n'.encode())
+    _write(end)
+
+
+def _write(data: bytes) -> None:
+    with contextlib.suppress(OSError):  # a full disk is the recorder's to tell
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
 
 
 def _usual_signals() -> None:

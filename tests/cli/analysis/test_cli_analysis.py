@@ -72,6 +72,18 @@ def exchange(experiment: Path) -> None:
     (experiment / 'other').rename(experiment / 'far')
 
 
+def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that_is_to_come(
+    folder, tmp_path
+):
+    """So it looks after an interrupt between two arms, too."""
+    experiment = shutil.copytree(folder / 'e', tmp_path / 'e')
+    all_but_the_arms(experiment)
+    shutil.rmtree(experiment / 'far')
+    done = taxinet('doctor', experiment)
+    assert done.returncode == 0, done.stdout
+    assert 'an experiment that is not finished, without far; --resume goes on' in done.stdout
+
+
 @pytest.mark.parametrize(('change', 'says'), [
     (exchange, 'near/ledger.jsonl: its first '),
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
