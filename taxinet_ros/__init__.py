@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from taxinet_ros.api.campaign import Campaign, Counterexample, open_campaign
     from taxinet_ros.api.run import Run, load_perception, render, robustness, run
     from taxinet_ros.api.search import falsify
+    from taxinet_ros.bag.errors import BagError
+    from taxinet_ros.bag.run.recording import Recording, open_recording
     from taxinet_ros.core.controller import SteeringGains, SteeringLaw
     from taxinet_ros.core.mtl.specs import Spec
     from taxinet_ros.core.outcome import Outcome
@@ -28,10 +30,12 @@ __version__ = '0.1.0'
 
 __all__ = [
     'AircraftState',
+    'BagError',
     'Campaign',
     'Counterexample',
     'InfraError',
     'Outcome',
+    'Recording',
     'Run',
     'Scenario',
     'Spec',
@@ -43,6 +47,7 @@ __all__ = [
     'falsify',
     'load_perception',
     'open_campaign',
+    'open_recording',
     'render',
     'robustness',
     'run',
@@ -52,6 +57,8 @@ _MODULES = {
     'taxinet_ros.api.campaign': ('Campaign', 'Counterexample', 'open_campaign'),
     'taxinet_ros.api.run': ('Run', 'load_perception', 'render', 'robustness', 'run'),
     'taxinet_ros.api.search': ('falsify',),
+    'taxinet_ros.bag.errors': ('BagError',),
+    'taxinet_ros.bag.run.recording': ('Recording', 'open_recording'),
     'taxinet_ros.core.controller': ('SteeringGains', 'SteeringLaw'),
     'taxinet_ros.core.mtl.specs': ('Spec',),
     'taxinet_ros.core.outcome': ('Outcome',),

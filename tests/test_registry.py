@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from importlib import metadata
@@ -218,3 +219,18 @@ def test_given_a_requirement_that_is_no_formula_when_named_then_its_package_is_t
         parse_spec('bad')
     with pytest.raises(UsageError, match='is int; expected the text of a formula'):
         parse_spec('worse')
+
+
+DOCUMENTED = {
+    registry.PERCEPTIONS: 'networks.md', registry.SAMPLERS: 'falsification.md',
+    registry.REQUIREMENTS: 'mtl.md',
+}
+
+
+@pytest.mark.parametrize('kind', DOCUMENTED)
+def test_given_what_is_shipped_then_its_page_tells_of_each_by_name(kind: str) -> None:
+    page = (Path(__file__).parents[1] / 'docs' / DOCUMENTED[kind]).read_text(encoding='utf-8')
+    told = set(re.findall(r'`([^`\n]+)`', page)) | {
+        f'iterative{word}' for word in re.findall(r'`(-\w+)`', page)
+    }
+    assert [name for name in registry.names(kind) if name not in {*told, 'truth'}] == []

@@ -107,6 +107,22 @@ def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
     assert 'was begun with extensions' in changed.stderr
 
 
+def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of_there(
+    site: Path, tmp_path: Path
+) -> None:
+    code = """
+import taxinet_ros as tx
+scene = tx.Scenario(cross_track_m=2.0, duration_s=1.0)
+here, there = (tx.run(scene, specs="gentle", world=world) for world in ("kmwh", "bicycle"))
+assert list(there.trace.cte_m) != list(here.trace.cte_m)
+assert there.frame(10).tobytes() != here.frame(10).tobytes()
+assert [frame.tobytes() for frame in there.frames()][10] == there.frame(10).tobytes()
+assert (there.steps[1].observation.state.z_m, list(there.rho)) == (1.55, ["gentle"])
+"""
+    done = python(site, '-c', code, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, '')
+
+
 def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_known(
     site: Path, tmp_path: Path
 ) -> None:

@@ -34,10 +34,10 @@ from taxinet_ros.core.perception.perception import (
 )
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.trace import TRACE_UNITS, trace_columns, trace_signals
+from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import SimulatedWorld
+from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ class Run:
         stopped_early: whether the run ended before its end because that was decided.
         statistics: how far off, when settled, how wrong the estimates.
         steps: its control steps, without their frames.
+        make_world: makes the world that it took place in.
     """
 
     scenario: Scenario
@@ -79,6 +80,7 @@ class Run:
     stopped_early: bool
     statistics: RunStatistics
     steps: tuple[Step, ...]
+    make_world: WorldMaker = SimulatedWorld
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -89,12 +91,7 @@ class Run:
         none), ``steering_rad``, ``speed_cmd_mps``, and for each requirement ``rho_lower.<name>``
         and ``rho_upper.<name>``; cross-track, heading and steering are left positive.
         """
-        import pandas as pd
-
-        table = pd.DataFrame(trace_columns(self.steps, [spec.name for spec in self.specs]))
-        units = {name: TRACE_UNITS[name] for name in table.columns if name in TRACE_UNITS}
-        table.attrs['units'] = units
-        return table
+        return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
     def frame(self, seq: int) -> Frame:
         """What the camera saw at a control step, (200, 360, 3) uint8 RGB.
@@ -119,7 +116,7 @@ class Run:
         return f'<Run {self.outcome}, {len(self.steps)} steps, {known}>'
 
     def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        world = SimulatedWorld(self.scenario)
+        world = self.make_world(self.scenario)
         for step in self.steps:
             now = world.observe(picture=wanted(step.observation.seq))
             if now.image is not None:
@@ -149,6 +146,7 @@ def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
     specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS, stop_on: str = 'never',
+    world: str = KMWH,
 ) -> Run:
     """Run one scenario to its end, in this process.
 
@@ -161,6 +159,7 @@ def run(
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
             :class:`Spec`; the first is the headline.
         stop_on: ``never``, or end as soon as the headline is ``violated`` or all is ``decided``.
+        world: ``kmwh``, the simulated one, or what a package adds (docs/extending.md).
 
     Returns:
         The run with its trace, robustness and outcome.
@@ -171,7 +170,7 @@ def run(
         UserCodeError: a function in a file failed; what a function given here raises comes through.
         InfraError: the simulator failed.
     """
-    eyes = _perception(perception)
+    eyes, make_world = _perception(perception), find_world(world).make
     asked = tuple(map(parse_spec, spec_texts(specs)))
     steps: list[Step] = []
 
@@ -181,7 +180,7 @@ def run(
 
     judgement = run_closed_loop(
         scenario, eyes, specs=asked, controller=_controller(controller),
-        stop_on=parse_stop_on(stop_on), on_step=keep,
+        stop_on=parse_stop_on(stop_on), on_step=keep, make_world=make_world,
     )
     return Run(
         scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, specs=asked,
@@ -191,6 +190,7 @@ def run(
             for spec, reading in zip(asked, judgement.readings, strict=True)
         },
         stopped_early=judgement.stopped_early, statistics=judgement.statistics, steps=tuple(steps),
+        make_world=make_world,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -257,6 +257,7 @@ class Contents:
     messages: list[StoredMessage] = field(default_factory=list)
     damage: list[tuple[int, BagError]] = field(default_factory=list)
     checked: bool = False
+    _kept_bytes: dict[str, int] = field(default_factory=dict)
     _start_ns: int | None = None
     _end_ns: int = 0
     _back_ns: int = 0
@@ -284,23 +285,29 @@ class Contents:
     def note(self, record: object, kept_bytes: KeptBytes) -> None:
         """Take in a topic, a message, a metadata record or an attachment."""
         if isinstance(record, StoredMessage):
-            name, stamp_ns = record.topic.name, record.stamp_ns
-            self.counts[name] += 1
-            if self._start_ns is None or stamp_ns < self._start_ns:
-                self._start_ns = stamp_ns
-            self._end_ns = max(self._end_ns, stamp_ns)
-            self._back_ns = max(self._back_ns, self._latest_ns - stamp_ns)
-            self._latest_ns = stamp_ns
-            if size := kept_bytes(name):
-                short = len(record.cdr) > size
-                self.messages.append(record._replace(cdr=record.cdr[:size]) if short else record)
+            topic, stamp_ns, cdr = record
+            self.counts[topic.name] += 1
+            if stamp_ns != self._latest_ns or self._start_ns is None:
+                self._note_stamp(stamp_ns)
+            size = self._kept_bytes[topic.name]
+            if size >= len(cdr):
+                self.messages.append(record)
+            elif size:
+                self.messages.append(record._replace(cdr=cdr[:size]))
         elif isinstance(record, TopicInfo):
             self.topics.setdefault(record.name, record)
             self.counts.setdefault(record.name, 0)
+            self._kept_bytes[record.name] = kept_bytes(record.name)
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
         elif isinstance(record, Attachment):
             self.attachments.append(record.name)
+
+    def _note_stamp(self, stamp_ns: int) -> None:
+        self._start_ns = stamp_ns if self._start_ns is None else min(self._start_ns, stamp_ns)
+        self._end_ns = max(self._end_ns, stamp_ns)
+        self._back_ns = max(self._back_ns, self._latest_ns - stamp_ns)
+        self._latest_ns = stamp_ns
 
 
 def read_contents(path: Path, kept_bytes: KeptBytes) -> Contents:
@@ -438,21 +445,20 @@ class _SoundFile:
 
     def _within(
         self, record: object, body: bytes
-    ) -> Iterator[TopicInfo | StoredMessage | Metadata | Attachment]:
+    ) -> Sequence[TopicInfo | StoredMessage | Metadata | Attachment]:
         if isinstance(record, Chunk):
             if body in self._chunks:
                 raise BagCorrupt('the same chunk once more')
             self._chunks.add(body)
-            yield from self._in_chunk(open_chunk(record, self._work))
-        elif isinstance(record, Metadata | Attachment):
-            yield record
-        elif isinstance(record, Header):
-            if record.profile != PROFILE:
-                raise BagCorrupt(f'MCAP of profile {record.profile!r}')
-        else:
-            yield from self._declared(record)
+            return self._in_chunk(open_chunk(record, self._work))
+        if isinstance(record, Metadata | Attachment):
+            return (record,)
+        if isinstance(record, Header) and record.profile != PROFILE:
+            raise BagCorrupt(f'MCAP of profile {record.profile!r}')
+        return self._declared(record)
 
-    def _in_chunk(self, raw: bytes) -> Iterator[TopicInfo | StoredMessage]:
+    def _in_chunk(self, raw: bytes) -> Sequence[TopicInfo | StoredMessage]:
+        found: list[TopicInfo | StoredMessage] = []
         start = 0
         while start < len(raw):
             opcode, length = HEAD.unpack_from(raw, start)
@@ -465,23 +471,25 @@ class _SoundFile:
                 cdr = raw[start + _MESSAGE.size:end]
                 if cdr.startswith(_ZSTD):
                     raise BagCorrupt('a message is compressed')
-                yield StoredMessage(self._infos.by_channel[channel], stamp_ns, cdr)
+                found.append(StoredMessage(self._infos.by_channel[channel], stamp_ns, cdr))
             else:
-                yield from self._declared(parse_record(opcode, raw[start:end]))
+                found += self._declared(parse_record(opcode, raw[start:end]))
             start = end
         if start != len(raw):
             raise BagCorrupt('records do not fill their chunk')
+        return found
 
-    def _declared(self, record: object) -> Iterator[TopicInfo]:
+    def _declared(self, record: object) -> Sequence[TopicInfo]:
         known = self._infos.by_channel.get(record.id) if isinstance(record, Channel) else None
         self._infos.note(record)
-        if isinstance(record, Channel):
-            info = self._infos.by_channel[record.id]
-            if record.message_encoding != 'cdr' or not info.definition:
-                raise BagCorrupt(f'topic {record.topic} is encoded in another way')
-            if known not in (None, info):
-                raise BagCorrupt(f'channel {record.id} is told in two ways')
-            yield info
+        if not isinstance(record, Channel):
+            return ()
+        info = self._infos.by_channel[record.id]
+        if record.message_encoding != 'cdr' or not info.definition:
+            raise BagCorrupt(f'topic {record.topic} is encoded in another way')
+        if known not in (None, info):
+            raise BagCorrupt(f'channel {record.id} is told in two ways')
+        return (info,)
 
     def _finish(self, end: DataEnd, offset: int, behind: int) -> None:
         statistics, _ = check_summary(self._data[behind:], behind)

@@ -154,7 +154,7 @@ class BagWriter:
             sync_folder(self.folder.parent)
         except OSError as error:
             raise _refused(self.folder / METADATA_FILE, error) from error
-        return self._summary()
+        return self.summary
 
     def abandon(self) -> None:
         """Give up: keep what was written, without declaring it whole. Never raises."""
@@ -199,7 +199,9 @@ class BagWriter:
         if found != (expected := dict(self._storage.counts)):
             raise BagCorrupt(f'{path}: holds {found}, but {expected} was written', path=path)
 
-    def _summary(self) -> BagSummary:
+    @property
+    def summary(self) -> BagSummary:
+        """Where the bag is, and what is in it so far."""
         return BagSummary(
             folder=self.folder,
             mcap=self._storage.output.path,

@@ -24,7 +24,8 @@ from taxinet_ros.core.pacing.timing import timing_words
 from taxinet_ros.errors import ExitCode, UsageError
 
 PATIENCE = 2
-"""After so many infrastructure errors in a row the bench is broken, not the run."""
+"""After so many infrastructure errors in a row the bench is broken, not the run; a plain campaign
+gives none a second chance."""
 
 
 class Campaign:

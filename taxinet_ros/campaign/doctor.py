@@ -88,14 +88,14 @@ class Examination:
     checked: set[Path] = field(default_factory=set)
     unchecked: list[Path] = field(default_factory=list)
 
-    def saw(self, what: str, number: int = 1, path: Path | None = None) -> None:
+    def count(self, what: str, number: int = 1, path: Path | None = None) -> None:
         """Count what was looked at."""
         self.looked_at[what] = self.looked_at.get(what, 0) + number
         if path is not None:
             self.checked.add(path)
 
-    def wrong(self, where: object, what: object, mend: str = '') -> None:
-        """One more finding; words that begin with the place do not repeat it."""
+    def report(self, where: object, what: object, mend: str = '') -> None:
+        """Add a finding; words that begin with the place do not repeat it."""
         text = str(what).removeprefix(f'{where}:').strip().partition('; ')[0]
         self.findings.append(Finding(where=str(where), what=text, mend=mend))
 
@@ -114,10 +114,10 @@ def examine(folder: Path, on_bag: Callable[[Path], None] = lambda bag: None) -> 
     for place in places:
         journals = _files(place, '*.jsonl', found)
         for path in journals:
-            found.saw('journals', path=path)
+            found.count('journals', path=path)
             if path.name != LEDGER_NAME:
                 for number, why in parse_journal(path.read_bytes()).troubles:
-                    found.wrong(f'{path}:{number}', why, MEND)
+                    found.report(f'{path}:{number}', why, MEND)
             if path.name == _STAGES:
                 _check_stages(path, found)
         _check_sealed(place, found)
@@ -180,8 +180,8 @@ def _files(place: Path, pattern: str, found: Examination) -> list[Path]:
         if path.is_file():
             files.append(path)
         else:
-            found.saw('entries that are no files')
-            found.wrong(path, 'is no regular file, and was not read')
+            found.count('entries that are no files')
+            found.report(path, 'is no regular file, and was not read')
     return files
 
 
@@ -201,11 +201,11 @@ def _check_campaign(
     path = folder / LEDGER_NAME
     parsed = parse_journal(path.read_bytes())
     for number, why in parsed.troubles:
-        found.wrong(f'{path}:{number}', why, MEND)
+        found.report(f'{path}:{number}', why, MEND)
     if parsed.unprotected:
         found.notes.append(f'{path}: its first {parsed.unprotected} lines have no checksums')
     content = _content(folder, parsed, found)
-    found.saw('runs', len(content.rows))
+    found.count('runs', len(content.rows))
     if not parsed.troubles:
         _check_tables(folder, content, found)
     for row in content.rows:
@@ -224,7 +224,7 @@ def _content(folder: Path, parsed: JournalContent, found: Examination) -> Ledger
     except UsageError as error:
         where, _, what = str(error).partition(': ')
         if not any(where.startswith(one.where) for one in found.findings):
-            found.wrong(where, what, MEND)
+            found.report(where, what, MEND)
     facts = _trusted_facts(folder)
     own = facts.values if facts else {}
     return ledger_content(path, possible_events(_sound_events(parsed)[0], own))
@@ -236,16 +236,16 @@ def _check_tables(folder: Path, content: LedgerContent, found: Examination) -> N
     if names or not (folder / FACTS_NAME).is_file():
         names += [] if (folder / FACTS_NAME).is_file() else [FACTS_NAME]
         why = '' if content.finished else ' (the campaign has not ended in good order)'
-        found.wrong(folder, f'{", ".join(names)} not there{why}', MEND)
+        found.report(folder, f'{", ".join(names)} not there{why}', MEND)
     expected = table(content.rows, list(content.campaign.get('specs', {})))
     for name, same in ((CSV_NAME, _same_csv), (PARQUET_NAME, _same_parquet)):
         path = folder / name
         if path.is_file():
-            found.saw('tables', path=path)
+            found.count('tables', path=path)
             if not same(path, expected):
                 more = _only_there(path, content)
                 also = f': it has run {ranges(more)}, and the ledger has not' if more else ''
-                found.wrong(path, f'does not say what the ledger says{also}', MEND)
+                found.report(path, f'does not say what the ledger says{also}', MEND)
 
 
 def _only_there(path: Path, content: LedgerContent) -> list[int]:
@@ -287,38 +287,38 @@ def _check_bag(
     bag: Path, row: RunRow, facts: Mapping[str, Any], found: Examination
 ) -> None:
     """Whether a bag is sound, and that of its row."""
-    found.saw('bags', path=bag)
+    found.count('bags', path=bag)
     command = f'taxinet bag doctor {bag}'
     if not bag.is_dir():
-        found.wrong(bag, f'is not there, and its run is {row.outcome}')
+        found.report(bag, f'is not there, and its run is {row.outcome}')
         return
     try:
         if row.outcome.judged and (wrong := check_bag(bag).findings):
             more = f' and {len(wrong) - 1} more' if len(wrong) > 1 else ''
-            found.wrong(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)
+            found.report(bag, f'{wrong[0].where}: {wrong[0].what}{more}', command)
         for what in bag_differences(row, facts, open_recording(bag)):
-            found.wrong(bag, what)
+            found.report(bag, what)
     except (BagError, UsageError) as error:
         if row.outcome.judged:  # of a run that broke nobody expects more
-            found.wrong(bag, error, command)
+            found.report(bag, error, command)
 
 
 def _check_runs(folder: Path, content: LedgerContent, found: Examination) -> None:
     """What has an intent and no result, a result and no intent, or a bag and neither."""
     for line in content.lost:
         if line in content.incomplete:
-            found.wrong(folder / LEDGER_NAME, line.replace('; ', ', '))
+            found.report(folder / LEDGER_NAME, line.replace('; ', ', '))
         else:
             found.notes.append(f'{folder / LEDGER_NAME}: {line}')
     if content.unfinished:
         said = f'run {ranges(content.unfinished)}: begun, without a result'
         if content.finished:
-            found.wrong(folder / LEDGER_NAME, said, 'the command that made it, with --resume')
+            found.report(folder / LEDGER_NAME, said, 'the command that made it, with --resume')
         else:
             found.notes.append(f'{folder / LEDGER_NAME}: {said}; --resume runs it again')
-    if content.unasked:
-        said = f'run {ranges(content.unasked)}: a result, and nothing says that it was begun'
-        found.wrong(folder / LEDGER_NAME, said)
+    if content.never_begun:
+        said = f'run {ranges(content.never_begun)}: a result, and nothing says that it was begun'
+        found.report(folder / LEDGER_NAME, said)
     known = {row.bag for row in content.rows}
     for bag in sorted({file.parent for file in folder.glob(f'*/*.{STORAGE_ID}')}):
         if bag.name not in known and '.broken-' not in bag.name:
@@ -348,24 +348,24 @@ def _check_sealed(place: Path, found: Examination) -> None:
             if path.name == FACTS_NAME:
                 found.notes.append(f'{path}: of an earlier version, without a checksum')
             continue
-        found.saw('indices', path=path)
+        found.count('indices', path=path)
         mended = MEND if path.name == FACTS_NAME else 'the command that made it, again'
         try:
             sealed = read_sealed(path)
         except UsageError as error:
-            found.wrong(path, error, mended)
+            found.report(path, error, mended)
             continue
         found.checked |= {place / name for name in sealed.files}
         for name, digest in sealed.files.items():
             if not (place / name).is_file():
-                found.wrong(place / name, f'is not there, and {path.name} tells of it', mended)
+                found.report(place / name, f'is not there, and {path.name} tells of it', mended)
             elif file_sha256(place / name) != digest:
-                found.wrong(place / name, f'is not the file that {path.name} tells of', mended)
+                found.report(place / name, f'is not the file that {path.name} tells of', mended)
         for name, ended in sealed.journals.items():
             journal = place / name
             data = journal.read_bytes() if journal.is_file() else b''
             if why := lost_end(parse_journal(data), ended):
-                found.wrong(journal, why, MEND if data else '')
+                found.report(journal, why, MEND if data else '')
 
 
 def _check_experiment(place: Path, found: Examination) -> None:
@@ -377,18 +377,18 @@ def _check_experiment(place: Path, found: Examination) -> None:
     arms = _arms(place)
     if not (left or arms):
         return
-    found.saw('experiments without an index')
+    found.count('experiments without an index')
     there = [name for name, content in arms.items() if content is not None]
     missing = [name for name in arms if name not in there]
     # An arm is begun when the one before has had all its runs.
     gone = [name for name in missing if any(name in _arms_before(arms, later) for later in there)]
     for name in gone:
-        found.wrong(place / name, f'is not there, an arm of the experiment of {there[-1]}')
+        found.report(place / name, f'is not there, an arm of the experiment of {there[-1]}')
     counts = {len(content.rows) for content in arms.values() if content is not None}
     if left or gone or (not missing and len(counts) == 1):
         why = f'{", ".join(there)} have had their runs' if not gone else 'an arm is gone'
         why = f'{left[0]} is there' if left else why
-        found.wrong(index, f'does not vouch for the experiment, and {why}', _RESUME)
+        found.report(index, f'does not vouch for the experiment, and {why}', _RESUME)
     else:
         found.notes.append(f'{place}: an experiment that is not finished; --resume goes on')
 
@@ -422,7 +422,7 @@ def _check_pictures(place: Path, found: Examination) -> None:
             found.notes.append(f'{place}: a dataset that is not finished; --resume goes on')
         return
     if not (place / _DATASET).is_file():
-        found.wrong(place / _LABELS, f'nothing vouches for it: {_DATASET} is not there', _RESUME)
+        found.report(place / _LABELS, f'nothing vouches for it: {_DATASET} is not there', _RESUME)
     import pandas as pd
 
     try:
@@ -431,11 +431,11 @@ def _check_pictures(place: Path, found: Examination) -> None:
         return
     for name, digest in zip(labels[_IMAGE], labels[_DIGEST], strict=True):
         path = place / str(name)
-        found.saw('pictures', path=path)
+        found.count('pictures', path=path)
         if not path.is_file():
-            found.wrong(path, f'is not there, and {_LABELS} has it')
+            found.report(path, f'is not there, and {_LABELS} has it')
         elif file_sha256(path) != digest:
-            found.wrong(path, f'is not the picture that {_LABELS} tells of')
+            found.report(path, f'is not the picture that {_LABELS} tells of')
 
 
 def _check_stages(path: Path, found: Examination) -> None:
@@ -449,9 +449,9 @@ def _check_stages(path: Path, found: Examination) -> None:
             output = path.parent / name
             found.checked.add(output)
             if not output.is_file():
-                found.wrong(output, f'is not there, and stage {stage} has made it', _RESUME)
+                found.report(output, f'is not there, and stage {stage} has made it', _RESUME)
             elif file_sha256(output) != digest:
-                found.wrong(output, f'is not the file that stage {stage} has made', _RESUME)
+                found.report(output, f'is not the file that stage {stage} has made', _RESUME)
 
 
 def _name_unchecked(place: Path, places: set[Path], found: Examination) -> None:
@@ -479,7 +479,7 @@ def _check_drafts(place: Path, found: Examination) -> None:
     for folder in (place, *sorted(bags)):
         for path in sorted({path for words in DRAFTS for path in folder.glob(words)}):
             mended = f'taxinet bag doctor {folder}' if Path(METADATA_FILE).stem in path.name else ''
-            found.wrong(path, 'left by a process that was killed; nothing reads it', mended)
+            found.report(path, 'left by a process that was killed; nothing reads it', mended)
 
 
 # Mending -----------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -26,8 +25,8 @@ from taxinet_ros.core.outcome import RunRequest, RunResult, outcome_of
 from taxinet_ros.core.pacing.timing import Timing, parse_timing
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.user_code import UserCodeError
-from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.processes.child import die_with_parent
+from taxinet_ros.errors import ExitCode, InfraError, InfraKind, UsageError
+from taxinet_ros.processes.child import module_command
 
 _BEAT_S = 1.0
 
@@ -39,13 +38,12 @@ def loop_worker_command(campaign: CampaignOptions, controller_sha256: str) -> li
         campaign: whose perception, controller, gains and timing they have.
         controller_sha256: of its controller, as it is on record.
     """
-    return [
-        # -P: a module in the user's folder must not stand in for one of ours.
-        sys.executable, '-P', '-m', 'taxinet_ros.campaign.loop_worker',
+    return module_command(
+        'taxinet_ros.campaign.loop_worker',
         f'--perception={campaign.perception}', f'--controller={campaign.controller}',
         f'--controller-sha256={controller_sha256}',
         f'--gains={json.dumps(dict(campaign.gains))}', f'--timing={campaign.timing.words}',
-    ]
+    )
 
 
 def run_in_loop(
@@ -109,15 +107,14 @@ def main(words: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake of the user's.
     """
     arguments = _arguments(words)
-    die_with_parent(signal.SIGKILL)
     cv2.setNumThreads(1)  # the workers share the cores among themselves
     threadpool_limits(limits=1)
     try:
         _work(arguments)
     except UsageError as error:
         os.write(arguments.answers, encode_line({'error': str(error)}))
-        return 2
-    return 0
+        return ExitCode.USAGE
+    return ExitCode.OK
 
 
 def _work(arguments: argparse.Namespace) -> None:
@@ -153,7 +150,6 @@ def _work(arguments: argparse.Namespace) -> None:
 
 def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    parser.add_argument('--parent', type=int)
     parser.add_argument('--answers', type=int, required=True)
     for name in ('perception', 'controller', 'controller-sha256', 'gains', 'timing'):
         parser.add_argument(f'--{name}', required=True)

@@ -198,7 +198,7 @@ def rate_of(
     return ProgramRate(
         runs=len(judged), hits=sum(map(hit, judged)),
         drawn=len(drawn), drawn_hits=sum(map(hit, drawn)),
-        anytime=not as_planned(outcomes, planned),
+        anytime=not sample_size_was_fixed(outcomes, planned),
         sampler=next((row.sampler for row in judged if row.sampler), ''),
     )
 
@@ -227,7 +227,7 @@ def without_gaps(outcomes: Mapping[int, str]) -> int:
     return number
 
 
-def as_planned(outcomes: Mapping[int, str], planned: int | None) -> bool:
+def sample_size_was_fixed(outcomes: Mapping[int, str], planned: int | None) -> bool:
     """Whether exactly as many runs were made as were settled before the first.
 
     Args:

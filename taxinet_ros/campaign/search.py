@@ -17,13 +17,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
-from taxinet_ros.campaign.record.book import (
-    CampaignBook,
-)
-from taxinet_ros.campaign.record.facts import (
-    campaign_facts,
-    extension_facts,
-)
+from taxinet_ros.campaign.record.book import CampaignBook
+from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
 from taxinet_ros.campaign.record.resumption import (
     EarlierRuns,
     facts_of_graph,
@@ -151,15 +146,15 @@ class Search:
         Raises:
             UsageError: the program failed.
         """
-        if not self.interrupted and (request := self.book.next_again()) is not None:
+        if not self.interrupted and (request := self.book.next_retry()) is not None:
             return request
         try:
-            while self._sampler.ready and self._more():
+            while self._sampler.ready and self._wants_more():
                 index, point = self._sampler.next()
                 self._asked, self._points[index] = index + 1, point
-                if self._replayed(index):
+                if self._replay(index):
                     continue
-                request = self._drawn(index)
+                request = self._draw(index)
                 if request is not None:
                     return request
         except Exhausted as error:
@@ -197,27 +192,27 @@ class Search:
 
     # Asking ------------------------------------------------------------------------------------
 
-    def _more(self) -> bool:
+    def _wants_more(self) -> bool:
         """Whether one more run is wanted. What was begun before is always finished first."""
         if (broken := self.book.broken_in_a_row) >= PATIENCE:
             self.stopped = f'{broken} runs in a row were broken by the bench'
         if self._asked >= self._campaign.runs or self.interrupted:
             return False
         if self._asked >= self._earlier.begun:
-            self.stopped = self.stopped or self._reason()
+            self.stopped = self.stopped or self._stop_reason()
         return not self.stopped
 
-    def _reason(self) -> str:
+    def _stop_reason(self) -> str:
         options = self.options
         # By the results that the next run depends on, so workers make no difference.
         known = [row for row in self.rows if row.index < self._sampler.due]
-        if options.stop is not None and options.stop.met(known):
+        if options.stop is not None and options.stop.is_met(known):
             return options.stop.reached
         if options.budget_s is not None and time.monotonic() - self._begun > options.budget_s:
             return f'the budget of {options.budget_s / 60:g} min is spent'
         return ''
 
-    def _replayed(self, index: int) -> bool:
+    def _replay(self, index: int) -> bool:
         row = self._earlier.rows.get(index)
         if row is None:
             return False
@@ -232,7 +227,7 @@ class Search:
         self._remember(row)
         return True
 
-    def _drawn(self, index: int) -> RunRequest | None:
+    def _draw(self, index: int) -> RunRequest | None:
         """The run at the first of the sampler's points that meets the program's requirements."""
         def again() -> Point:
             self._points[index] = self._sampler.again()
@@ -261,7 +256,7 @@ class Search:
 
     def _retries(self, index: int) -> int:
         """How often a run was begun anew because the bench broke, in earlier sittings too."""
-        before = self._earlier.again.get(index)
+        before = self._earlier.to_repeat.get(index)
         broken = before is not None and before.outcome is Outcome.INFRA_ERROR
         return (before.retries if before else 0) + broken + self.book.was_retried(index)
 

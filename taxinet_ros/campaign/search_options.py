@@ -43,7 +43,7 @@ class StopRule:
         """What a search says that was ended by it."""
         return f'{self} reached'
 
-    def met(self, rows: Sequence[RunRow]) -> bool:
+    def is_met(self, rows: Sequence[RunRow]) -> bool:
         """Whether these runs are enough."""
         if self.kind == FAILURES:
             return sum(row.outcome is Outcome.FAIL for row in rows) >= self.value

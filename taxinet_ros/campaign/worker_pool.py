@@ -162,14 +162,14 @@ class WorkerProcess:
                 self.seq, self.silent_since = message['seq'], time.monotonic()
         return messages
 
-    def bury(self, kind: str, detail: str = '') -> RunResult:
+    def end_broken_run(self, kind: str, detail: str = '') -> RunResult:
         """End it at once; the result of the run that it was at."""
         self.end(0.0 if detail else 1.0)
         return RunResult.infra_error(
             kind, 'worker', detail or self._child.how_it_ended(), self.seq
         )
 
-    def hang_up(self) -> None:
+    def close_input(self) -> None:
         """Tell it that there is no more to do."""
         with contextlib.suppress(BrokenPipeError):
             assert self._child.process.stdin is not None
@@ -177,7 +177,7 @@ class WorkerProcess:
 
     def end(self, grace_s: float = _GRACE_S) -> None:
         """Wait for it to leave, at most ``grace_s``, then kill it."""
-        self.hang_up()
+        self.close_input()
         self._child.wait(grace_s)
         self._child.end(())
         if self.answers >= 0:
@@ -215,7 +215,7 @@ class WorkerPool:
         """Nothing is started before the first :meth:`give`.
 
         Args:
-            command: what starts a worker, see :class:`.worker_process.WorkerProcess`.
+            command: what starts a worker, see :class:`WorkerProcess`.
             size: most workers.
             logs: folder for what they print.
             silence_s: how long a run may get nowhere [s of wall clock].
@@ -246,7 +246,7 @@ class WorkerPool:
     ) -> None:
         """End them all: the idle ones in order, those at work at once."""
         for worker in self.workers:
-            worker.hang_up()
+            worker.close_input()
         for worker in self.workers:
             if worker.request is None:
                 worker.end()
@@ -330,7 +330,7 @@ class WorkerPool:
     def _lost(self, worker: WorkerProcess, kind: str, detail: str = '') -> Answer:
         request = worker.request
         assert request is not None
-        result = worker.bury(kind, detail)
+        result = worker.end_broken_run(kind, detail)
         self.workers.remove(worker)
         if self.interrupted:
             result = RunResult(outcome=Outcome.INTERRUPTED, last_seq=worker.seq)
@@ -354,18 +354,18 @@ class RunSource(Protocol):
         """Take the answer to a run."""
 
 
-def run_search(search: RunSource, crew: WorkerPool) -> None:
+def run_search(search: RunSource, pool: WorkerPool) -> None:
     """Run a search to its end, or until it is interrupted and the runs under way have ended.
 
     Raises:
         UsageError: program or perception failed in a way that the user has to mend.
     """
     while True:
-        if search.interrupted and not crew.interrupted:
-            crew.interrupt()
-        while crew.free and (request := search.next()) is not None:
-            crew.give(request)
-        if not crew.busy:
+        if search.interrupted and not pool.interrupted:
+            pool.interrupt()
+        while pool.free and (request := search.next()) is not None:
+            pool.give(request)
+        if not pool.busy:
             return
-        for request, result in crew.answers(_POLL_S):
+        for request, result in pool.answers(_POLL_S):
             search.take(request, result)

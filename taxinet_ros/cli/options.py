@@ -85,8 +85,8 @@ PerceptionOption = Annotated[
     str,
     typer.Option(
         help='truth; taxinet, original or another shipped network; a .safetensors weights file; an '
-        '.onnx network; a function in a Python file, FILE.py:NAME; or external, a node that you '
-        'start'
+        '.onnx network; a function in a Python file, FILE.py:NAME; a name that a package adds; or '
+        'external, a node that you start'
     ),
 ]
 PerceptionCommandOption = Annotated[
@@ -99,8 +99,8 @@ PerceptionCommandOption = Annotated[
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help='steering, the shipped law; a function in a Python file, FILE.py:NAME; or external, a '
-        'node that you start'
+        help='steering, the shipped law; a function in a Python file, FILE.py:NAME; a name that a '
+        'package adds; or external, a node that you start'
     ),
 ]
 ControllerCommandOption = Annotated[
@@ -197,8 +197,8 @@ SamplerOption = Annotated[
     str | None,
     typer.Option(
         help='how scenes are chosen: active (finds rare failures, and all the regions of them), '
-        'random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe or cmaes; by default as the '
-        "program's verifaiSamplerType says, else active"
+        'random, halton, sobol, grid, ce, ce-verifai, mab, bo, tpe, cmaes, or a name that a '
+        "package adds; by default as the program's verifaiSamplerType says, else active"
     ),
 ]
 SamplerSettingOption = Annotated[

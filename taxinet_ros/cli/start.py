@@ -18,7 +18,7 @@ from typing import NoReturn
 from taxinet_ros.errors import ExitCode
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_END = os._exit  # as it is before somebody's code is loaded: see core.process_end
+_END = os._exit  # as it is before somebody's code is loaded: see processes.interrupts
 
 
 def main() -> NoReturn:

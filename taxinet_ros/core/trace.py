@@ -18,18 +18,21 @@ from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from taxinet_ros.core.loop import Step
 
 Column = NDArray[np.generic]
 
-TRACE_UNITS: Mapping[str, str] = MappingProxyType({
-    't_s': 's', 't_ns': 'ns', 'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm',
-    'he_rad': 'rad', 'est_cte_m': 'm', 'est_he_rad': 'rad', 'steering_rad': 'rad',
-    'speed_cmd_mps': 'm/s',
+STEP_UNITS: Mapping[str, str] = MappingProxyType({
+    'x_m': 'm', 'y_m': 'm', 'speed_mps': 'm/s', 'cte_m': 'm', 'he_rad': 'rad', 'est_cte_m': 'm',
+    'est_he_rad': 'rad', 'steering_rad': 'rad', 'speed_cmd_mps': 'm/s',
 })
-"""Unit of each column that has one. The position is in ``map``, the first ``cte_m`` and ``he_rad``
-are the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps`` the
-command; signs are those of :mod:`taxinet_ros.core.types`."""
+"""Column and unit of each number of a control step. The position is in ``map``, ``cte_m`` and
+``he_rad`` are the truth, ``est_`` the perception's estimate, ``steering_rad`` and ``speed_cmd_mps``
+the command; signs are those of :mod:`taxinet_ros.core.types`."""
+
+_UNITS = {'t_s': 's', 't_ns': 'ns', **STEP_UNITS}
 
 SIGNAL_COLUMNS: Mapping[str, str] = MappingProxyType({
     'cte': 'cte_m', 'he': 'he_rad', 'speed': 'speed_mps', 'x': 'x_m', 'steering': 'steering_rad',
@@ -50,7 +53,7 @@ _OF_STEP: Mapping[str, Callable[[Step], float]] = {
 }
 
 
-def trace_columns(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Column]:
+def columns_of_steps(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Column]:
     """Columns of a run, a row for each of its steps.
 
     Args:
@@ -58,15 +61,13 @@ def trace_columns(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Colu
         specs: names of the formulas that the readings of each step are of.
 
     Returns:
-        ``t_s`` (simulated time), ``seq`` and ``t_ns`` as int64, ``est_valid`` as bool, the others
-        of :data:`TRACE_UNITS` as float64, NaN for an estimate that was declared invalid, and for
-        each formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
+        ``seq`` and ``t_ns`` (simulated time) as int64, ``est_valid`` as bool, those of
+        :data:`STEP_UNITS` as float64, NaN for an estimate that was declared invalid, and for each
+        formula ``rho_lower.<name>`` and ``rho_upper.<name>``.
     """
-    stamps_ns = np.array([step.observation.stamp_ns for step in steps], dtype=np.int64)
     columns: dict[str, Column] = {
-        't_s': stamps_ns / NS_PER_S,
         'seq': np.array([step.observation.seq for step in steps], dtype=np.int64),
-        't_ns': stamps_ns,
+        't_ns': np.array([step.observation.stamp_ns for step in steps], dtype=np.int64),
         'est_valid': np.array([step.estimate.valid for step in steps], dtype=np.bool_),
     }
     for name, value in _OF_STEP.items():
@@ -77,6 +78,15 @@ def trace_columns(steps: Sequence[Step], specs: Sequence[str]) -> dict[str, Colu
                 [getattr(step.readings[number], end) for step in steps], dtype=np.float64
             )
     return columns
+
+
+def trace_table(columns: Mapping[str, Column]) -> pd.DataFrame:
+    """The columns of a trace as a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
+    import pandas as pd
+
+    table = pd.DataFrame({'t_s': np.asarray(columns['t_ns'], np.int64) / NS_PER_S, **columns})
+    table.attrs['units'] = {name: _UNITS[name] for name in table.columns if name in _UNITS}
+    return table
 
 
 def trace_signals(

@@ -7,13 +7,13 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.perception import PerceptionNode
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import Usage, heard, spoken
+from taxinet_ros.nodes.running.parameters import Usage, published_topics, subscribed_topics
 
 USAGE = Usage(
     executable='ground_truth_perception',
     does="Passes the true tracking error on as its estimate: the network's twin, always right.",
-    publishes=spoken(interface.PERCEPTION),
-    subscribes=heard(interface.PERCEPTION, interface.IMAGE.name),
+    publishes=published_topics(interface.PERCEPTION),
+    subscribes=subscribed_topics(interface.PERCEPTION, interface.IMAGE.name),
     parameters=(DIAGNOSTICS,),
 )
 

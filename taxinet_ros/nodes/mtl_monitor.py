@@ -27,7 +27,13 @@ from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.convert import header, robustness_message, statistics_fields
 from taxinet_ros.nodes.messages.step import StepCollector, StepMessage, robustness_cdr
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import Usage, any_given, heard, refuse_unknown, spoken
+from taxinet_ros.nodes.running.parameters import (
+    Usage,
+    any_given,
+    published_topics,
+    refuse_unknown,
+    subscribed_topics,
+)
 
 _INPUTS = (interface.ODOMETRY, interface.TRUTH, interface.ESTIMATE, interface.COMMAND)
 
@@ -35,7 +41,8 @@ USAGE = Usage(
     executable=interface.MTL_MONITOR,
     does='Judges each run of the graph by its formulas. With parameters other than diagnostics it '
     'judges any numeric fields of any topics instead, on its own, without a simulator.',
-    publishes=spoken(interface.MTL_MONITOR), subscribes=heard(interface.MTL_MONITOR),
+    publishes=published_topics(interface.MTL_MONITOR),
+    subscribes=subscribed_topics(interface.MTL_MONITOR),
     other=f'with parameters: hears what signals names, serves {RESTART} (std_srvs/srv/Trigger)',
     parameters=(diagnostics.PARAMETER, *LIVE_PARAMETERS),
 )

@@ -64,9 +64,9 @@ from taxinet_ros.nodes.running.parameters import (
     Parameter,
     Usage,
     declare_all,
-    heard,
+    published_topics,
     refuse_unknown,
-    spoken,
+    subscribed_topics,
 )
 
 _PAUSE_S = 0.001
@@ -108,7 +108,7 @@ class LateFrames:
         """Whether frames are being rendered."""
         return not self._timer.is_canceled()
 
-    def give_up(self) -> None:
+    def cancel(self) -> None:
         """Leave the bag as it was, if one is under way."""
         self._timer.cancel()
         close = getattr(self._frames, 'close', None)
@@ -223,7 +223,8 @@ _OPTIONS = (
 USAGE = Usage(
     executable=interface.RECORDER,
     does='Writes one rosbag2 bag for each run: everything that was said, step by step.',
-    publishes=spoken(interface.RECORDER), subscribes=heard(interface.RECORDER),
+    publishes=published_topics(interface.RECORDER),
+    subscribes=subscribed_topics(interface.RECORDER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 
@@ -262,7 +263,7 @@ class Recorder(Participant):
         self.listen(interface.VERDICT, self._on_verdict, raw=True)
         self.listen(interface.RUN_STATUS, self._on_run_status, raw=True)
         for topic, hear in (
-            (interface.OBITUARY, self._on_obituary), (interface.TIMING, self._on_timing),
+            (interface.OBITUARY, self._on_death_notice), (interface.TIMING, self._on_timing),
         ):
             self.create_subscription(topic.type, topic.name, self._guarded(hear), topic.qos)
 
@@ -340,7 +341,7 @@ class Recorder(Participant):
     def close(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
         self._rest.cancel()
-        self._late_frames.give_up()
+        self._late_frames.cancel()
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
@@ -352,7 +353,7 @@ class Recorder(Participant):
         if self._writer is not None and self._charged:
             return
         heard = next(heard for heard in self._listeners if heard.topic is interface.SCENARIO)
-        stranger = heard.unsettled_by(scenario.participants) if self._alone else None
+        stranger = heard.early_stranger(scenario.participants) if self._alone else None
         if stranger is None:
             super()._take(scenario)
         elif self._writer is None:
@@ -447,7 +448,7 @@ class Recorder(Participant):
         if status.state == RunStatus.ENDED:
             self._end(status, cdr)
 
-    def _on_obituary(self, notice: NodeStatus) -> None:
+    def _on_death_notice(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
             status = lost_run_status(notice)
             self._end(status, serialize_message(status))

@@ -40,8 +40,8 @@ from taxinet_ros.nodes.running.parameters import (
     Parameter,
     Usage,
     declare_all,
+    published_topics,
     refuse_unknown,
-    spoken,
 )
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -117,7 +117,7 @@ USAGE = Usage(
     executable=interface.SCENARIO_SAMPLER,
     does='Runs a campaign, or a search, on the graph that stands, and writes its table; the '
     'options are those of taxinet run and taxinet falsify.',
-    publishes=spoken(interface.SCENARIO_SAMPLER),
+    publishes=published_topics(interface.SCENARIO_SAMPLER),
     subscribes=(interface.OBITUARY.name,),
     other=f'asks for the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
     parameters=(*PATIENCE, *_OPTIONS),
@@ -142,7 +142,7 @@ class StandaloneSampler(ScenarioSampler):
         """
         super().__init__(**node)
         topic = interface.OBITUARY
-        self.create_subscription(NodeStatus, topic.name, self._on_obituary, topic.qos)
+        self.create_subscription(NodeStatus, topic.name, self._on_death_notice, topic.qos)
         given = declare_all(self, _OPTIONS)
         self.participants = tuple(given['participants'])
         check_participants(self.participants)
@@ -186,11 +186,11 @@ class StandaloneSampler(ScenarioSampler):
         seen = self._in_graph()
         return [name for name in self.participants if name not in seen]
 
-    def _on_obituary(self, notice: NodeStatus) -> None:
+    def _on_death_notice(self, notice: NodeStatus) -> None:
         """Who looks after the simulator's process knows at once that it is dead."""
         dead = (notice.state, notice.node) == (NodeStatus.DIED, interface.SIMULATOR)
         if dead and self._is_at(notice.run_id):
-            self.mourn(notice.node, notice.detail)
+            self.report_death(notice.node, notice.detail)
 
     def _is_at(self, run_id: str) -> bool:
         return self._request is not None and self._request.run_id == run_id
@@ -234,7 +234,7 @@ def _work(node: StandaloneSampler, executor: Any) -> int:
 def _campaign(node: StandaloneSampler, executor: Any) -> int:
     """The scenes that the program draws, as ``taxinet run`` has them."""
     campaign = Campaign(node.campaign, node.participants, _shown(node))
-    with interrupts(node.interrupt, node.give_up), campaign:
+    with interrupts(node.interrupt, node.abort), campaign:
         checked = [line.plain for line in requirement_lines(campaign.check)]
         _say(node, [campaign_heading(node.campaign), *campaign.notes, *checked])
 
@@ -266,7 +266,7 @@ def _search(node: StandaloneSampler, executor: Any, options: SearchOptions) -> i
         return True
 
     resuming = f'-p resume:=true -p out:={options.campaign.out}'
-    with interrupts(interrupt, node.give_up), search:
+    with interrupts(interrupt, node.abort), search:
         heading_lines = [search_heading(search.options), *space_lines(search.space), *search.notes]
         warning = [search.book.warning] if search.book.warning else []
         _say(

@@ -26,7 +26,7 @@ from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.observer import Observer
 from taxinet_ros.nodes.messages.convert import header, stamp_of
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import Usage, refuse_unknown, spoken
+from taxinet_ros.nodes.running.parameters import Usage, published_topics, refuse_unknown
 
 _ASPHALT, _CONCRETE = (0.30, 0.30, 0.32), (0.38, 0.38, 0.39)
 _PAINT, _AIRFRAME, _PATH = (0.95, 0.95, 0.90), (0.98, 0.95, 0.90), (0.95, 0.45, 0.10)
@@ -118,7 +118,7 @@ USAGE = Usage(
     executable=interface.SCENE_MARKERS,
     does='Draws runway, aircraft and path as markers for RViz and other viewers, beside any graph '
     'or bag_player.',
-    publishes=spoken(interface.SCENE_MARKERS),
+    publishes=published_topics(interface.SCENE_MARKERS),
     subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name),
 )
 

@@ -72,9 +72,9 @@ from taxinet_ros.nodes.running.parameters import (
     Parameter,
     Usage,
     declare_all,
-    heard,
+    published_topics,
     refuse_unknown,
-    spoken,
+    subscribed_topics,
 )
 from taxinet_ros.registry import WORLDS, names
 
@@ -126,8 +126,8 @@ USAGE = Usage(
     executable=interface.SIMULATOR,
     does='The world, its camera, the clock, and the keeper of the lockstep: for each goal it has '
     'the graph get ready, and steps the world by its answers.',
-    publishes=spoken(interface.SIMULATOR),
-    subscribes=heard(interface.SIMULATOR),
+    publishes=published_topics(interface.SIMULATOR),
+    subscribes=subscribed_topics(interface.SIMULATOR),
     other=f'serves the action {interface.RUN_SCENARIO} (taxinet_msgs/action/RunScenario)',
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
@@ -181,7 +181,7 @@ class Simulator(Node):
         ]
         self._transforms = TransformBroadcaster(self)
         topic = interface.OBITUARY
-        told = functools.partial(self._hear, step_reader(topic), self._on_obituary)
+        told = functools.partial(self._hear, step_reader(topic), self._on_death_notice)
         self.create_subscription(topic.type, topic.name, told, topic.qos)
         self._server = ActionServer(
             self,
@@ -292,7 +292,7 @@ class Simulator(Node):
         self, run: ActiveRun, callback: Callable[[ActiveRun, Any], None], message: Any
     ) -> None:
         # Before its first step a run has nothing to be answered.
-        early = not run.started and callback not in (self._on_status, self._on_obituary)
+        early = not run.started and callback not in (self._on_status, self._on_death_notice)
         if message.run_id == run.run_id and not early:
             callback(run, message)
 
@@ -314,7 +314,7 @@ class Simulator(Node):
                     'perception': status.implementation, 'fingerprint': status.fingerprint,
                 }
             run.lockstep.ready(status.node)
-            run.heard()
+            run.reset_watchdog()
             self._start_if_ready(run)
         elif status.state == NodeStatus.PROGRESS and not run.started:
             run.lockstep.unready(status.node)
@@ -340,14 +340,14 @@ class Simulator(Node):
         else:
             run.finish()
 
-    def _on_obituary(self, run: ActiveRun, notice: NodeStatus) -> None:
+    def _on_death_notice(self, run: ActiveRun, notice: NodeStatus) -> None:
         """A node is dead by the word of whoever looks after it, or this one is said to be."""
         self._fail(run, InfraKind.DIED, notice.node, notice.detail)
 
     def _on_estimate(self, run: ActiveRun, estimate: StepMessage) -> None:
         check_answer(estimate, interface.PERCEPTION, run.lockstep.seq)
         if run.lockstep.answer(interface.PERCEPTION, estimate.seq, time.monotonic()):
-            run.heard()
+            run.reset_watchdog()
 
     def _on_command(self, run: ActiveRun, command: StepMessage) -> None:
         if run.ending is not None:
@@ -364,7 +364,7 @@ class Simulator(Node):
             run.lockstep.answer(interface.PERCEPTION, command.seq)
         if run.lockstep.answer(interface.STEERING_CONTROLLER, command.seq, time.monotonic()):
             run.command = command.value
-            run.heard()
+            run.reset_watchdog()
             self._go_on(run)
 
     def _on_progress(self, run: ActiveRun, progress: StepMessage) -> None:
@@ -373,14 +373,14 @@ class Simulator(Node):
             raise InfraError(InfraKind.PROTOCOL, progress.value, run.lockstep.seq, detail)
         arrived = progress.stamp_ns // CONTROL_PERIOD_NS
         run.lockstep.progress(progress.value, progress.seq, arrived, time.monotonic())
-        run.heard()
+        run.reset_watchdog()
         self._go_on(run)
 
     def _on_verdict(self, run: ActiveRun, verdict: Verdict) -> None:
         run.verdict = verdict
         if verdict.stopped_early:
             run.lockstep.end(interface.MTL_MONITOR)
-        run.heard()
+        run.reset_watchdog()
         self._go_on(run)
 
     # Stepping --------------------------------------------------------------------------------
@@ -517,7 +517,7 @@ class Simulator(Node):
     def _end(self, run: ActiveRun, status: RunStatus, recorder_lost: bool = False) -> None:
         """Announce the end, then wait for the recorder to close its bag where there is one."""
         run.ending = status
-        run.heard()
+        run.reset_watchdog()
         if run.free is not None:
             self._say(interface.TIMING, account_message(run.free, run.run_id))
         self._say(interface.RUN_STATUS, status)
@@ -592,7 +592,7 @@ class Simulator(Node):
         """Kind, who and what of a run that could not begin: those alone that others wait for."""
         within = f'not ready within {self._ready_timeout_s:g} s'
         for speakers in self._topics:
-            if (stranger := speakers.unsettled_by(run.participants)) is not None:
+            if (stranger := speakers.early_stranger(run.participants)) is not None:
                 return InfraKind.INTRUDER, stranger.name, f'{stranger.detail} ({within})'
         if absent := missing_nodes(self, run.participants):
             names = sorted(absent)

@@ -25,9 +25,9 @@ from taxinet_ros.nodes.running.parameters import (
     Parameter,
     Usage,
     declare_all,
-    heard,
+    published_topics,
     refuse_unknown,
-    spoken,
+    subscribed_topics,
 )
 from taxinet_ros.registry import CONTROLLERS, names
 
@@ -54,8 +54,8 @@ USAGE = Usage(
     executable=interface.STEERING_CONTROLLER,
     does='Answers every estimate with a taxi command, by the handwritten law or by a function of '
     'yours.',
-    publishes=spoken(interface.STEERING_CONTROLLER),
-    subscribes=heard(interface.STEERING_CONTROLLER),
+    publishes=published_topics(interface.STEERING_CONTROLLER),
+    subscribes=subscribed_topics(interface.STEERING_CONTROLLER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 

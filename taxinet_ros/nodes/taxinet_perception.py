@@ -13,7 +13,13 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.perception import PerceptionNode
 from taxinet_ros.nodes.running.node_main import run_node
-from taxinet_ros.nodes.running.parameters import Parameter, Usage, declare_all, heard, spoken
+from taxinet_ros.nodes.running.parameters import (
+    Parameter,
+    Usage,
+    declare_all,
+    published_topics,
+    subscribed_topics,
+)
 
 _OPTIONS = (
     Parameter(
@@ -28,8 +34,8 @@ USAGE = Usage(
     executable='taxinet_perception',
     does='Answers every camera frame with an estimate of the tracking error, by a network or by a '
     'function of yours.',
-    publishes=spoken(interface.PERCEPTION),
-    subscribes=heard(interface.PERCEPTION, interface.TRUTH.name),
+    publishes=published_topics(interface.PERCEPTION),
+    subscribes=subscribed_topics(interface.PERCEPTION, interface.TRUTH.name),
     parameters=(*_OPTIONS, DIAGNOSTICS),
 )
 

@@ -34,13 +34,13 @@ _kept_by = 0
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
     """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
 
-    While a library in C++ is being loaded the signal is put off: pybind11 lets no exception out of
-    there, and would abort the process for it.
+    While a library in C++ is being loaded, or calls from a destructor, the signal is put off: C++
+    lets no exception out of there, and would abort the process for it.
 
     Raises:
         KeyboardInterrupt: else.
     """
-    if _is_loading(frame):
+    if _must_not_raise(frame):
         resend_signal(number)
         return
     RECEIVED_STOPS.append(number)
@@ -56,11 +56,15 @@ def resend_signal(number: int) -> None:
     again.start()
 
 
-def _is_loading(frame: FrameType | None) -> bool:
+def _must_not_raise(frame: FrameType | None) -> bool:
     while frame is not None:
-        if frame.f_code.co_name in ('create_module', 'exec_module') and isinstance(
+        name = frame.f_code.co_name
+        if name in ('create_module', 'exec_module') and isinstance(
             frame.f_locals.get('self'), ExtensionFileLoader
         ):
+            return True
+        # The executor of rclpy lets go of what it waits for in destructors.
+        if name == '__exit__' and str(frame.f_globals.get('__name__')).startswith('rclpy.'):
             return True
         frame = frame.f_back
     return False
@@ -127,6 +131,9 @@ def interrupts(
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal asked
+        if _must_not_raise(frame):
+            resend_signal(number)
+            return
         asked += 1
         RECEIVED_STOPS.append(number)
         if asked == 1:

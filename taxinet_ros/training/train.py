@@ -200,7 +200,7 @@ def train(options: TrainOptions, progress: Progress = no_progress) -> ModelCard:
         package_version=__version__,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         command_line=options.command_line,
-        start_sha256=None if start is None else start.card.weights_sha256,
+        start_sha256=None if start is None else start.fingerprint,
     )
     save_model(options.out, data, card)
     _write_curves(options, fitted)

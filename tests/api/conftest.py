@@ -9,6 +9,7 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.campaign.record.ledger import Ledger
 from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.outcome import RunRequest, RunResult
 
 CROSS_TRACKS_M = (0.5, 7.0, -1.0)
@@ -19,7 +20,7 @@ def keep_run(ledger: Ledger, index: int, run: tx.Run) -> None:
     """Put a run down in a ledger."""
     request = RunRequest(
         run_id=f'run-{index}', index=index, program='light', seed=5, scenario=run.scenario,
-        specs=(SPEC,), participants=(),
+        judging=Judging(specs=(SPEC,)), participants=(),
     )
     result = RunResult(
         outcome=run.outcome, last_seq=len(run.steps) - 1, statistics=run.statistics,

@@ -14,11 +14,13 @@ import taxinet_ros as tx
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / 'docs' / 'python.md'
+GOLDEN = ROOT / 'bags' / 'golden'
 EXAMPLES = {
     'one_run.py': 'PASS',
     'perception_function.py': 'bright_paint: FAIL',
     'controller_function.py': 'own: PASS',
     'random_search.py': 'worst: Scenario(',
+    'read_bag.py': 'gentle: SATISFIED',
     'read_campaign.py': 'run-1: FAIL again, <Run FAIL, 21 steps, phi_always: rho -5.5',
 }
 WITHOUT_ROS = """
@@ -79,9 +81,10 @@ def test_given_a_name_that_is_not_there_then_it_is_an_attribute_error():
 
 def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypatch, tmp_path):
     blocks = re.findall(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     (tmp_path / 'bags').mkdir()
     campaign_folder.rename(tmp_path / 'bags' / 'light')
+    (tmp_path / 'bags' / 'golden').symlink_to(GOLDEN)
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in blocks:
@@ -94,9 +97,10 @@ def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypat
 def test_given_an_example_then_it_is_short_and_runs_without_ros(name, campaign_folder):
     file = ROOT / 'examples' / name
     assert len(file.read_text().splitlines()) <= 30
+    argument = GOLDEN / 'taxinet-midday' if name == 'read_bag.py' else campaign_folder
     out = python(WITHOUT_ROS + f"""
 import runpy
-sys.argv = [{str(file)!r}, {str(campaign_folder)!r}]
+sys.argv = [{str(file)!r}, {str(argument)!r}]
 runpy.run_path(sys.argv[0], run_name='__main__')
 """)
     assert EXAMPLES[name] in out

@@ -16,9 +16,9 @@ from taxinet_ros.bench.intervals import LANDSCAPES, measure_intervals
 from taxinet_ros.campaign.rates import (
     ProgramRate,
     anytime_bounds,
-    as_planned,
     failure_rate,
     rate,
+    sample_size_was_fixed,
     share_bounds,
     without_gaps,
 )
@@ -113,14 +113,14 @@ def test_given_gaps_then_runs_count_up_to_the_first():
 
 def test_given_a_plan_then_more_or_fewer_runs_are_another_number_than_was_settled():
     ten = dict.fromkeys(range(10), 'PASS')
-    assert as_planned(ten, None)
-    assert as_planned(ten, 10)
-    assert not as_planned(ten, 9)
-    assert not as_planned(ten, 11)
+    assert sample_size_was_fixed(ten, None)
+    assert sample_size_was_fixed(ten, 10)
+    assert not sample_size_was_fixed(ten, 9)
+    assert not sample_size_was_fixed(ten, 11)
     # A rejected scene may be no run at all, or use one up: neither depends on a result.
-    assert as_planned({**ten, 3: 'REJECTED'}, 9)
-    assert as_planned({**ten, 3: 'REJECTED'}, 10)
-    assert not as_planned({**ten, 3: 'INTERRUPTED'}, 10)
+    assert sample_size_was_fixed({**ten, 3: 'REJECTED'}, 9)
+    assert sample_size_was_fixed({**ten, 3: 'REJECTED'}, 10)
+    assert not sample_size_was_fixed({**ten, 3: 'INTERRUPTED'}, 10)
     rows = search('random', 30, 1)
     assert not failure_rate(rows, 30).anytime
     assert failure_rate(rows, 20).anytime

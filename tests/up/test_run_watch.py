@@ -30,13 +30,13 @@ class Stage:
             publisher = self.others.create_publisher(topic.type, topic.name, topic.qos)
             self._publishers[topic.type] = publisher
         topic = interface.OBITUARY
-        self.others.create_subscription(topic.type, topic.name, self._on_obituary, topic.qos)
+        self.others.create_subscription(topic.type, topic.name, self._on_death_notice, topic.qos)
         for node in (self.node, self.others):
             self._executor.add_node(node)
         self.until(lambda: all(p.get_subscription_count() for p in self._publishers.values())
                    and self.node.count_subscribers(topic.name) == 2)
 
-    def _on_obituary(self, notice: NodeStatus) -> None:
+    def _on_death_notice(self, notice: NodeStatus) -> None:
         self.mourned.append((notice.run_id, notice.node, notice.detail))
 
     def say(self, message: Any) -> None:
@@ -74,7 +74,7 @@ def test_given_a_death_before_its_run_was_heard_of_then_the_run_is_told_of_it(
     stage, heard_by, who
 ):
     stage.say(heard_by)
-    stage.watch.mourn(who, 'killed')
+    stage.watch.report_death(who, 'killed')
     assert stage.watch.run_id == '', 'nothing was listened to yet'
     stage.until(lambda: stage.mourned)
     assert stage.mourned == [('one', who, 'killed')]
@@ -87,19 +87,19 @@ def test_given_a_death_before_its_run_was_heard_of_then_the_run_is_told_of_it(
 def test_given_a_run_that_gets_ready_after_the_death_of_a_participant_then_it_waits_for_the_next(
     stage
 ):
-    stage.watch.mourn(interface.PERCEPTION, 'killed')
+    stage.watch.report_death(interface.PERCEPTION, 'killed')
     stage.say(RunStatus(run_id='two', state=RunStatus.PREPARING))
     stage.until(lambda: stage.watch.run_id == 'two')
-    stage.watch.mourn(interface.STEERING_CONTROLLER, 'killed as well')
+    stage.watch.report_death(interface.STEERING_CONTROLLER, 'killed as well')
     stage.until(lambda: stage.mourned)
     assert stage.mourned == [('two', interface.STEERING_CONTROLLER, 'killed as well')]
 
 
 def test_given_a_run_of_the_simulator_started_again_then_it_is_told_of_no_death(stage):
-    stage.watch.mourn(interface.SIMULATOR, 'killed')
+    stage.watch.report_death(interface.SIMULATOR, 'killed')
     stage.start_again()
     stage.say(RunStatus(run_id='two', state=RunStatus.RUNNING))
     stage.until(lambda: stage.watch.run_id == 'two')
-    stage.watch.mourn(interface.PERCEPTION, 'killed as well')
+    stage.watch.report_death(interface.PERCEPTION, 'killed as well')
     stage.until(lambda: stage.mourned)
     assert stage.mourned == [('two', interface.PERCEPTION, 'killed as well')]

@@ -16,7 +16,7 @@ from taxinet_ros.nodes.graph.supervisor import State
 
 
 def a_node(name: str, state: State, restarts: int = 0, pid: int = 0) -> SimpleNamespace:
-    process = SimpleNamespace(process=SimpleNamespace(pid=pid or os.getpid()))
+    process = SimpleNamespace(pid=pid or os.getpid())
     return SimpleNamespace(
         name=name, state=state, restarts=restarts, since_s=100.0, process=process,
     )

@@ -17,7 +17,13 @@ import numpy as np
 import pandas as pd
 
 from taxinet_ros.analysis.runs.features import PAPER_FEATURES, Floats, Mask, feature_columns
-from taxinet_ros.campaign.rates import as_planned, count_kinds, count_words, rate, without_gaps
+from taxinet_ros.campaign.rates import (
+    count_kinds,
+    count_words,
+    rate,
+    sample_size_was_fixed,
+    without_gaps,
+)
 from taxinet_ros.campaign.record.facts import read_facts, recorded_stacks
 from taxinet_ros.campaign.record.row import SIMPLY_DRAWN
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_table
@@ -328,7 +334,7 @@ def _plan(table: pd.DataFrame, facts: Mapping[str, Any]) -> tuple[bool, float]:
     if planned is None:
         return False, math.inf
     outcomes = dict(zip(table['index'].tolist(), table['outcome'].tolist(), strict=True))
-    if as_planned(outcomes, int(planned)):
+    if sample_size_was_fixed(outcomes, int(planned)):
         return False, math.inf
     return True, without_gaps(outcomes)
 

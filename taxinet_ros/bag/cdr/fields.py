@@ -1,15 +1,13 @@
-"""Fields of serialised messages, read and filled in without making message objects.
+"""Numbers filled into a serialised message, without making a message object of it.
 
-A run's messages of a topic have the same texts, hence the same layout: where the fields lie is
-found once. :class:`FieldReader` reads some of them, :class:`MessageTemplate` fills other
-numbers into bytes that were serialised once. A message of another layout is decoded as a whole.
+A run's messages of a topic have the same texts, hence the same layout: where the numbers lie is
+found once.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
@@ -17,14 +15,11 @@ from rosbags.interfaces import Nodetype
 from taxinet_ros.bag.cdr.alignment import (
     BODY,
     FORMATS,
-    LITTLE_ENDIAN,
-    Layouts,
     Trail,
     steps_of,
     walk_of,
 )
-from taxinet_ros.bag.cdr.decode import decoder, typestore
-from taxinet_ros.bag.errors import BagCorrupt
+from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.topics import TopicInfo
 
 
@@ -49,31 +44,19 @@ class Part(NamedTuple):
     end: int
 
 
-class Places(NamedTuple):
-    """Fields by their names from the outside in, but for those within arrays and sequences.
-
-    Attributes:
-        numbers: numbers and truth values.
-        texts: their first bytes, and the first after them; their terminating zero is left out.
-    """
-
-    numbers: dict[str, Number]
-    texts: dict[str, slice]
-
-
-def places_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> Places:
-    """Walk through a message; what lies between its fields goes to ``trail``.
+def numbers_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> dict[str, Number]:
+    """Numbers and truth values by their names from the outside in; none within arrays, sequences.
 
     Args:
         store: rosbags' type store that knows the type.
         type_name: such as ``nav_msgs/msg/Odometry``.
         cdr: the message with its four bytes of encapsulation, little-endian.
-        trail: to be filled.
+        trail: is filled with what lies between the fields.
 
     Raises:
         ValueError, struct.error: the bytes are no message of the type.
     """
-    places = Places({}, {})
+    numbers: dict[str, Number] = {}
 
     def visit(prefix: str, name: str, at: int) -> int:
         for field, kind in store.fielddefs[name][1]:
@@ -83,16 +66,13 @@ def places_of(store: Any, type_name: str, cdr: bytes, trail: Trail) -> Places:
                 continue
             for step in steps_of(store, kind):
                 at = step.walk(cdr, at, trail)
-            if node is Nodetype.BASE and what[0] == 'string':
-                begin = trail.counts[-1] + BODY
-                places.texts[prefix + field] = slice(begin, max(at - 1, begin))
-            elif node is Nodetype.BASE and what[0] in FORMATS:
+            if node is Nodetype.BASE and what[0] in FORMATS:
                 form = FORMATS[what[0]]
-                places.numbers[prefix + field] = Number(at - struct.calcsize('<' + form), form)
+                numbers[prefix + field] = Number(at - struct.calcsize('<' + form), form)
         return at
 
     visit('', type_name, BODY)
-    return places
+    return numbers
 
 
 def parts_of(numbers: Sequence[Number], trail: Trail) -> Iterator[Part]:
@@ -108,72 +88,6 @@ def parts_of(numbers: Sequence[Number], trail: Trail) -> Iterator[Part]:
             end += 1
         yield Part(struct.Struct(form), numbers[first].at, first, end)
         first = end
-
-
-class FieldReader:
-    """Reads the same fields of many messages of one type."""
-
-    def __init__(self, topic: TopicInfo, numbers: Sequence[str], texts: Sequence[str] = ()) -> None:
-        """Name the fields from the outside in, e.g. ``header.stamp.sec``.
-
-        Args:
-            topic: says the type of the messages.
-            numbers: numbers and truth values, not those within arrays and sequences.
-            texts: texts, not those within arrays and sequences.
-
-        Raises:
-            BagForeign: the topic carries no definition that could be used.
-        """
-        self._topic = topic
-        self._numbers, self._texts = tuple(numbers), tuple(texts)
-        self._decode = decoder(topic)
-        self._places = Layouts[_FieldPlaces]()
-
-    def __call__(self, cdr: bytes) -> list[Any]:
-        """The values of the numbers, then of the texts, in the order in which they were named.
-
-        Raises:
-            BagCorrupt: the bytes are no message of the topic's type.
-            AttributeError, KeyError: the type has no such field, or it is of another kind.
-        """
-        little = cdr[:2] == LITTLE_ENDIAN
-        if little and (places := self._places.find(cdr)) is not None:
-            return self._values(places, cdr)
-        message = self._decode(cdr)
-        values = [attrgetter(name)(message) for name in (*self._numbers, *self._texts)]
-        if little:
-            trail = Trail()
-            places = _FieldPlaces(self._topic, cdr, trail, self._numbers, self._texts)
-            self._places.learn(cdr, trail, places)
-        return values
-
-    def _values(self, places: _FieldPlaces, cdr: bytes) -> list[Any]:
-        try:
-            return places.values(cdr)
-        except UnicodeDecodeError as error:
-            text = f'topic {self._topic.name}: not a {self._topic.type}: {error}'
-            raise BagCorrupt(text) from error
-
-
-class _FieldPlaces:
-    """Where the fields lie in messages that are laid out like one of them."""
-
-    def __init__(
-        self, topic: TopicInfo, cdr: bytes, trail: Trail, numbers: Sequence[str],
-        texts: Sequence[str],
-    ) -> None:
-        places = places_of(typestore(topic), topic.type, cdr, trail)
-        parts = parts_of([places.numbers[name] for name in numbers], trail)
-        self._parts = tuple((part.layout.unpack_from, part.at) for part in parts)
-        self._texts = tuple(places.texts[name] for name in texts)
-
-    def values(self, cdr: bytes) -> list[Any]:
-        found: list[Any] = []
-        for unpack_from, at in self._parts:
-            found += unpack_from(cdr, at)
-        for place in self._texts:
-            found.append(cdr[place].decode())
-        return found
 
 
 class MessageTemplate:
@@ -196,7 +110,7 @@ class MessageTemplate:
         store = typestore(topic)
         self._cdr = walk_of(store, topic.type).without_gaps(cdr)
         trail = Trail()
-        numbers = places_of(store, topic.type, self._cdr, trail).numbers
+        numbers = numbers_of(store, topic.type, self._cdr, trail)
         parts = parts_of([numbers[name] for name in fields], trail)
         self._parts = tuple((part.layout.pack_into, *part[1:]) for part in parts)
 

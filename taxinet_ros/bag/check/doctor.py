@@ -339,7 +339,7 @@ def check_bag(path: Path) -> Checkup:
 def _run_checks(recording: Recording) -> Iterator[Check]:
     if recording.plain or not recording.runs:
         topics = [topic.name for topic in recording.topics]
-        yield from _checks_of(run_record(recording), topics, '')
+        yield from _checks_of(recording, run_record(recording), topics, '')
         return
     yield Check(
         name='messages', looked_at='every message is what its topic says',
@@ -348,11 +348,16 @@ def _run_checks(recording: Recording) -> Iterator[Check]:
         ),
     )
     # What the topics of others hold, and that some hold nothing, is their affair.
-    for run, record in zip(recording.runs, run_records(recording), strict=True):
+    records = run_records(recording)
+    for run, one, record in zip(recording.runs, recording, records, strict=True):
         if not run.absent:
-            yield from _checks_of(record, list(record.counts), f'{run.name}: ')
+            yield from _checks_of(one, record, list(record.counts), f'{run.name}: ')
 
 
-def _checks_of(record: RunRecord, topics: Sequence[str], of: str) -> Iterator[Check]:
-    for check in (check_stamps(record), check_steps(record, topics), check_verdict(record)):
+def _checks_of(
+    recording: Recording, record: RunRecord, topics: Sequence[str], of: str
+) -> Iterator[Check]:
+    for check in (
+        check_stamps(record), check_steps(record, topics), check_verdict(record, recording)
+    ):
         yield replace(check, looked_at=f'{of}{check.looked_at}')

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import StoredMessage
-from taxinet_ros.bag.run.message_values import HeldCommand, assumptions_of, sample_of, scenario_of
+from taxinet_ros.bag.run.judging import readings_of
+from taxinet_ros.bag.run.message_values import scenario_of, stamp_of
 from taxinet_ros.bag.run.recording import Recording
-from taxinet_ros.bag.run.samples import same_bits
+from taxinet_ros.bag.run.samples import RunSamples, same_bits
 from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
@@ -25,30 +26,26 @@ from taxinet_ros.bag.run.topics import (
     ODOMETRY,
     ONCE,
     ROBUSTNESS,
+    RUN_ENDED,
     RUN_STATUS,
     SCENARIO,
+    SIMULATOR,
     TF,
     TRUTH,
     VERDICT,
     is_topic,
 )
-from taxinet_ros.core.loop import MAX_GAP_NS
-from taxinet_ros.core.mtl import Monitor, parse_spec
+from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.mtl import parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
-from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
-PERIOD_NS = NS_PER_S // 10
-"""Control period of the lockstep, as :data:`taxinet_ros.core.aircraft.CONTROL_PERIOD_NS`."""
 MOST_STEPS = 100_000
 """Steps beyond are not looked at: no run is nearly as long."""
-SIMULATOR = 'simulator'
-"""It reports too, of a run whose answers do not take effect at once."""
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
-_ENDED = 2
 
 
 class Interval(NamedTuple):
@@ -65,14 +62,14 @@ class RunRecord:
     Attributes:
         once: messages of the topics that speak once, by relative name, in order.
         counts: messages by relative topic name and step.
-        values: messages that the verdict depends on, by relative topic name and step.
+        odometry: by step.
         robustness: by step and name of the formula.
         stamps: findings on stamps and contents.
     """
 
     once: dict[str, list[Any]] = field(default_factory=dict)
     counts: dict[str, dict[int, int]] = field(default_factory=dict)
-    values: dict[str, dict[int, Any]] = field(default_factory=dict)
+    odometry: dict[int, Any] = field(default_factory=dict)
     robustness: dict[int, dict[str, Interval]] = field(default_factory=dict)
     stamps: list[Finding] = field(default_factory=list)
     latest: dict[str, int] = field(default_factory=dict)
@@ -92,7 +89,7 @@ class RunRecord:
     def ending(self) -> Any:
         """The message that told how the run ended, or None."""
         told = self.once.get(RUN_STATUS, ())
-        return next((m for m in told if m.state == _ENDED), None)
+        return next((m for m in told if m.state == RUN_ENDED), None)
 
     def note(self, stored: StoredMessage) -> None:
         """Take in a message; what is wrong with it alone becomes a finding."""
@@ -117,22 +114,21 @@ class RunRecord:
             if len(told := self.once.setdefault(once, [])) < MOST_STEPS:
                 told.append(message)
             return
-        step = stamp // PERIOD_NS
+        step = stamp // CONTROL_PERIOD_NS
         if step > MOST_STEPS:
             return
         steps = self.counts.setdefault(name, {})
         steps[step] = steps.get(step, 0) + 1
         header = getattr(message, 'header', None)
-        if header is not None and _stamp(header.stamp) != stamp:
-            self._wrong(name, stamp, f'{name}: header says {_stamp(header.stamp)} ns')
+        if header is not None and stamp_of(message) != stamp:
+            self._wrong(name, stamp, f'{name}: header says {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
             reading = Interval(float(message.rho_lower), float(message.rho_upper))
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
-        kept = next((topic for topic in _KEPT if is_topic(name, topic)), None)
-        if kept is not None:
-            self.values.setdefault(kept, {}).setdefault(step, message)
+        if is_topic(name, ODOMETRY):
+            self.odometry.setdefault(step, message)
         # It is written behind the odometry of its step, and made of that.
-        odometry = self.values.get(ODOMETRY, {}).get(step)
+        odometry = self.odometry.get(step)
         if is_topic(name, TF) and odometry is not None and not _follows(message, odometry):
             self._wrong(name, stamp, f'{name}: is not where {ODOMETRY} says')
 
@@ -178,7 +174,8 @@ def check_steps(record: RunRecord, topics: Collection[str]) -> Check:
     if record.scenario is None:
         return Check(name='steps', looked_at='no scenario of ours in it', skipped=True)
     last = last_seq(record)
-    if last < 0 and record.ending is None and TRUTH not in record.values:
+    truth = any(is_topic(name, TRUTH) for name in record.counts)
+    if last < 0 and record.ending is None and not truth:
         found = [*_once_troubles(record), Finding(where=f'/{TRUTH}', what='not one control step')]
         return Check(name='steps', looked_at='no truth', findings=tuple(found))
     found = [*_once_troubles(record), *_step_troubles(record, topics, last)]
@@ -214,6 +211,7 @@ def _once_troubles(record: RunRecord) -> Iterator[Finding]:
     judged = ending is not None and ending.outcome in ('PASS', 'FAIL')
     expected = {SCENARIO: 1, RUN_STATUS: 1}
     if judged:
+        # The simulator reports of a run whose answers do not take effect at once.
         told = {str(status.node) for status in record.once.get(NODE_STATUS, ())}
         nodes = {*map(str, record.scenario.participants), *(told & {SIMULATOR})}
         expected |= {VERDICT: 1, NODE_STATUS: len(nodes)}
@@ -259,13 +257,16 @@ def whole_steps(record: RunRecord, topics: Collection[str]) -> int:
     return sum(all(steps.get(step, 0) >= each for steps, each in counts) for step in numbers)
 
 
-def check_verdict(record: RunRecord) -> Check:
-    """Whether judging the recorded truth once more gives the recorded robustness, bit for bit."""
+def check_verdict(record: RunRecord, recording: Recording) -> Check:
+    """Whether judging the recorded truth once more gives the recorded robustness, bit for bit.
+
+    Args:
+        record: of the run.
+        recording: of that run alone.
+    """
     if record.scenario is None:
         return Check(name='verdict', looked_at='no scenario of ours in it', skipped=True)
-    # Only here, for it brings in the whole world: a second of imports.
-
-    steps, found = verdict_findings(record)
+    steps, found = verdict_findings(record, recording)
     if not steps and not found:
         return Check(name='verdict', looked_at='not one step to judge', skipped=True)
     return Check(
@@ -293,14 +294,14 @@ def _check_fields(once: str, message: Any) -> None:
 def _follows(transforms: Any, odometry: Any) -> bool:
     """Whether a message of transforms tells the pose of odometry, and nothing else."""
     told = [
-        (one.header.frame_id, one.child_frame_id, _stamp(one.header.stamp),
+        (one.header.frame_id, one.child_frame_id, stamp_of(one),
          _bits(one.transform.translation, one.transform.rotation))
         for one in transforms.transforms
     ]
     at = odometry.pose.pose
     header = odometry.header
     return told == [(
-        header.frame_id, odometry.child_frame_id, _stamp(header.stamp),
+        header.frame_id, odometry.child_frame_id, stamp_of(odometry),
         _bits(at.position, at.orientation),
     )]
 
@@ -309,71 +310,57 @@ def _bits(place: Any, turned: Any) -> bytes:
     return struct.pack('<7d', place.x, place.y, place.z, turned.x, turned.y, turned.z, turned.w)
 
 
-def _stamp(time: Any) -> int:
-    return int(time.sec) * NS_PER_S + int(time.nanosec)
-
-
-def verdict_findings(record: RunRecord) -> tuple[int, list[Finding]]:
+def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list[Finding]]:
     """Judge the recorded samples and compare.
+
+    Args:
+        record: of the run.
+        recording: of that run alone.
 
     Returns:
         Number of steps judged, and what differs from what was recorded.
     """
     try:
-        monitors = _monitors(record.scenario)
-    except (UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
-        return 0, [Finding(where='/scenario', what=f'cannot be judged: {error}')]
-    readings: dict[str, Interval] = {}
-    differing: dict[str, list[int]] = {name: [] for name in monitors}
-    steps = 0
-    watch = EstimateWatch(last_seq(record) * PERIOD_NS, PERIOD_NS)
-    commands = HeldCommand(free=record.free)
-    while steps <= last_seq(record) and (
-        sample := _sample(record, steps, commands)
-    ) is not None:
-        sample |= watch.signals(steps * PERIOD_NS, sample)
-        for name, monitor in monitors.items():
-            reading = monitor.push(steps * PERIOD_NS, sample)
-            readings[name] = Interval(reading.lower, reading.upper)
-            told = record.robustness.get(steps, {}).get(name)
-            if told is not None and not same_bits(told, readings[name]):
-                differing[name].append(steps)
-        steps += 1
-    found = [
-        Finding(where=f'step {ranges(wrong)}', what=f'{name}: another interval was recorded')
-        for name, wrong in differing.items() if wrong
-    ]
-    if steps == last_seq(record) + 1:
-        found += _verdict_troubles(record, readings)
-    else:
+        last_step(scenario_of(record.scenario))
+        samples = _whole(recording.samples, last_seq(record) + 1)
+        judged = {
+            spec.name: readings_of(samples, spec, samples.assumptions)
+            for spec in map(parse_spec, samples.specs)
+        }
+    except (BagError, UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
+        what = str(error).removeprefix(f'{recording.path}: ')
+        return 0, [Finding(where='/scenario', what=f'cannot be judged: {what}')]
+    steps = len(samples.stamps_ns)
+    found = []
+    for name, readings in judged.items():
+        wrong = ranges(
+            step for step, reading in enumerate(readings[:steps])
+            if (told := record.robustness.get(step, {}).get(name)) is not None
+            and not same_bits(told, (reading.lower, reading.upper))
+        )
+        if wrong:
+            found.append(Finding(
+                where=f'step {wrong}', what=f'{name}: another interval was recorded'))
+    if steps <= last_seq(record):
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
+    elif steps:
+        last = {name: Interval(all_[-1].lower, all_[-1].upper) for name, all_ in judged.items()}
+        found += _verdict_troubles(record, last)
     return steps, found
 
 
-def _monitors(scenario: Any) -> dict[str, Monitor]:
-    horizon_ns = last_step(scenario_of(scenario)) * PERIOD_NS
-    specs = [parse_spec(text) for text in scenario.specs]
-    vouched = assumptions_of(scenario)
-    return {
-        spec.name: Monitor(
-            spec, horizon_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS
-        ) for spec in specs
-    }
-
-
-def _sample(record: RunRecord, step: int, commands: HeldCommand) -> dict[str, float] | None:
-    odometry, truth, estimate, command = (
-        record.values.get(topic, {}).get(step) for topic in (ODOMETRY, TRUTH, ESTIMATE, COMMAND)
+def _whole(samples: RunSamples, most: int) -> RunSamples:
+    """The control steps before the first that is missing or lacks a topic, ``most`` of them."""
+    count = next((
+        step for step, (stamp_ns, there) in enumerate(
+            zip(samples.stamps_ns, samples.there, strict=True))
+        if stamp_ns != step * CONTROL_PERIOD_NS or not there.issuperset(_KEPT)
+    ), len(samples.stamps_ns))
+    count = max(min(count, most), 0)
+    return replace(
+        samples, stamps_ns=samples.stamps_ns[:count], samples=samples.samples[:count],
+        there=samples.there[:count],
     )
-    if odometry is None or truth is None:
-        return None
-    command = commands.at(command)
-    if not record.free and (estimate is None or command is None):
-        return None
-    try:
-        return sample_of(truth, odometry, estimate, command)
-    except (AttributeError, TypeError, ValueError):
-        return None
 
 
 def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[Finding]:

@@ -13,26 +13,22 @@ from pathlib import Path
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.cdr.image import image_cdr
-from taxinet_ros.bag.description import words_beside
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
 from taxinet_ros.bag.reader import (
     BagInfo,
     StoredMessage,
-    read_attachment,
     stored_messages,
 )
+from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, written_steps
 from taxinet_ros.bag.run.recording import Recording, open_recording
-from taxinet_ros.bag.run.topics import ONCE
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagWriter
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 
 IMAGE, CAMERA_INFO = '/camera/image_raw', '/camera/camera_info'
 _IMAGE_TYPE = 'sensor_msgs/msg/Image'
-_PER_RUN = frozenset(f'/{name}' for name in ONCE)
 _DRAFT = '.with-frames'
 
 
@@ -85,19 +81,9 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
     missing_frames(info)
     if info.trouble:
         raise UsageError(f'{info.trouble}; mend it first: taxinet bag recover {source} --out NEW')
-    attachments = {
-        name: read_attachment(source, name) for name in info.attachments if name != MANIFEST
-    }
-    words = info.metadata.get(RUN_METADATA, {})
-    with BagWriter(
-        folder, _topics(info), metadata=words,
-        attachments=attachments, min_free_bytes=min_free_bytes,
-        beside=words_beside(source, words),
-    ) as bag:
-        yield from _copy(recording, bag)
-        for name, values in info.metadata.items():
-            if name not in ('rosbag2', RUN_METADATA):
-                bag.add_metadata(name, values)
+    with copy_of(info, folder, _topics(info), min_free_bytes) as bag:
+        for stamp_ns in written_steps(bag, _with_frames(recording)):
+            yield stamp_ns // CONTROL_PERIOD_NS
 
 
 def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:
@@ -154,19 +140,11 @@ def _topics(info: BagInfo) -> list[TopicInfo]:
     return topics
 
 
-def _copy(recording: Recording, bag: BagWriter) -> Iterator[int]:
-    """Copy every message, a frame before its camera info; flush as the recorder does."""
+def _with_frames(recording: Recording) -> Iterator[NamedMessage]:
+    """Every message, a frame before its camera info."""
     frames = _Frames(recording)
-    before: int | None = None
     for message in stored_messages(recording.path):
-        topic = message.topic.name
-        step = None if topic in _PER_RUN else message.stamp_ns // CONTROL_PERIOD_NS
-        if before is not None and step != before:
-            bag.flush()
-            yield before
-        before = step
+        topic, stamp_ns = message.topic.name, message.stamp_ns
         if topic == CAMERA_INFO and (frame := frames.missing(message)) is not None:
-            bag.write(IMAGE, frame, message.stamp_ns)
-        bag.write(topic, message.cdr, message.stamp_ns)
-    if before is not None:
-        yield before
+            yield IMAGE, stamp_ns, frame
+        yield topic, stamp_ns, message.cdr

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.records import Attachment
-
-from taxinet_ros.bag.cdr.decode import definition_hash
-from taxinet_ros.bag.description import read_description, words_beside
+from taxinet_ros.bag.description import read_description
 from taxinet_ros.bag.errors import BagEmpty, BagError
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import read_info, stored_messages
-from taxinet_ros.bag.run.topics import ONCE, is_topic
-from taxinet_ros.bag.storage.scan import scan
+from taxinet_ros.bag.rewrite.copying import copy_of, storable_topic, write_steps
 from taxinet_ros.bag.storage.summary import read_statistics
-from taxinet_ros.bag.topics import TopicInfo, check_topics, qos_profiles
-from taxinet_ros.bag.writer import MANIFEST, RUN_METADATA, BagSummary, BagWriter
-from taxinet_ros.errors import UsageError
+from taxinet_ros.bag.writer import BagSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,48 +54,12 @@ def recover(source: Path, folder: Path) -> Recovery:
     topics = [t for topic in info.topics if (t := storable_topic(topic, damage.append)) is not None]
     names = {topic.name for topic in topics}
     size = sum(file.stat().st_size for file in storage_files(source))
-    words = info.metadata.get(RUN_METADATA, {})
-    with BagWriter(
-        folder, topics, metadata=words,
-        attachments=_attachments(source), min_free_bytes=size,
-        beside=words_beside(source, words),
-    ) as bag:
-        _copy(source, bag, names, lambda error: damage.append(str(error)))
-        for name, values in info.metadata.items():
-            if name not in ('rosbag2', RUN_METADATA):
-                bag.add_metadata(name, values)
-        summary = bag.close()
-    return Recovery(bag=summary, damage=tuple(damage), declared=_declared(source))
-
-
-def _copy(
-    source: Path, bag: BagWriter, names: set[str], on_damage: Callable[[BagError], None]
-) -> None:
-    before: int | None = None
-    for topic, stamp_ns, cdr in stored_messages(source, names.__contains__, on_damage):
-        # As the recorder does it, so that each step lies in chunks of its own.
-        once = any(is_topic(topic.name, name) for name in ONCE)
-        now = None if once else stamp_ns
-        if before is not None and now != before:
-            bag.flush()
-        before = now
-        bag.write(topic.name, cdr, stamp_ns)
-
-
-def storable_topic(topic: TopicInfo, leave_out: Callable[[str], None]) -> TopicInfo | None:
-    """The topic with what an older or foreign recorder did not note, or None."""
-    try:
-        qos_profiles(topic.qos)
-    except ValueError:
-        topic = replace(topic, qos='[]\n')
-    try:
-        if not topic.type_hash:
-            topic = replace(topic, type_hash=definition_hash(topic))
-        check_topics([topic])
-    except (BagError, UsageError) as error:
-        leave_out(f'left out: {error}')
-        return None
-    return topic
+    sound = stored_messages(
+        source, names.__contains__, lambda error: damage.append(str(error))
+    )
+    with copy_of(info, folder, topics, size) as bag:
+        write_steps(bag, ((topic.name, stamp_ns, cdr) for topic, stamp_ns, cdr in sound))
+    return Recovery(bag=bag.summary, damage=tuple(damage), declared=_declared(source))
 
 
 def _declared(source: Path) -> int | None:
@@ -116,13 +73,3 @@ def _declared(source: Path) -> int | None:
     except BagError:
         return None
     return count if isinstance(count, int) else None
-
-
-def _attachments(source: Path) -> dict[str, bytes]:
-    """All files in the bag that are sound, but for the manifest, which the writer makes anew."""
-    found: dict[str, bytes] = {}
-    for file in storage_files(source):
-        for record in scan(file, lambda error: None):
-            if isinstance(record, Attachment) and record.name != MANIFEST:
-                found[record.name] = record.data
-    return found

@@ -12,7 +12,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagForeign
 from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.reader import StoredMessage
-from taxinet_ros.bag.rewrite.recovery import storable_topic
+from taxinet_ros.bag.rewrite.copying import storable_topic, write_steps
 from taxinet_ros.bag.run.message_values import scenario_json
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
@@ -82,15 +82,10 @@ def _write_run(
         folders[run.name], topics, metadata=words,
         attachments={'scenario.json': scenario_json(scenario)}, min_free_bytes=0,
     ) as bag:
-        before: int | None = None
-        for stored in sorted(messages, key=_place):
-            name = stored.topic.name
-            head = name.removeprefix('/') in (SCENARIO, NODE_STATUS, VERDICT, RUN_STATUS)
-            step = None if head else stored.stamp_ns
-            if before is not None and step != before:
-                bag.flush()
-            before = step
-            bag.write(name, canonical.message(name, stored.cdr), stored.stamp_ns)
+        write_steps(bag, (
+            (topic.name, stamp_ns, canonical.message(topic.name, cdr))
+            for topic, stamp_ns, cdr in sorted(messages, key=_place)
+        ))
         for stored in messages:
             if stored.topic.name == f'/{RUN_STATUS}':
                 _add_outcome(bag, decode(stored.topic, stored.cdr), len(run.stamps_ns))

@@ -17,10 +17,13 @@ from taxinet_ros.bag.layout import is_run_name
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, decode_of
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.topics import (
+    NODE_READY,
     NODE_STATUS,
     ROBUSTNESS,
+    RUN_ENDED,
     RUN_STATUS,
     SCENARIO,
+    SIMULATOR,
     VERDICT,
 )
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
@@ -82,7 +85,7 @@ def recorded_run(recording: Recording) -> RecordedRun:
         raise BagEmpty(f'{path}: no message on /scenario, so its run is not known', path=path)
     try:
         eyes, law = kinds.get('perception'), kinds.get('steering_controller')
-        world = kinds.get('simulator')
+        world = kinds.get(SIMULATOR)
         words = law.implementation if law else ''
         ours = is_steering_law(words)
         return RecordedRun(
@@ -138,8 +141,6 @@ def _request(message: Any) -> RunRequest:
     )
 
 
-_READY = 0
-_ENDED = 2
 _FACT_TOPICS = (SCENARIO, NODE_STATUS, RUN_STATUS, VERDICT, ROBUSTNESS)
 _NO_FIGURES = frozenset({'header', 'run_id', 'specs', 'complete', 'satisfied'})
 
@@ -268,13 +269,13 @@ class _FactsReader:
             if before is not None:
                 raise several_runs(self.path, before['run_id'], self.scenario['run_id'])
         elif relative == NODE_STATUS:
-            if message.state == _READY:
+            if message.state == NODE_READY:
                 self.nodes[str(message.node)] = NodeFacts(
                     implementation=str(message.implementation),
                     fingerprint=str(message.fingerprint),
                 )
         elif relative == RUN_STATUS:
-            if message.state == _ENDED:
+            if message.state == RUN_ENDED:
                 words = ('outcome', 'kind', 'who', 'detail')
                 self.ending = {word: str(getattr(message, word)) for word in words}
         elif relative == VERDICT:

@@ -93,12 +93,12 @@ def judge_spec(
     """
     vouched = samples.assumptions if assumptions is None else assumptions
     samples = samples.seen_by(spec)
-    readings = _readings_of(samples, spec, vouched)
+    readings = readings_of(samples, spec, vouched)
     alike = vouched == samples.assumptions or readings[-1].final
     return _spec_verdict(samples, spec, readings, alike=alike), readings
 
 
-def _readings_of(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
+def readings_of(samples: RunSamples, spec: Spec, vouched: Assumptions) -> list[Reading]:
     """The reading after each sample, as during the run; one that knows nothing if there is none."""
     monitor = Monitor(
         spec, samples.duration_ns, vouched.bounds, vouched.rates, max_gap_ns=MAX_GAP_NS

@@ -62,13 +62,6 @@ _HEAD_OF_A_PICTURE = 64
 """Its stamp is in the first bytes."""
 
 
-class Kept(NamedTuple):
-    """A message of a run: its topic without the namespace, and the message as stored."""
-
-    relative: str
-    stored: StoredMessage
-
-
 class _Within(NamedTuple):
     """Which run of a recording another one is."""
 
@@ -212,10 +205,15 @@ class Recording(Sequence['Recording']):
             return self._of(self.runs.index(self.choose(key)))
         return self._of(range(len(self.runs))[key])
 
+    @cached_property
+    def _messages_by_run(self) -> Sequence[list[StoredMessage]]:
+        found: list[list[StoredMessage]] = [[] for _ in self.runs]
+        for number, stored in self.messages_of_runs():
+            found[number].append(stored)
+        return found
+
     def _of(self, number: int) -> Recording:
-        messages = [
-            stored for _, stored in self.messages_of_runs(lambda run, _: run == number)
-        ]
+        messages = self._messages_by_run[number]
         # Where in the bag it is damaged does not show among the messages of one run.
         damage = [(0, error) for error in self.damaged_places]
         contents = Contents(
@@ -255,24 +253,32 @@ class Recording(Sequence['Recording']):
 
     # ---- its messages ------------------------------------------------------------------------
 
-    def messages(self, relative: Collection[str], *, strict: bool = False) -> Iterator[Kept]:
+    def messages(
+        self, relative: Collection[str], *, strict: bool = False
+    ) -> Iterator[tuple[str, StoredMessage]]:
         """Messages on some topics of a run, in the order of the recording; pictures cut short.
 
         Args:
             relative: names of the topics without a namespace, see :mod:`.topics`.
             strict: whether damage is an error, raised where it lies.
 
+        Yields:
+            The topic's relative name, and the message as stored.
+
         Raises:
             BagTruncated, BagCorrupt: it is damaged, and ``strict``; all before that was yielded.
         """
         damage = self._contents.damage[:1] if strict else []
         count = 0
-        for place, stored in enumerate(self._contents.messages):
-            if damage and damage[0][0] <= place:
-                break
-            topic = topic_parts(stored.topic.name)[0]
-            if topic in relative:
-                yield Kept(topic, stored)
+        names = {
+            topic.name: name for topic in self.topics
+            if (name := topic_parts(topic.name)[0]) in relative
+        }
+        messages = self._contents.messages
+        for stored in messages[:damage[0][0]] if damage else messages:
+            name = stored.topic.name
+            if name in names:
+                yield names[name], stored
                 count += 1
         for _, error in damage:
             text = str(error)
@@ -294,7 +300,14 @@ class Recording(Sequence['Recording']):
         return messages_of_runs(messages, self._apart.owners, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
-        """Every sound message, whoever's, in the order of the recording; pictures take a pass."""
+        """Every sound message, whoever's, in the order of the recording; pictures take a pass.
+
+        Of one run out of several: as our recorder would have them.
+        """
+        if self._within is not None:
+            whole, number = self._within.whole, self._within.number
+            mine = whole.messages_of_runs(lambda run, _: run == number, whole=True)
+            return (stored for _, stored in mine)
         if all(_kept_bytes(name) == sys.maxsize for name, n in self.info.counts.items() if n):
             return iter(self._contents.messages)
         return stored_messages(self.path, on_damage=lambda error: None)
@@ -402,9 +415,9 @@ class Recording(Sequence['Recording']):
     @property
     def trace(self) -> pd.DataFrame:
         """:attr:`columns` as a table, ``t_s`` [s] first; units are in ``attrs['units']``."""
-        from taxinet_ros.bag.run.tables import trace_table
+        from taxinet_ros.core.trace import trace_table
 
-        return trace_table(self)
+        return trace_table(self.columns)
 
     def table(self, topic: str) -> pd.DataFrame:
         """The messages of one topic, see :meth:`tables`."""

@@ -28,9 +28,11 @@ from taxinet_ros.bag.run.topics import (
     COMMAND,
     ESTIMATE,
     IMAGE,
+    NODE_READY,
     NODE_STATUS,
     ODOMETRY,
     ROBUSTNESS,
+    RUN_ENDED,
     RUN_STATUS,
     SCENARIO,
     TRUTH,
@@ -51,7 +53,6 @@ _WITHOUT_RUN_ID = frozenset({CLOCK, IMAGE, CAMERA_INFO, ODOMETRY})
 _STEPPED = frozenset({TRUTH, ESTIMATE, COMMAND, ROBUSTNESS})
 """Topics that say it, in every control step."""
 RANK_IN_STEP = {topic: rank for rank, topic in enumerate(_ORDER)}
-_READY, _ENDED = 0, 2
 _NO_RUN = -1
 
 
@@ -246,11 +247,11 @@ class _RunsReader:
             run.scenario = StoredMessage(_renamed(stored.topic, SCENARIO), 0, stored.cdr)
         elif relative == NODE_STATUS:
             report = (number, str(getattr(message, 'node', '')))
-            if getattr(message, 'state', None) != _READY or report in self._ready:
+            if getattr(message, 'state', None) != NODE_READY or report in self._ready:
                 return False
             self._ready.add(report)
         elif relative == RUN_STATUS:
-            if getattr(message, 'state', None) != _ENDED:
+            if getattr(message, 'state', None) != RUN_ENDED:
                 return False
             run.outcome, run.told = str(getattr(message, 'outcome', '')), True
         else:

@@ -21,6 +21,7 @@ from taxinet_ros.bag.run.topics import (
     ODOMETRY,
     ROBUSTNESS,
     SCENARIO,
+    SIMULATOR,
     TRUTH,
     VERDICT,
 )
@@ -257,7 +258,7 @@ class _SamplesReader:
             return
         message = decode(stored.topic, stored.cdr)
         if relative == NODE_STATUS:
-            if str(message.node) == 'simulator':
+            if str(message.node) == SIMULATOR:
                 self.timing = self.timing or _timing(str(message.implementation))
             return
         if self.plain:

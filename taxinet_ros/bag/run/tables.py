@@ -64,15 +64,6 @@ def topic_tables(
     return {name: _table(rows[name], topic) for name, topic in chosen.items()}
 
 
-def trace_table(recording: Recording) -> pd.DataFrame:
-    """See :attr:`.recording.Recording.trace`."""
-    trace = recording.columns
-    table = pd.DataFrame({'t_s': np.asarray(trace['t_ns'], dtype=np.int64) / 1e9, **trace})
-    units = {name: _told_by_name(name) for name in table.columns}
-    table.attrs['units'] = {name: unit for name, unit in units.items() if unit}
-    return table
-
-
 def units_of(topic: TopicInfo) -> dict[str, str]:
     """Units of a topic's columns, as far as its definition or a standard fixes them.
 

@@ -19,6 +19,11 @@ RUN_STATUS = topics.RUN_STATUS.name
 TF = topics.TF.name
 TF_STATIC = topics.TF_STATIC.name
 
+NODE_READY, RUN_ENDED = 0, 2
+"""States of ``NodeStatus`` and of ``RunStatus``."""
+SIMULATOR = 'simulator'
+"""The node that tells of a run's timing."""
+
 MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
 CAMERA_FRAME = 'camera_optical'

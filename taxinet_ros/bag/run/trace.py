@@ -23,6 +23,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
+from taxinet_ros.core.trace import STEP_UNITS
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.recording import Recording
@@ -32,10 +33,6 @@ Frame = NDArray[np.uint8]
 
 _MOST = 2**63 - 1
 _TRACED = (TRUTH, ODOMETRY, ESTIMATE, COMMAND, ROBUSTNESS)
-_ALWAYS = (
-    'x_m', 'y_m', 'speed_mps', 'cte_m', 'he_rad', 'est_cte_m', 'est_he_rad', 'steering_rad',
-    'speed_cmd_mps',
-)
 
 
 class CameraFrame(NamedTuple):
@@ -136,7 +133,7 @@ class _TraceColumns:
         self.stamps: dict[int, int] = {}
         self.poses: dict[int, dict[str, float]] = {}
         self.cells: defaultdict[int, dict[str, float]] = defaultdict(dict)
-        self.names = dict.fromkeys(_ALWAYS)
+        self.names = dict.fromkeys(STEP_UNITS)
 
     def put(self, seq: int, **values: float) -> None:
         """Set cells of one step."""

@@ -11,20 +11,14 @@ from __future__ import annotations
 import functools
 import struct
 
-from taxinet_ros.bag.cdr.fields import FieldReader
+from taxinet_ros.bag.cdr.decode import decoder
 from taxinet_ros.bag.cdr.image import ENCAPSULATION, aligned, with_text
 from taxinet_ros.bag.run.topics import BASE_FRAME, CAMERA_FRAME
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
+from taxinet_ros.core import topics
 from taxinet_ros.core.camera import camera
 
-_ODOMETRY_TYPE = 'nav_msgs/msg/Odometry'
 _STAMP, _POSE = struct.Struct('<IiI'), struct.Struct('<7d')
-_NUMBERS = (
-    'header.stamp.sec', 'header.stamp.nanosec',
-    *(f'pose.pose.position.{axis}' for axis in 'xyz'),
-    *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
-)
-_TEXTS = ('header.frame_id', 'child_frame_id')
 
 
 class OdometryTransforms:
@@ -36,8 +30,10 @@ class OdometryTransforms:
         Raises:
             BagForeign: the topic carries no definition that could be used.
         """
-        topic = odometry or describe_topic(name='/odom', type_name=_ODOMETRY_TYPE, qos='')
-        self._fields = FieldReader(topic, _NUMBERS, _TEXTS)
+        row = topics.ODOMETRY
+        self._decode = decoder(
+            odometry or describe_topic(name=row.name, type_name=row.type_name, qos='')
+        )
 
     def __call__(self, odometry: bytes) -> bytes:
         """The serialised ``TFMessage`` that says where odometry's child frame is, with its stamp.
@@ -45,8 +41,13 @@ class OdometryTransforms:
         Raises:
             BagCorrupt: the bytes are no odometry.
         """
-        sec, nanosec, *pose, frame, child = self._fields(odometry)
-        return _transform(sec, nanosec, frame, child, *pose)
+        message = self._decode(odometry)
+        stamp, pose = message.header.stamp, message.pose.pose
+        place, turn = pose.position, pose.orientation
+        return _transform(
+            stamp.sec, stamp.nanosec, message.header.frame_id, message.child_frame_id,
+            place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w,
+        )
 
 
 @functools.cache

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import IO
 
 from taxinet_ros.bench.measure import Subject
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -19,6 +19,7 @@ from taxinet_ros.core.mtl.specs import SHIPPED
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S, TaxiCommand, TrackingError
 from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.child import ChildProcess
 
 LAST = 300
 LENGTHS = {'1k': 1_000, '10k': 10_000, '100k': 100_000}
@@ -124,22 +125,21 @@ def peer_subjects(python: str) -> Iterator[list[Subject]]:
         UsageError: no such Python, or it has none of the monitors.
     """
     try:
-        child = subprocess.Popen(
-            [python, str(_CHILD)], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        child = ChildProcess(
+            'peers', [python, str(_CHILD)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            environment=os.environ,
         )
     except OSError as error:
         raise UsageError(f'bench: --peers: cannot run {python}: {error.strerror}') from None
     with child:
-        assert child.stdin is not None, 'a pipe was asked for'
-        assert child.stdout is not None, 'a pipe was asked for'
-        answer = _ask(child.stdin, child.stdout, _trace_json())
+        answer = _ask(child, _trace_json())
         names = json.loads(answer) if answer else []
         if not names:
             raise UsageError(
                 f'bench: --peers: {python} has no rtamt, sentil or metric-temporal-logic; '
                 'tests/core/mtl/oracles.txt says how to install them'
             )
-        yield [_peer_subject(name, child.stdin, child.stdout) for name in names]
+        yield [_peer_subject(name, child) for name in names]
 
 
 def _trace_json() -> str:
@@ -153,24 +153,28 @@ def _trace_json() -> str:
     )
 
 
-def _peer_subject(name: str, questions: IO[str], answers: IO[str]) -> Subject:
+def _peer_subject(name: str, child: ChildProcess) -> Subject:
     # The other process takes its time itself, so that of talking to it does not count.
-    run = partial(_measure_peer, name, questions, answers)
+    run = partial(_measure_peer, name, child)
     slow = name.startswith(_SLOW)
     return Subject(name='monitor', run=run, warm_ups=0 if slow else 2, most=3 if slow else None)
 
 
-def _measure_peer(name: str, questions: IO[str], answers: IO[str]) -> dict[str, int]:
-    answer = _ask(questions, answers, name)
+def _measure_peer(name: str, child: ChildProcess) -> dict[str, int]:
+    answer = _ask(child, name)
     if not answer:
         raise UsageError(f'bench: --peers: {name} broke down; its Python says why above')
     return {name: int(answer)}
 
 
-def _ask(questions: IO[str], answers: IO[str], line: str) -> str:
+def _ask(child: ChildProcess, line: str) -> bytes:
+    """The answer to a line; none from one that is gone."""
+    questions, answers = child.process.stdin, child.process.stdout
+    assert questions is not None, 'a pipe was asked for'
+    assert answers is not None, 'a pipe was asked for'
     try:
-        questions.write(line + '\n')
+        questions.write(line.encode() + b'\n')
         questions.flush()
     except BrokenPipeError:
-        return ''
+        return b''
     return answers.readline()

@@ -139,7 +139,7 @@ def _of_row(row: RunRow, facts: Mapping[str, Any]) -> JudgedRun:
         run_id=row.run_id, seed=row.seed, scenario=scenario_from_human(row.scene),
         specs=tuple(f'{name}={formula}' for name, formula in formulas.items()),
         outcome=row.outcome, robustness=row.robustness, perception=row.perception,
-        fingerprint=row.perception_fingerprint, gains=facts.get('gains', {}),
+        fingerprint=row.fingerprint, gains=facts.get('gains', {}),
         controller=_controller(facts, ''),
         controller_fingerprint=str(facts.get('controller_sha256', '')),
         timing=parse_timing(row.timing).of_run(row.seed, row.index),
@@ -226,7 +226,7 @@ def _of_formulas(told: RunFacts, facts: Mapping[str, Any]) -> dict[str, tuple[An
 def _of_nodes(told: RunFacts, row: RunRow) -> dict[str, tuple[Any, Any]]:
     """What the simulator and the perception said of themselves."""
     eyes, world = told.nodes.get('perception'), told.nodes.get('simulator')
-    prints = {eyes.fingerprint if eyes else ''} - {''}, {row.perception_fingerprint} - {''}
+    prints = {eyes.fingerprint if eyes else ''} - {''}, {row.fingerprint} - {''}
     pairs: dict[str, tuple[Any, Any]] = {
         'timing': (world.implementation if world else '', row.timing), 'network': prints,
     }

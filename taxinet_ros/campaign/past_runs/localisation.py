@@ -349,7 +349,7 @@ def _network(campaign: RecordedCampaign, given: str | None) -> str:
         UsageError: it cannot be found, or is another one now.
     """
     first = campaign.counterexamples[0]
-    recorded = first.perception_fingerprint
+    recorded = first.fingerprint
     asked = str(campaign.facts.get('perception', ''))
     word = given or (asked if is_node_elsewhere(asked) else first.perception) or asked
     mend = f'name the file that {campaign.folder} was run with: --perception FILE'
@@ -392,7 +392,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **({} if options.controller == STEERING else {
             'controller_sha256': campaign.facts.get('controller_sha256')
         }),
-        'perception_sha256': campaign.counterexamples[0].perception_fingerprint,
+        'perception_sha256': campaign.counterexamples[0].fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))
 

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.campaign.past_runs.judged_run import check_same_run
 from taxinet_ros.campaign.rates import ProgramRate, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.facts import LEDGER_NAME
 from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
@@ -160,6 +158,10 @@ def scenario_of_row(
     Raises:
         UsageError: the ledger has no scene of it, or the bag is of another run.
     """
+    # Who reads a campaign's rows need not wait for what reads bags.
+    from taxinet_ros.bag.run.recording import open_recording
+    from taxinet_ros.campaign.past_runs.judged_run import check_same_run
+
     bag = folder / row.run_id
     if any(bag.glob('*.mcap')):
         try:

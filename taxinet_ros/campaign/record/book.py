@@ -148,7 +148,7 @@ class CampaignBook:
         self._begun = False
         self._facts_due = False
         self._attempts: Counter[int] = Counter()
-        self._again: list[RunRequest] = []
+        self._retries: list[RunRequest] = []
         self._retried: set[int] = set()
 
     def check_folder(self) -> None:
@@ -246,7 +246,7 @@ class CampaignBook:
         return request
 
     def second_chance(self, request: RunRequest, result: RunResult) -> bool:
-        """Whether a run is begun anew, once, because the bench broke it; see :meth:`next_again`.
+        """Whether a run is begun anew, once, because the bench broke it; see :meth:`next_retry`.
 
         Raises:
             RecordError: that cannot be written down.
@@ -254,12 +254,12 @@ class CampaignBook:
         if result.outcome is not Outcome.INFRA_ERROR or self.was_retried(request.index):
             return False
         self._retried.add(request.index)
-        self._again.append(self.begin_run(request.index, request.scenario))
+        self._retries.append(self.begin_run(request.index, request.scenario))
         return True
 
-    def next_again(self) -> RunRequest | None:
+    def next_retry(self) -> RunRequest | None:
         """A run that was given a second chance and waits for it, if there is one."""
-        return self._again.pop() if self._again else None
+        return self._retries.pop() if self._retries else None
 
     def was_retried(self, index: int) -> bool:
         """Whether a run has had its second chance in this sitting."""

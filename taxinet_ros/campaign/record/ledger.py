@@ -34,8 +34,8 @@ class LedgerContent:
         unfinished: indices of runs that were begun and have no result, ascending.
         attempts: how often each run was begun, by index.
         added: formulas that were put to the runs afterwards, by name; the rows have their values.
-        unasked: indices of rows of runs that were never begun, ascending; those that were rejected
-            are none.
+        never_begun: indices of rows of runs that were not begun as far as it tells, ascending;
+            rejected ones are none.
         finished: whether the campaign has ended in good order since its last line.
         lost: a line for each time that damaged lines were left out (:mod:`.doctor`).
         incomplete: those of them after which something is missing to this day.
@@ -46,7 +46,7 @@ class LedgerContent:
     unfinished: tuple[int, ...]
     attempts: Mapping[int, int]
     added: Mapping[str, str]
-    unasked: tuple[int, ...] = ()
+    never_begun: tuple[int, ...] = ()
     finished: bool = False
     lost: tuple[str, ...] = ()
     incomplete: tuple[str, ...] = ()
@@ -171,7 +171,7 @@ def ledger_content(
         unfinished=tuple(sorted(set(begun) - set(rows))),
         attempts=begun,
         added=found.added,
-        unasked=tuple(
+        never_begun=tuple(
             index for index in sorted(set(rows) - set(begun))
             if rows[index].outcome is not Outcome.REJECTED
         ),

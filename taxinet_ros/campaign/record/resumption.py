@@ -78,7 +78,7 @@ class EarlierRuns:
 
     Attributes:
         rows: results by index of the runs that are done.
-        again: results by index of those that are done again: the bench broke them, they were
+        to_repeat: results by index of those that are done again: the bench broke them, they were
             interrupted, or their scenes were chosen without the result of a run that broke.
         unknown_to_sampler: runs that the bench had broken when others, since judged, were chosen
             without their results; they may have been run again meanwhile. What was chosen stays,
@@ -90,7 +90,7 @@ class EarlierRuns:
     """
 
     rows: Mapping[int, RunRow] = field(default_factory=dict)
-    again: Mapping[int, RunRow] = field(default_factory=dict)
+    to_repeat: Mapping[int, RunRow] = field(default_factory=dict)
     unknown_to_sampler: frozenset[int] = frozenset()
     begun: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -111,14 +111,14 @@ def read_earlier_runs(out: Path, facts: Mapping[str, Any]) -> EarlierRuns:
     of_graph: Sequence[str] = () if facts['perception'] else PERCEPTION_KEYS
     content = read_same_campaign(out, facts, of_graph)
     unknown = _unknown_to_sampler(content.campaign, content.rows)
-    again = {row.index: row for row in _not_done(content.rows, unknown)}
-    rows = {row.index: row for row in content.rows if row.index not in again}
+    to_repeat = {row.index: row for row in _not_done(content.rows, unknown)}
+    rows = {row.index: row for row in content.rows if row.index not in to_repeat}
     begun = 1 + max((*content.unfinished, *(row.index for row in content.rows)), default=-1)
     if begun > facts['runs']:
         raise UsageError(f'--runs {facts["runs"]}: {begun} were begun in {out}; ask for as many')
     kept = _kept_facts(content.campaign, of_graph)
     return EarlierRuns(
-        rows=rows, again=again, unknown_to_sampler=unknown, begun=begun, content=content,
+        rows=rows, to_repeat=to_repeat, unknown_to_sampler=unknown, begun=begun, content=content,
         facts={**kept, UNKNOWN_TO_SAMPLER: sorted(unknown)} if unknown else kept,
     )
 

@@ -36,7 +36,8 @@ class RunRow:
         weight: density of the program's distribution over that of the sampler's, if known.
         drawn: whether the scene was drawn from the program itself, whatever the results before it:
             what rates rest on. None in a row from before that was written down.
-        perception, perception_fingerprint: the swap word, and the hash of the weights.
+        perception, fingerprint: the swap word, and the hash of the weights; on disk
+            ``perception_fingerprint``.
         timing: when answers took effect, in the words of :mod:`taxinet_ros.core.pacing.timing`; ''
             where each did at once. A free run need not come out so again.
         free: of a free run how it went, by name, see
@@ -76,7 +77,7 @@ class RunRow:
     refused: int = 0
     weight: float | None = None
     drawn: bool | None = None
-    perception_fingerprint: str = ''
+    fingerprint: str = ''
     timing: str = ''
     free: Mapping[str, float] = field(default_factory=dict)
     cross_track_m: float | None = None
@@ -237,7 +238,7 @@ class RunRow:
         """
         return cls(
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
-            perception=perception, perception_fingerprint=result.fingerprint,
+            perception=perception, fingerprint=result.fingerprint,
             timing=result.timing, free=dict(result.free),
             **request.scenario.to_columns(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
@@ -302,8 +303,13 @@ class RunRow:
             raise UsageError(f'not a row of this version: {error}') from error
 
 
+ON_DISK = {'fingerprint': 'perception_fingerprint'}
+"""Columns of ledgers and tables that have a longer name than a row's attribute."""
 _BOUNDS = ('rho', 'rho_lower', 'rho_upper')
-_KEYS = {known.column: known.key for known in SCENARIO_FIELDS if known.column != known.key}
+_KEYS = {
+    **{known.column: known.key for known in SCENARIO_FIELDS if known.column != known.key},
+    **ON_DISK,
+}
 """The ledger has a scene by its keys, a row by the columns of the table."""
 _COLUMNS = {key: column for column, key in _KEYS.items()}
 

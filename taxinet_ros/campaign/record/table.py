@@ -21,7 +21,7 @@ from taxinet_ros.campaign.record.facts import (
     recorded_stacks,
     seal_facts,
 )
-from taxinet_ros.campaign.record.row import RunRow
+from taxinet_ros.campaign.record.row import ON_DISK, RunRow
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError, warn_once
@@ -61,6 +61,9 @@ _AFTER_RHO = {
     'retries': 'int64', 'bag': 'string', 'stack': 'string', 'wall_s': 'float64',
     'real_time_factor': 'float64',
 }
+
+_ATTRIBUTES = {column: name for name, column in ON_DISK.items()}
+"""A row names these shorter."""
 
 
 def table(rows: Iterable[RunRow], specs: Sequence[str] = ()) -> pd.DataFrame:
@@ -285,7 +288,7 @@ def _line(
     row: RunRow, specs: Sequence[str], dimensions: Sequence[str], figures: Sequence[str]
 ) -> dict[str, Any]:
     values = {
-        name: getattr(row, name)
+        name: getattr(row, _ATTRIBUTES.get(name, name))
         for name in (*_BEFORE_POINT, *_BEFORE_RHO, *_AFTER_RHO)
     }
     values['outcome'] = row.outcome.value

@@ -84,9 +84,9 @@ class Shrinking:
         Raises:
             UsageError: the folder cannot be used, or what it holds is something else.
         """
+        facts = self._facts()
         with contextlib.ExitStack() as opened:
             opened.enter_context(self.book)
-            facts = self._facts()
             before = read_same_campaign(self._campaign.out, facts)
             self._take_up(before)
             self.book.begin(facts, before)
@@ -104,12 +104,12 @@ class Shrinking:
         """A run to begin now; None where there is none before another run has ended, or at all."""
         if self.interrupted or self.broken is not None:
             return None
-        if (again := self.book.next_again()) is not None:
-            return again
-        while (point := self._point()) is not None:
+        if (request := self.book.next_retry()) is not None:
+            return request
+        while (point := self._next_point()) is not None:
             row = self._earlier.get(self._key(point))
             if row is None:
-                return self._begun(point)
+                return self._begin(point)
             self._remember(point, row)
         return None
 
@@ -140,13 +140,13 @@ class Shrinking:
         """The judged run of a point, if there is one."""
         return self._by_point.get(point)
 
-    def _point(self) -> Point | None:
+    def _next_point(self) -> Point | None:
         """The most urgent point that nobody is at, or one that may become so."""
         under_way = set(self._under_way.values())
         wanted = self.search.wanted(len(under_way) + 1)
         return next((point for point in wanted if point not in under_way), None)
 
-    def _begun(self, point: Point) -> RunRequest:
+    def _begin(self, point: Point) -> RunRequest:
         if self._undone:
             index = self._undone.pop(0)
         else:

@@ -11,8 +11,9 @@ from typing import Any
 
 from taxinet_ros.analysis.gate import GateOptions, GateResult, Verdict, gate_result, junit_xml
 from taxinet_ros.bag.check.findings import ranges
-from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_stacks
-from taxinet_ros.campaign.record.ledger import LedgerContent, read_ledger
+from taxinet_ros.campaign.past_runs.recorded_campaign import open_campaign
+from taxinet_ros.campaign.record.facts import recorded_stacks
+from taxinet_ros.campaign.record.ledger import LedgerContent
 from taxinet_ros.campaign.record.table import check_tables
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
@@ -40,17 +41,13 @@ def run_gate(
     if inconclusive not in INCONCLUSIVE_WORDS:
         known = ', '.join(INCONCLUSIVE_WORDS)
         raise UsageError(f'--inconclusive {inconclusive}: unknown; known: {known}')
-    path = folder / LEDGER_NAME
-    if not path.is_file():
-        raise UsageError(f'{folder}: no campaign, for it has no {LEDGER_NAME}')
+    campaign = open_campaign(folder)
     check_tables(folder)
-    content = read_ledger(path)
-    planned = content.campaign.get('first_runs', content.campaign.get('runs', 0))
-    answer = gate_result(content.rows, options, planned=int(planned))
-    answer = replace(answer, notes=(*answer.notes, *_record_notes(content)))
+    answer = gate_result(campaign.rows, options, planned=campaign.planned_runs or 0)
+    answer = replace(answer, notes=(*answer.notes, *_record_notes(campaign.content)))
     if junit is not None:
         document = junit_xml(
-            content.rows, answer, folder, content.campaign,
+            campaign.rows, answer, folder, campaign.facts,
             inconclusive_passes=inconclusive == 'pass',
         )
         if not junit.parent.is_dir():
@@ -67,8 +64,8 @@ def _record_notes(content: LedgerContent) -> Iterator[str]:
         yield f'the runs were made on different machines or versions: {found}'
     if content.finished and content.unfinished:
         yield f'run {ranges(content.unfinished)}: begun, and without a result to this day'
-    if content.unasked:
-        yield f'run {ranges(content.unasked)}: has a result, but nothing says that it was begun'
+    if content.never_begun:
+        yield f'run {ranges(content.never_begun)}: has a result, but nothing says that it was begun'
     for timing in sorted({row.timing for row in content.rows if row.timing}):
         again = ', so their verdicts need not come again' if is_free(timing) else ''
         yield f'timing of the runs: {timing}{again}'

@@ -23,7 +23,7 @@ from taxinet_ros.bench.soak import (
 )
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import ExitCode, UsageError
 
 SOAK = 'soak'
 """What is typed in place of subjects."""
@@ -78,7 +78,9 @@ def run_soak(
         else:
             found = soak_runs(runs or RUNS, minutes, step, duration_s or DURATION_S)
     print(json.dumps(found.report(), indent=2)) if as_json else _print(found)
-    return 130 if found.interrupted else int(found.verdict == GROWS)
+    if found.interrupted:
+        return ExitCode.INTERRUPTED
+    return ExitCode.VIOLATED if found.verdict == GROWS else ExitCode.OK
 
 
 def _check(

@@ -68,7 +68,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
         campaign = Campaign(options, PARTICIPANTS, show, graphs.make_ahead)
         with (
             print_rows_if_lost(progress.console, campaign.rows, shown=True),
-            graphs, campaign, interrupts(at_hand.interrupt, at_hand.give_up),
+            graphs, campaign, interrupts(at_hand.interrupt, at_hand.abort),
         ):
             graphs.check(campaign.book.facts['controller_sha256'])
             lines = [campaign_heading(options), *campaign.notes]
@@ -185,9 +185,9 @@ class _Interruption:
         if self.graph is not None:
             self.graph.interrupt()
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """End the run at hand at once, if there is one."""
-        return self.graph is not None and self.graph.give_up()
+        return self.graph is not None and self.graph.abort()
 
     def take(self, graph: Graph) -> None:
         """Have a graph that may have been asked for before somebody interrupted."""

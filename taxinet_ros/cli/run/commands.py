@@ -272,6 +272,14 @@ def up(
             help='ROS domain; else ROS_DOMAIN_ID, else one that no other graph of ours uses',
         ),
     ] = None,
+    namespace: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME',
+            help='prefix of every name of the graph, its clock included: two graphs with '
+            'namespaces of their own run side by side on one domain',
+        ),
+    ] = '',
     silent_after: Annotated[
         float,
         typer.Option(
@@ -293,7 +301,7 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor,
+        free=free, real_time_factor=real_time_factor, namespace=namespace,
     )
     raise typer.Exit(run_up(options))
 

@@ -30,6 +30,7 @@ from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
 from taxinet_ros.nodes.graph.runner import GraphOptions
 from taxinet_ros.nodes.graph.standing import UpOptions, run_standing_graph
 from taxinet_ros.nodes.graph.supervisor import (
@@ -79,6 +80,8 @@ class UpView:
         reach = os.environ[DISCOVERY_RANGE]
         where = 'this machine only' if reach == LOCALHOST else f'discovery range {reach}'
         what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
+        if self._options.remaps:
+            where += f'; namespace {self._options.namespace}'
         return [
             f'ROS domain {domain}, {where}; perception {self._options.graph.perception}; '
             f'{what} in {self._options.graph.out}',
@@ -98,7 +101,7 @@ class UpView:
         if not self._options.record:
             names = f'participants:=[{",".join(self._options.participants)}]'
             words += f' -p {shlex.quote(names)}'
-        return words
+        return ' '.join([words, *(f'-r {rule}' for rule in self._options.remaps)])
 
     def picture(self, supervisor: Supervisor, now_s: float) -> RenderableType:
         """The table of the nodes, and a line on the runs."""
@@ -152,6 +155,7 @@ def make_up_options(
     *, perception: str, controller: str, out: Path | None, record: bool, images: str,
     settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
+    namespace: str = '',
 ) -> UpOptions:
     """Check what a person typed.
 
@@ -168,6 +172,7 @@ def make_up_options(
         latency: ``NAME=LATENCY`` of perception or controller.
         free: simulated time goes by the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
+        namespace: of every name of the graph; '' for none.
 
     Raises:
         UsageError: one line on the first that is wrong.
@@ -200,6 +205,7 @@ def make_up_options(
         ),
         record=record,
         domain=domain,
+        namespace=absolute_namespace(namespace, '--namespace '),
         care=SupervisionOptions(restart=Restart(restart), silent_s=silent_s),
     )
 

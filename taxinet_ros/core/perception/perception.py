@@ -247,13 +247,13 @@ def _network(path: Path, word: str) -> Perception:
         return NetworkPerception(theirs, word=word, fingerprint=fingerprint)
     model = load_model(path)
     ours = TaxiNet(ARCHITECTURES[model.card.architecture], model.weights)
-    return NetworkPerception(ours, word=word, fingerprint=model.card.weights_sha256)
+    return NetworkPerception(ours, word=word, fingerprint=model.fingerprint)
 
 
 def _fingerprint(path: Path) -> str:
     if path.suffix == ONNX_SUFFIX:
         return tried_network(path)[1]
-    return load_model(path).card.weights_sha256
+    return load_model(path).fingerprint
 
 
 def _network_file(text: str) -> Path:

@@ -123,9 +123,8 @@ def load_card(path: Path) -> ModelCard:
         training_data=_sources(card, 'training_data'),
         validation_data=_sources(card, 'validation_data', least=0),
         varied=card.switch('varied'), augment=card.switch('augment'),
-        learning_rate=card.number('learning_rate', 0), errors=_errors(card.section(
-            'errors', ERROR_QUANTITIES
-        )),
+        learning_rate=card.number('learning_rate', 0),
+        errors=_errors(card.section('errors', ERROR_QUANTITIES)),
         start_sha256=card.text('start_sha256') if values.get('start_sha256') is not None else None,
         seed=card.whole('seed', 0), images=card.whole('images', 0),
         validation=card.whole('validation', 0), epochs=card.whole('epochs', 0),
@@ -180,6 +179,11 @@ class Model:
 
     card: ModelCard
     weights: Weights
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the weights, by which bags and tables know the network."""
+        return self.card.weights_sha256
 
 
 def weights_path(word_or_file: str | Path) -> Path:

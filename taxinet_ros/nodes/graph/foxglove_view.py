@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import os
 import socket
 import subprocess
 import tempfile
@@ -16,7 +15,7 @@ from collections.abc import Iterator
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes.foxglove_server import HOST, LOOKING_ON, NOT_INSTALLED
 from taxinet_ros.nodes.graph.node_process import node_command
-from taxinet_ros.processes.child import ChildProcess
+from taxinet_ros.processes.child import ChildProcess, package_environment
 
 
 def check_port(port: int) -> None:
@@ -50,8 +49,9 @@ def foxglove_view(port: int, domain: int) -> Iterator[None]:
     command += ['--ros-args', '-p', f'port:={port}']
     with tempfile.TemporaryFile() as errors:
         server = ChildProcess(
-            'foxglove', command, environment={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
-            stdout=subprocess.PIPE, stderr=errors, killed_with_parent=True, signals_held=True,
+            'foxglove', command, stdout=subprocess.PIPE, stderr=errors,
+            environment={**package_environment(), 'ROS_DOMAIN_ID': str(domain)},
+            killed_with_parent=True, signals_held=True,
         )
         try:
             assert server.process.stdout is not None

@@ -147,13 +147,31 @@ def namespace(words: Mapping[str, str]) -> str:
     Raises:
         UsageError: it is none.
     """
-    absolute = '/' + words['namespace'].strip('/')
+    return absolute_namespace(words['namespace'], 'namespace:=')
+
+
+def absolute_namespace(text: str, where: str) -> str:
+    """A namespace that somebody typed, absolute; ``/`` for none.
+
+    Args:
+        text: what was typed.
+        where: option or argument, for the complaint.
+
+    Raises:
+        UsageError: it is none.
+    """
+    absolute = '/' + text.strip('/')
     try:
         validate_namespace(absolute)
     except InvalidNamespaceException as error:
         reason = str(error).splitlines()[0].removeprefix('Invalid namespace: ')
-        raise UsageError(f'namespace:={words["namespace"]}: {reason}') from None
+        raise UsageError(f'{where}{text}: {reason}') from None
     return absolute
+
+
+def namespace_remaps(absolute: str) -> tuple[str, ...]:
+    """What puts a node into a namespace, its clock too."""
+    return f'__ns:={absolute}', ':='.join(CLOCK_REMAP)
 
 
 def environment(words: Mapping[str, str]) -> dict[str, str]:
@@ -261,7 +279,7 @@ def _elsewhere(name: str, word: str, words: Mapping[str, str]) -> NodePlan | Non
     Raises:
         UsageError: there is no such program.
     """
-    command = node_command(word, name, (f'__ns:={namespace(words)}', ':='.join(CLOCK_REMAP)))
+    command = node_command(word, name, namespace_remaps(namespace(words)))
     if command is None:
         return None
     if shutil.which(command[0]) is None:

@@ -76,7 +76,7 @@ class NodeProcess(ChildProcess):
     @classmethod
     def of_ours(
         cls, name: str, kind: type[Any], parameters: dict[str, Any], *, domain: int, log: Path,
-        scratch: Path,
+        scratch: Path, remaps: Sequence[str] = (),
     ) -> Self:
         """Start a node of this package; Linux kills it when its parent goes.
 
@@ -87,12 +87,16 @@ class NodeProcess(ChildProcess):
             domain: ROS domain that it joins.
             log: file that takes what it prints.
             scratch: folder of its parameter file, which must last as long as the process.
+            remaps: rules, ``FROM:=TO``.
         """
         words = node_command(kind.__module__)
+        options = [part for rule in remaps for part in ('-r', rule)]
         if parameters:
             file = scratch / f'{name}.yaml'
             file.write_text(yaml.safe_dump({'/**': {'ros__parameters': parameters}}))
-            words += ['--ros-args', '--params-file', str(file)]
+            options += ['--params-file', str(file)]
+        if options:
+            words += ['--ros-args', *options]
         return cls(name, words, domain=domain, log=log, ours=True)
 
     def kill(self) -> None:

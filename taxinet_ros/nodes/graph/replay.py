@@ -6,7 +6,6 @@ topics that the node hears, in lockstep, and stands in for everybody that hears 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import time
@@ -16,11 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -42,6 +38,7 @@ from taxinet_ros.nodes.messages.convert import scenario_message
 from taxinet_ros.nodes.messages.step import StepCollector
 from taxinet_ros.nodes.recorder import bag_name
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
 
 Step = tuple[int, Mapping[str, Sequence[bytes]]]
@@ -202,15 +199,15 @@ def replay(
     )
     kind, parameters = options.nodes()[target]
     per_step = len(request.judging.specs) if answer.recorded == interface.PER_SPEC else 1
-    with _spinning() as (executor, context, add):
+    with own_domain() as domain, NodeExecutor(domain) as spinning:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        add(kind(context=context, parameter_overrides=overrides))
+        spinning.add(kind(context=spinning.context, parameter_overrides=overrides))
         player = Player(
             scenario_message(request), _steps(recording, inputs), target=target, speaks=inputs,
-            answer=answer, per_step=per_step, executor=executor, context=context,
+            answer=answer, per_step=per_step, executor=spinning.executor, context=spinning.context,
         )
-        add(player)
-        spin_until(executor, player.finished)
+        spinning.add(player)
+        spin_until(spinning.executor, player.finished)
         return _columns(answer, player.answers)
 
 
@@ -252,29 +249,6 @@ def _steps(recording: Recording, inputs: tuple[Topic, ...]) -> Iterator[Step]:
             step.setdefault(names[message.topic.name], []).append(message.cdr)
         if len(step) == len(inputs):  # A run that broke down may have left a torn step.
             yield seq, step
-
-
-@contextlib.contextmanager
-def _spinning() -> Iterator[tuple[Any, Context, Any]]:
-    """An executor on a domain of its own, its context, and what adds a node to both."""
-    with own_domain() as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        executor = EventsExecutor(context=context)
-        nodes: list[Any] = []
-
-        def add(node: Any) -> None:
-            nodes.append(node)
-            executor.add_node(node)
-
-        try:
-            yield executor, context, add
-        finally:
-            for node in reversed(nodes):
-                executor.remove_node(node)
-                node.destroy_node()
-            executor.shutdown()
-            rclpy.try_shutdown(context=context)
 
 
 def _columns(answer: Topic, answers: dict[int, dict[str, list[Any]]]) -> Columns:

@@ -12,12 +12,9 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Protocol
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 
@@ -35,6 +32,7 @@ from taxinet_ros.nodes.mtl_monitor import MtlMonitor
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.recorder import Recorder
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
@@ -114,12 +112,12 @@ class GraphOptions:
         }
         return {name: word for name, word in words.items() if is_node_elsewhere(word)}
 
-    def commands(self) -> dict[str, list[str]]:
+    def commands(self, remaps: Sequence[str] = ()) -> dict[str, list[str]]:
         """Program and arguments of every node that somebody's command is, by node name.
 
-        The node is given the name that the graph knows it by.
+        The node is given the name that the graph knows it by, and ``remaps``, ``FROM:=TO`` each.
         """
-        found = {name: node_command(word, name) for name, word in self.elsewhere.items()}
+        found = {name: node_command(word, name, remaps) for name, word in self.elsewhere.items()}
         return {name: words for name, words in found.items() if words}
 
 
@@ -150,7 +148,7 @@ class Graph(Protocol):
     def interrupt(self) -> None:
         """End the run at hand as INTERRUPTED and come back from :meth:`run`."""
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """Have :meth:`run` raise KeyboardInterrupt now; False where it does not run."""
 
 
@@ -165,17 +163,12 @@ def composed_graph(
     with (
         own_domain() as domain,
         command_processes(options.commands(), domain, options.out / 'logs') as children,
+        NodeExecutor(domain, executor) as spinning,
     ):
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        graph = SampledGraph(context, executor, options.patience, children)
-        try:
-            for node, parameters in options.nodes().values():
-                graph.add(node(context=context, parameter_overrides=_overrides(parameters)))
-            yield graph
-        finally:
-            graph.close()
-            rclpy.try_shutdown(context=context)
+        for node, parameters in options.nodes().values():
+            overrides = _overrides(parameters)
+            spinning.add(node(context=spinning.context, parameter_overrides=overrides))
+        yield SampledGraph(spinning, options.patience, children)
 
 
 def _overrides(parameters: Mapping[str, Any]) -> list[Parameter]:
@@ -186,45 +179,43 @@ class SampledGraph:
     """A graph with a sampler in this process, beside whatever other nodes are added to it."""
 
     def __init__(
-        self, context: Context, executor: Callable[..., Any] = EventsExecutor,
-        patience: Mapping[str, float] = MappingProxyType({}),
-        children: Sequence[NodeProcess] = (),
+        self, spinning: NodeExecutor, patience: Mapping[str, float],
+        children: Sequence[NodeProcess],
     ) -> None:
-        """Spin on a context.
+        """Take over what spins.
 
         Args:
-            context: the caller's to shut down.
-            executor: makes one, from the keyword ``context``.
+            spinning: nodes of this process; the caller's to close.
             patience: parameters of the sampler.
             children: processes that are nodes of the graph: where one dies, its run ends.
         """
         self.children = children
-        self._context = context
+        self._spinning = spinning
         self._patience = patience
         self._interrupted = False
-        self._executor = executor(context=context)
-        self.nodes: list[Any] = []
         self._sampler: ScenarioSampler | None = None
 
     @property
     def domain(self) -> int:
         """See :class:`Graph`."""
-        return int(self._context.get_domain_id())
+        return int(self._spinning.context.get_domain_id())
 
     @property
     def seq(self) -> int:
         """The control step that the run at hand has reached, as far as the sampler has heard."""
         return self._sampler.seq if self._sampler is not None else -1
 
-    def add(self, node: Any) -> None:
-        """Spin a node too, and close it with the graph."""
-        self.nodes.append(node)
-        self._executor.add_node(node)
+    @property
+    def nodes(self) -> Sequence[Any]:
+        """The nodes of this process."""
+        return self._spinning.nodes
 
     def run(self, requests: Iterable[RunRequest], on_result: OnResult) -> None:
         """See :class:`Graph`."""
         overrides = _overrides(self._patience)
-        sampler = ScenarioSampler(context=self._context, parameter_overrides=overrides)
+        sampler = ScenarioSampler(
+            context=self._spinning.context, parameter_overrides=overrides
+        )
         self._sampler = sampler
         sampler.one_simulator = True
         if self._interrupted:
@@ -232,9 +223,9 @@ class SampledGraph:
         if self.children:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             sampler.create_timer(_POLL_S, functools.partial(self._watch, sampler), clock=steady)
-        self.add(sampler)
-        finished = sampler.start(self._executor, requests, on_result)
-        spin_until(self._executor, finished)
+        self._spinning.add(sampler)
+        executor = self._spinning.executor
+        spin_until(executor, sampler.start(executor, requests, on_result))
 
     def interrupt(self) -> None:
         """See :class:`Graph`."""
@@ -242,9 +233,9 @@ class SampledGraph:
         if self._sampler is not None:
             self._sampler.interrupt()
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """See :class:`Graph`."""
-        return self._sampler is not None and self._sampler.give_up()
+        return self._sampler is not None and self._sampler.abort()
 
     def _watch(self, sampler: ScenarioSampler) -> None:
         for child in self.children:
@@ -252,34 +243,23 @@ class SampledGraph:
                 continue
             if child.refused:
                 raise UsageError(child.refused)
-            sampler.mourn(child.name, child.how_it_ended())
-
-    def close(self) -> None:
-        """Take every node out of the graph."""
-        for node in reversed(self.nodes):
-            node.close()
-            self._executor.remove_node(node)
-            node.destroy_node()
-        self._executor.shutdown()
+            sampler.report_death(child.name, child.how_it_ended())
 
 
 @contextlib.contextmanager
 def process_graph(options: GraphOptions, logs: Path) -> Iterator[Graph]:
     """Every node but the sampler as a process of its own; ``logs`` takes what they print."""
-    with own_domain() as domain, node_processes(options, domain, logs) as children:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        graph = SampledGraph(context, patience=options.patience, children=children)
-        try:
-            yield graph
-        finally:
-            graph.close()
-            rclpy.try_shutdown(context=context)
+    with (
+        own_domain() as domain, node_processes(options, domain, logs) as children,
+        NodeExecutor(domain) as spinning,
+    ):
+        yield SampledGraph(spinning, options.patience, children)
 
 
 @contextlib.contextmanager
 def node_processes(
-    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = ()
+    options: GraphOptions, domain: int, logs: Path, without: tuple[str, ...] = (),
+    remaps: Sequence[str] = (),
 ) -> Iterator[list[NodeProcess]]:
     """Start every node of a graph but the sampler; none of them outlasts the ``with``.
 
@@ -288,19 +268,20 @@ def node_processes(
         domain: ROS domain that the nodes join.
         logs: folder that takes what each of them prints.
         without: names of nodes to leave out.
+        remaps: rules for every node, ``FROM:=TO``.
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []
     with (
         tempfile.TemporaryDirectory(prefix='taxinet-') as scratch,
-        command_processes(options.commands(), domain, logs) as of_others,
+        command_processes(options.commands(remaps), domain, logs) as of_others,
     ):
         try:
             for name, (kind, parameters) in options.nodes().items():
                 if name not in without:
                     children.append(NodeProcess.of_ours(
                         name, kind, parameters, domain=domain, log=logs / f'{name}.log',
-                        scratch=Path(scratch),
+                        scratch=Path(scratch), remaps=remaps,
                     ))
             yield [*children, *of_others]
         finally:

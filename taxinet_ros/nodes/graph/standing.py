@@ -6,17 +6,15 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
-
-import rclpy
-from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
+from typing import Protocol
 
 from taxinet_ros.nodes import interface
+from taxinet_ros.nodes.graph.launch_plan import namespace_remaps
 from taxinet_ros.nodes.graph.node_process import NodeProcess
 from taxinet_ros.nodes.graph.runner import GraphOptions, node_processes
 from taxinet_ros.nodes.graph.supervisor import SupervisionOptions, Supervisor
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
 from taxinet_ros.processes.child import IN_ORDER, end_all
 
@@ -29,18 +27,32 @@ class UpOptions:
         graph: what it is made of; its ``out`` takes the logs too.
         record: whether there is a recorder.
         domain: ROS domain; None for one of its own.
+        namespace: absolute, of every name of the graph, its clock included; graphs with namespaces
+            of their own may share a domain that is set.
         care: how it is looked after.
     """
 
     graph: GraphOptions
     record: bool = True
     domain: int | None = None
+    namespace: str = '/'
     care: SupervisionOptions = field(default_factory=SupervisionOptions)
 
     @property
     def logs(self) -> Path:
         """Folder of the nodes' logs."""
         return self.graph.out / 'logs'
+
+    @property
+    def remaps(self) -> tuple[str, ...]:
+        """What puts each node into the namespace."""
+        return namespace_remaps(self.namespace) if self.namespace != '/' else ()
+
+    @property
+    def ros_arguments(self) -> list[str]:
+        """The same on a command line."""
+        options = [part for rule in self.remaps for part in ('-r', rule)]
+        return ['--ros-args', *options] if options else []
 
     @property
     def participants(self) -> tuple[str, ...]:
@@ -80,20 +92,19 @@ def run_standing_graph(
     """
     without = () if options.record else (interface.RECORDER,)
     with (
-        own_domain(options.domain) as domain,
-        node_processes(options.graph, domain, options.logs, without) as processes,
-        _ros(domain) as (context, executor),
+        own_domain(options.domain, options.namespace) as domain,
+        node_processes(options.graph, domain, options.logs, without, options.remaps) as processes,
+        NodeExecutor(domain) as spinning,
         _in_order(processes),
     ):
-        supervisor = Supervisor(processes, options.care, shown.say, context=context)
-        executor.add_node(supervisor)
+        supervisor = Supervisor(
+            processes, options.care, shown.say, context=spinning.context,
+            cli_args=options.ros_arguments,
+        )
+        spinning.add(supervisor)
         on_stop(supervisor.stop)
-        try:
-            with shown.watching(supervisor, domain):
-                spin_until(executor, supervisor.ended)
-        finally:
-            executor.remove_node(supervisor)
-            supervisor.destroy_node()
+        with shown.watching(supervisor, domain):
+            spin_until(spinning.executor, supervisor.ended)
 
 
 @contextlib.contextmanager
@@ -104,15 +115,3 @@ def _in_order(processes: list[NodeProcess]) -> Iterator[None]:
     except KeyboardInterrupt:
         end_all(processes, ())
         raise
-
-
-@contextlib.contextmanager
-def _ros(domain: int) -> Iterator[tuple[Context, Any]]:
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    executor = EventsExecutor(context=context)
-    try:
-        yield context, executor
-    finally:
-        executor.shutdown()
-        rclpy.try_shutdown(context=context)

@@ -198,11 +198,11 @@ class RunWatch:
             f'{interface.RUN_SCENARIO}/_action/feedback', self._on_feedback, AT_LEISURE,
         )
         obituaries = interface.OBITUARY
-        node.create_subscription(NodeStatus, obituaries.name, self._on_obituary, obituaries.qos)
-        self._obituaries = node.create_publisher(NodeStatus, obituaries.name, obituaries.qos)
+        node.create_subscription(NodeStatus, obituaries.name, self._on_death_notice, obituaries.qos)
+        self._death_notices = node.create_publisher(NodeStatus, obituaries.name, obituaries.qos)
         self._cancel = node.create_client(_CANCEL, f'{interface.RUN_SCENARIO}/_action/cancel_goal')
 
-    def mourn(self, name: str, detail: str) -> None:
+    def report_death(self, name: str, detail: str) -> None:
         """A node's process is dead: have the run at hand end at once, with the reason.
 
         A run is at hand as soon as one is begun, though it may be heard of only after the death.
@@ -214,7 +214,7 @@ class RunWatch:
     def _tell(self, name: str, detail: str) -> None:
         if (self.run_id, name) not in self._told:
             self._told.add((self.run_id, name))
-            self._obituaries.publish(death_notice(self.run_id, name, detail, seq=self.seq))
+            self._death_notices.publish(death_notice(self.run_id, name, detail, seq=self.seq))
 
     def interrupt(self) -> bool:
         """Have the run at hand ended as INTERRUPTED, whoever asked for it; False if there is none.
@@ -259,7 +259,7 @@ class RunWatch:
             words = [str(status.outcome), status.kind, status.who, status.detail]
             self._say(f'run {status.run_id}: {" ".join(word for word in words if word)}')
 
-    def _on_obituary(self, notice: NodeStatus) -> None:
+    def _on_death_notice(self, notice: NodeStatus) -> None:
         if notice.node == interface.SIMULATOR:
             self._end(lost_run_status(notice))
 
@@ -383,9 +383,9 @@ class Supervisor(Node):
             return
         for watched in self.nodes:
             if watched.process.dead:
-                self._bury(watched, now_s)
+                self._handle_death(watched, now_s)
             elif watched.state is not State.STARTING:
-                self._feel(watched, now_s)
+                self._check_answering(watched, now_s)
             else:
                 watched.pulse.ask(now_s)
         self._look_for_strangers()
@@ -443,7 +443,7 @@ class Supervisor(Node):
 
     # Death and silence -----------------------------------------------------------------------
 
-    def _bury(self, watched: WatchedNode, now_s: float) -> None:
+    def _handle_death(self, watched: WatchedNode, now_s: float) -> None:
         """Name the dead, have its run ended, and start it anew if that is allowed."""
         if watched.state is State.DEAD:
             return
@@ -451,7 +451,7 @@ class Supervisor(Node):
         watched.become(State.DEAD, now_s)
         if watched.process.refused:
             raise UsageError(watched.process.refused)
-        self.runs.mourn(watched.name, detail)
+        self.runs.report_death(watched.name, detail)
         number = watched.limit.spend(now_s)
         if not number:
             raise GraphLostError(self._too_often(watched, detail))
@@ -470,7 +470,7 @@ class Supervisor(Node):
             words += f'; it has died {self._care.limit + 1} times in {self._care.window_s:g} s'
         return f'{words}; {_logs([watched])}'
 
-    def _feel(self, watched: WatchedNode, now_s: float) -> None:
+    def _check_answering(self, watched: WatchedNode, now_s: float) -> None:
         """Name a node that does not answer, and one that answers again."""
         watched.pulse.ask(now_s)
         silence_s = now_s - watched.pulse.heard_s

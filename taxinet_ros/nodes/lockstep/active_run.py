@@ -152,7 +152,7 @@ class ActiveRun:
         """Participants that have said that they subscribe to a topic."""
         return {node for node, topics in self.listens.items() if topic in topics}
 
-    def heard(self) -> None:
+    def reset_watchdog(self) -> None:
         """Somebody answered: the watchdog starts anew."""
         self.last_heard = time.monotonic()
 

@@ -202,7 +202,7 @@ class Speakers:
         """The run is over: who comes is no stranger any more."""
         self._pinned = False
 
-    def unsettled_by(self, participants: Collection[str]) -> Stranger | None:
+    def early_stranger(self, participants: Collection[str]) -> Stranger | None:
         """Who keeps the speakers of a run that has not begun from being alone."""
         wanted = self.wanted(participants)
         tolerated = self._tolerated(wanted)
@@ -220,7 +220,7 @@ class Speakers:
         """Who has come to a run that goes on, as far as the graph knows now."""
         return self._newcomer() if self._pinned else None
 
-    def stirred(self) -> bool:
+    def may_have_changed(self) -> bool:
         """Whether there may be somebody: a look that costs a few microseconds."""
         return self._pinned and self._node.count_publishers(self._name) != len(self._known)
 
@@ -316,7 +316,7 @@ class HeardSpeakers(Speakers):
             self._ever = ever
         return found
 
-    def stirred(self) -> bool:
+    def may_have_changed(self) -> bool:
         """See :class:`Speakers`."""
         return self._pinned and self._matched_ever() != self._ever
 
@@ -335,7 +335,7 @@ def first_stranger(topics: Iterable[Speakers], thorough: bool = False) -> Strang
     """
     found = [
         stranger for topic in topics
-        if (thorough or topic.stirred()) and (stranger := topic.stranger()) is not None
+        if (thorough or topic.may_have_changed()) and (stranger := topic.stranger()) is not None
     ]
     found.sort(key=lambda stranger: stranger.name == UNKNOWN)
     return found[0] if found else None

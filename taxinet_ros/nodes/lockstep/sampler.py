@@ -77,7 +77,7 @@ class ScenarioSampler(Node):
         self._limits = (given['server_timeout'], given['silence_timeout'])
         self._client = _RunClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
         topic = interface.OBITUARY
-        self._obituaries = self.create_publisher(topic.type, topic.name, topic.qos)
+        self._death_notices = self.create_publisher(topic.type, topic.name, topic.qos)
         self._goal: Any = None
         self._asked_of: set[Gid] = set()
         self._dead: set[Gid] = set()
@@ -115,21 +115,22 @@ class ScenarioSampler(Node):
         if self._goal is not None:
             self._goal.cancel_goal_async()
 
-    def give_up(self) -> bool:
+    def abort(self) -> bool:
         """Wait for no answer: the campaign ends with KeyboardInterrupt. False where none is on."""
         if self._finished is None or self._finished.done():
             return False
         self._finished.set_exception(KeyboardInterrupt())
         return True
 
-    def mourn(self, node: str, detail: str) -> None:
+    def report_death(self, node: str, detail: str) -> None:
         """A node's process is known to be dead: end its run at once, with the reason."""
         if self._request is None or self._answer is None or self._answer.done():
             return
         if node == interface.SIMULATOR:
             self._lose_simulator(InfraKind.DIED, detail)
         else:
-            self._obituaries.publish(death_notice(self._request.run_id, node, detail, seq=self.seq))
+            notice = death_notice(self._request.run_id, node, detail, seq=self.seq)
+            self._death_notices.publish(notice)
 
     def _lose_simulator(self, kind: str, detail: str) -> None:
         """End the run in its stead."""
@@ -137,7 +138,7 @@ class ScenarioSampler(Node):
         assert self._answer is not None
         if kind == InfraKind.DIED:
             self._dead |= self._asked_of
-        self._obituaries.publish(death_notice(
+        self._death_notices.publish(death_notice(
             self._request.run_id, interface.SIMULATOR, detail, kind=kind, seq=self.seq
         ))
         self._answer.set_result(RunResult.infra_error(kind, interface.SIMULATOR, detail, self.seq))

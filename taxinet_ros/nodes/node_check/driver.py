@@ -22,7 +22,6 @@ import numpy as np
 import psutil
 import rclpy
 from rclpy.context import Context
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
@@ -62,6 +61,7 @@ from taxinet_ros.nodes.node_check.record import (
     Run,
 )
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_for
 
 START_S: Final = 30.0
@@ -161,18 +161,12 @@ def _standing(domain: int) -> Role:
 
 @contextlib.contextmanager
 def _stage(options: CheckOptions, role: Role, domain: int) -> Iterator[Stage]:
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    executor = EventsExecutor(context=context)
-    stage = None
-    try:
-        stage = Stage(options, role, domain, context, executor)
-        yield stage
-    finally:
-        if stage is not None:
+    with NodeExecutor(domain) as spinning:
+        stage = Stage(options, role, domain, spinning)
+        try:
+            yield stage
+        finally:
             stage.close()
-        executor.shutdown()
-        rclpy.try_shutdown(context=context)
 
 
 class SilenceError(Exception):
@@ -183,14 +177,14 @@ class Stage:
     """The graph without the node that is checked, and what that node does on it."""
 
     def __init__(
-        self, options: CheckOptions, role: Role, domain: int, context: Context, executor: Any
+        self, options: CheckOptions, role: Role, domain: int, spinning: NodeExecutor
     ) -> None:
         """Put up all nodes but the one that is checked, and start that one.
 
         What the node's readiness is tried with is left out at first: who sends its input, and one
         who hears its answers.
         """
-        self._options, self._role, self._executor = options, role, executor
+        self._options, self._role, self._executor = options, role, spinning.executor
         self._record = Record(
             role=role, ours=options.start is not None, patience_s=options.patience_s,
         )
@@ -199,11 +193,12 @@ class Stage:
         self._publishers: dict[str, Publisher] = {}
         self._nodes = {
             name: Node(
-                name, context=context, enable_rosout=False, start_parameter_services=False,
+                name, context=spinning.context, enable_rosout=False,
+                start_parameter_services=False,
             ) for name in (interface.SIMULATOR, *interface.PARTICIPANTS) if name != role.node
         }
         for node in self._nodes.values():
-            executor.add_node(node)
+            spinning.add(node)
         self._ours = self._own_participant()
         self._late_ear = (interface.MTL_MONITOR, role.answers)
         for topic in interface.TOPICS:
@@ -219,12 +214,9 @@ class Stage:
         self._process = options.start(role, domain, options.log) if options.start else None
 
     def close(self) -> None:
-        """End the node, and take the rest of the graph down."""
+        """End the node, if it was started here."""
         if self._process is not None:
             self._process.end()
-        for node in self._nodes.values():
-            self._executor.remove_node(node)
-            node.destroy_node()
 
     def _own_participant(self) -> tuple[int, ...]:
         """The kit's participant of DDS, which all its ends have in common."""
@@ -485,10 +477,10 @@ class Stage:
         for seq in range(2):
             self._ask(run, Question(seq=seq, truth=self._truth(seq)))
         for kind, seq in (('twice', 1), ('late', 0)):
-            self._tease(run, Question(seq=seq, truth=self._truth(seq), kind=kind))
+            self._send_unexpected(run, Question(seq=seq, truth=self._truth(seq), kind=kind))
         if self._role.word == 'controller':
             question = Question(seq=2, truth=self._truth(2), kind='another run')
-            self._tease(run, question, run_id=f'{run.run_id}-other')
+            self._send_unexpected(run, question, run_id=f'{run.run_id}-other')
         self._ask(run, Question(seq=3, truth=self._truth(3)))
         self._finish()
 
@@ -505,7 +497,7 @@ class Stage:
                 run = self._begin('strange')
                 self._await_ready(run, _READY_FACTOR * self._options.patience_s)
                 question = Question(seq=0, truth=self._truth(0), kind=kind)
-                self._tease(run, question, image=_image(change, self._picture(0)))
+                self._send_unexpected(run, question, image=_image(change, self._picture(0)))
                 self._finish()
         run = self._begin('after')
         self._await_ready(run, _READY_FACTOR * self._options.patience_s)
@@ -531,11 +523,11 @@ class Stage:
         self._until(lambda: run.ready or run.errors or self._dead(), within_s)
         run.ready_s = time.monotonic() - begun_s
         if not run.ready:
-            self._give_up(run)
+            self._abandon(run)
         # As the simulator does.
         if not self._until(lambda: self._matched() or self._dead(), within_s):
             run.unmatched = tuple(self._unmatched())
-            self._give_up(run)
+            self._abandon(run)
         self._say(interface.RUN_STATUS, _run_status(run, RunStatus.RUNNING))
 
     def _ask_all(self, run: Run) -> None:
@@ -551,9 +543,9 @@ class Stage:
         )
         if not question.answers:
             question.missed = True
-            self._give_up(run)
+            self._abandon(run)
 
-    def _tease(
+    def _send_unexpected(
         self, run: Run, question: Question, *, image: Image | None = None, run_id: str = ''
     ) -> None:
         """Send a message that need not be answered, and see, as long as an answer may take."""
@@ -567,9 +559,9 @@ class Stage:
         )
         self._until(lambda: run.errors or self._dead(), _MOMENT_S)
         if self._dead():
-            self._give_up(run)
+            self._abandon(run)
 
-    def _give_up(self, run: Run) -> None:
+    def _abandon(self, run: Run) -> None:
         run.given_up = not self._dead()
         if not run.given_up or run.errors:
             self._say(interface.RUN_STATUS, _run_status(run, RunStatus.ENDED))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
 import time
@@ -64,11 +65,11 @@ _CHOICE = 100
 """Number of domains to choose from: the ports of those above are given away by Linux."""
 # Each graph begins where the one before ended, so that none meets what lingers of its predecessor.
 _domains = itertools.cycle([*range(1 + os.getpid() % 100, 101), *range(1, 1 + os.getpid() % 100)])
-_made_sure_of: set[int] = set()
+_made_sure_of: set[tuple[int, str]] = set()
 
 
 @contextlib.contextmanager
-def own_domain(wanted: int | None = None) -> Iterator[int]:
+def own_domain(wanted: int | None = None, namespace: str = '/') -> Iterator[int]:
     """Reserve a ROS domain id that nobody else uses, whether he reserves it or not.
 
     Discovery stays on this machine unless the user has set another range. Of the domains from 1 to
@@ -80,6 +81,8 @@ def own_domain(wanted: int | None = None) -> Iterator[int]:
 
     Args:
         wanted: the domain to have; else that of ``TAXINET_DOMAIN_ID``; else one that is free.
+        namespace: of the graph, absolute; where it has one, a domain that was set may be that of
+            other graphs too, which have others.
 
     Raises:
         UsageError: a domain that was set by hand is none, or belongs to another graph; or there is
@@ -89,8 +92,8 @@ def own_domain(wanted: int | None = None) -> Iterator[int]:
         wanted = domain_by_hand()
     with _localhost(), _free() if wanted is None else _reserved(wanted) as (domain, alone):
         if wanted is not None:
-            refuse_neighbours(domain)
-        if not alone:
+            refuse_neighbours(domain, namespace)
+        if not alone and namespace == '/':
             raise UsageError(
                 f'ROS domain {domain} is taken: another graph that starts on this machine has '
                 f'reserved it (TCP port {PORT_BASE + domain}); set another one'
@@ -145,23 +148,28 @@ def domain_number(text: str, where: str) -> int:
     return int(text)
 
 
-def refuse_neighbours(domain: int) -> None:
+def refuse_neighbours(domain: int, namespace: str = '/') -> None:
     """See that no other graph is on a domain; once in a process, some seconds if somebody is there.
+
+    Args:
+        domain: where to look.
+        namespace: absolute; graphs with other ones do not count.
 
     Raises:
         UsageError: names the node that is there, and says how to mend it.
     """
-    if domain in _made_sure_of:
+    clock = f'{namespace.rstrip("/")}{interface.CLOCK.name}'
+    if (domain, clock) in _made_sure_of:
         return  # What lingers there is left over from a graph of our own.
     look_s = _LOOK_S
     if anybody_here(domain) is False:
         if not _looks_far():
             return
         look_s = _LOOK_FAR_S
-    found = _found(domain, clock_keepers, look_s)
+    found = _found(domain, functools.partial(clock_keepers, clock=clock), look_s)
     if found:
-        raise UsageError(another_graph(domain, found))
-    _made_sure_of.add(domain)
+        raise UsageError(another_graph(domain, found, clock))
+    _made_sure_of.add((domain, clock))
 
 
 def _is_free(domain: int) -> bool:
@@ -206,9 +214,9 @@ def require_free_domain() -> None:
         refuse_neighbours(domain)
 
 
-def clock_keepers(node: Node) -> list[str]:
-    """Full names of all nodes that publish the clock, as far as ``node`` knows them by name."""
-    found = node.get_publishers_info_by_topic(interface.CLOCK.name)
+def clock_keepers(node: Node, clock: str = interface.CLOCK.name) -> list[str]:
+    """Full names of all nodes that publish a clock, as far as ``node`` knows them by name."""
+    found = node.get_publishers_info_by_topic(clock)
     return sorted(
         f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in found
         # A publisher may be known a moment before the node that it belongs to.
@@ -216,12 +224,12 @@ def clock_keepers(node: Node) -> list[str]:
     )
 
 
-def another_graph(domain: int, names: list[str]) -> str:
+def another_graph(domain: int, names: list[str], clock: str = interface.CLOCK.name) -> str:
     """One line for somebody whose graph would meet another one."""
     they = ' and '.join(names)
     verb = 'publishes' if len(names) == 1 else 'publish'
     return (
-        f'another graph is on ROS domain {domain}: {they} {verb} /clock; end it (one that was '
+        f'another graph is on ROS domain {domain}: {they} {verb} {clock}; end it (one that was '
         'killed is forgotten after some 20 s), or set another ROS_DOMAIN_ID'
     )
 

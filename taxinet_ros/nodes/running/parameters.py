@@ -197,7 +197,7 @@ class Usage:
         return '\n'.join(sections)
 
 
-def spoken(node: str) -> tuple[str, ...]:
+def published_topics(node: str) -> tuple[str, ...]:
     """Topics of the graph on which a node speaks."""
     topics = (
         *interface.TOPICS, interface.OBITUARY, *interface.TRANSFORMS, interface.DIAGNOSTICS,
@@ -206,7 +206,7 @@ def spoken(node: str) -> tuple[str, ...]:
     return tuple(topic.name for topic in topics if node in topic.publishers)
 
 
-def heard(node: str, *but: str) -> tuple[str, ...]:
+def subscribed_topics(node: str, *but: str) -> tuple[str, ...]:
     """Topics of the graph that a node hears, some left out."""
     names = interface.PARTICIPANTS
     found = [topic.name for topic in interface.TOPICS if node in topic.listeners(names)]

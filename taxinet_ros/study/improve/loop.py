@@ -240,9 +240,9 @@ class Improvement:
             return code, None
         found = self._judged(falsify_name(number))
         failed = sum(row.outcome is Outcome.FAIL for row in found)
-        sha256 = load_model(self._out / incumbent).card.weights_sha256
+        fingerprint = load_model(self._out / incumbent).fingerprint
         if not failed:
-            return 0, Round(number=number, incumbent=sha256, searched=len(found), failed=0)
+            return 0, Round(number=number, incumbent=fingerprint, searched=len(found), failed=0)
         campaigns = [
             falsify_name(earlier) for earlier in range(1, number + 1)
         ]
@@ -250,9 +250,9 @@ class Improvement:
             return code, None
         analysis = self._analysis(number)
         return 0, Round(
-            number=number, incumbent=sha256, searched=len(found), failed=failed,
+            number=number, incumbent=fingerprint, searched=len(found), failed=failed,
             causes=_words(analysis['causes']), clusters=_words(analysis['clusters']),
-            candidate=load_model(self._out / candidate_weights(number)).card.weights_sha256,
+            candidate=load_model(self._out / candidate_weights(number)).fingerprint,
             decision=decide(
                 self._judged(incumbent_name(number)), self._judged(candidate_name(number)),
                 options.alpha, margin=options.margin, place_margin=options.place_margin,

@@ -54,7 +54,7 @@ LOCKED = {'heading_gain': 0.0}
 def row_of(trial: Trial, scene: Scenario, index: int, perception: str) -> RunRow:
     return RunRow(
         run_id=trial.run_id, index=index, program='s_falsif', seed=3, perception=perception,
-        perception_fingerprint=check_perception(perception), sampler='random', weight=1.0,
+        fingerprint=check_perception(perception), sampler='random', weight=1.0,
         **scene.to_columns(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
         robustness={SPEC: trial.robustness},
         stopped_early=False, left_runway=trial.left_runway,

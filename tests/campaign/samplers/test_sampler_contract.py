@@ -1,4 +1,7 @@
-"""What every sampler of the table has to do, and what making one refuses."""
+"""What the samplers say of weights and of what they learn, and what making one refuses.
+
+What every sampler has to do is checked by the contract kit (tests/test_testing.py).
+"""
 
 from __future__ import annotations
 
@@ -33,20 +36,6 @@ def run(name: str, seed: int, rho=bowl, **options: str | float) -> list[Point]:
         points.append(point)
         sampler.tell(index, rho(point))
     return points
-
-
-@pytest.mark.parametrize('name', SAMPLERS)
-def test_given_a_sampler_when_run_then_its_points_are_quantiles_and_follow_from_the_seed(
-    name: str,
-) -> None:
-    points = run(name, 1)
-    assert len(points) == RUNS
-    for point in points:
-        assert len(point) == len(SPACE)
-        assert all(type(each) is float and 0 <= each < 1 for each in point)
-        assert SPACE[1].bin(point[1]) in (0, 2)
-    assert run(name, 1) == points
-    assert run(name, 2) != points
 
 
 @pytest.mark.parametrize('name', SAMPLERS)

@@ -41,10 +41,10 @@ def test_given_a_network_that_fails_then_one_command_learns_from_it_and_judges(t
     assert made['pairs'] == 2
     assert made['failed_now'] == int((tables[2].outcome == 'FAIL').sum())
     card = load_model(out / 'round-1-train' / 'candidate.safetensors').card
-    original = load_model(SHIPPED['original']).card.weights_sha256
+    original = load_model(SHIPPED['original']).fingerprint
     assert card.start_sha256 == line['incumbent'] == original
     assert [data.kind for data in card.training_data] == ['program', 'runs']
-    best = load_model(out / 'best.safetensors').card.weights_sha256
+    best = load_model(out / 'best.safetensors').fingerprint
     assert best == (card.weights_sha256 if made['accepted'] else original)
     assert ('ACCEPTED' if made['accepted'] else 'REJECTED') in ended.stdout
 

@@ -10,6 +10,7 @@ import pytest
 from network_samples import frame, random_weights, save_sample
 from onnx_samples import save
 
+from taxinet_ros import testing
 from taxinet_ros.core.perception.network import CTE_SCALE_M, HE_SCALE_RAD
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
@@ -27,20 +28,18 @@ TRUTH = TrackingError(cte_m=-1.5, he_rad=0.2)
 
 @pytest.fixture(params=[*perception_names(), 'weights', 'onnx'])
 def perception(request: pytest.FixtureRequest, tmp_path: Path) -> Perception:
-    """The contract kit runs over every perception there is."""
+    """Every perception there is; tests/test_testing.py runs the contract kit over those named."""
     files = {'weights': save_sample, 'onnx': save}
     if request.param in files:
         return make_perception(str(files[request.param](tmp_path)))
     return make_perception(request.param)
 
 
-def test_given_any_perception_when_asked_then_there_is_one_finite_estimate(
-    perception: Perception,
+@pytest.mark.parametrize('make', [save_sample, save], ids=['weights', 'onnx'])
+def test_given_a_network_in_a_file_when_checked_by_the_contract_kit_then_it_passes(
+    make, tmp_path: Path
 ) -> None:
-    estimate = perception.estimate(frame(), TRUTH)
-    assert isinstance(estimate, TrackingError)
-    assert estimate.usable
-    assert (type(estimate.cte_m), type(estimate.he_rad)) == (float, float)
+    testing.check_perception(str(make(tmp_path)))
 
 
 def test_given_any_perception_when_asked_again_later_then_the_estimate_is_equal(
@@ -49,21 +48,6 @@ def test_given_any_perception_when_asked_again_later_then_the_estimate_is_equal(
     first = perception.estimate(frame(1), TRUTH)
     perception.estimate(frame(2), TrackingError(cte_m=3.0, he_rad=-0.1))
     assert perception.estimate(frame(1), TRUTH) == first
-
-
-def test_given_any_perception_when_asked_then_the_frame_is_left_alone(
-    perception: Perception,
-) -> None:
-    image = frame(4)
-    perception.estimate(image, TRUTH)
-    assert np.array_equal(image, frame(4))
-
-
-def test_given_any_perception_when_it_has_nothing_to_go_by_then_the_estimate_is_invalid(
-    perception: Perception,
-) -> None:
-    assert perception.estimate(None, None) == NO_ESTIMATE
-    assert not NO_ESTIMATE.usable
 
 
 def test_given_any_perception_when_described_then_word_fingerprint_and_need_agree(

@@ -114,15 +114,19 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     'card with a gap': (drop_entry, "'seed' is missing"),
     'card with a surprise': (entries(licence='none'), 'licence: unknown key'),
     'unknown architecture': (entries(architecture='resnet'), f'known: {DEFAULT_ARCHITECTURE}'),
-    'count a word': (entries(images='many'),
-        "images: expected a whole number, 0 or more, got 'many'"),
-    'count a switch': (entries(epochs=True),
-        'epochs: expected a whole number, 0 or more, got True'),
-    'rate not finite': (entries(learning_rate=float('nan')),
-        'learning_rate: expected a number, 0 or more, got nan'),
+    'count a word': (
+        entries(images='many'), "images: expected a whole number, 0 or more, got 'many'",
+    ),
+    'count a switch': (
+        entries(epochs=True), 'epochs: expected a whole number, 0 or more, got True',
+    ),
+    'rate not finite': (
+        entries(learning_rate=float('nan')), 'learning_rate: expected a number, 0 or more, got nan',
+    ),
     'errors not a table': (entries(errors=[]), 'errors: expected KEY: VALUE pairs'),
-    'errors negative': (entries(errors={'cte_m': {'mae': -1}, 'he_deg': {}}),
-        'errors.cte_m.mae: expected'),
+    'errors negative': (
+        entries(errors={'cte_m': {'mae': -1}, 'he_deg': {}}), 'errors.cte_m.mae: expected',
+    ),
     'date no text': (entries(date=20260131), 'date: expected a word, got 20260131'),
     'switch a count': (entries(varied=1), 'varied: expected true or false, got 1'),
     'nothing learnt from': (entries(training_data=[]), 'training_data: expected a list'),

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import threading
 from importlib.machinery import ExtensionFileLoader, ModuleSpec
 from types import ModuleType
@@ -165,6 +166,31 @@ def test_given_a_signal_while_a_library_is_loaded_then_it_comes_when_that_is_don
     with signals_handled(raise_interrupt), pytest.raises(KeyboardInterrupt):
         be_loaded()
     assert seen == ['on', 'loaded']
+
+
+def test_given_a_signal_while_an_executor_of_ros_is_destroyed_then_it_comes_when_that_is_done():
+    """An exception in there would abort the process: a destructor of C++ lets none out."""
+    seen: list[str] = []
+    names = {'__name__': 'rclpy.event_handler', 'seen': seen, 'os': os, 'signal': signal}
+    exec(textwrap.dedent("""
+        class Handler:
+            def __enter__(self): pass
+            def __exit__(self, *_):
+                os.kill(os.getpid(), signal.SIGINT)
+                seen.append('let go')
+    """), names)
+
+    def destroy() -> None:
+        with interrupts(lambda: seen.append('first')):
+            os.kill(os.getpid(), signal.SIGINT)
+            with names['Handler']():
+                pass
+            seen.append('destroyed')
+            threading.Event().wait()
+
+    with pytest.raises(KeyboardInterrupt):
+        destroy()
+    assert seen == ['first', 'let go', 'destroyed']
 
 
 def test_given_another_error_in_a_callback_then_it_is_told_as_ever(monkeypatch):

@@ -250,7 +250,7 @@ def test_f4_given_a_peer_that_is_noticed_by_nobody_meanwhile_then_the_verdict_is
 
 @pytest.mark.parametrize('who', [interface.SIMULATOR, interface.PERCEPTION])
 def test_f4_given_a_forged_obituary_then_the_run_is_spoilt_and_has_no_verdict(who, tmp_path):
-    def mourn(graph: Any) -> Any:
+    def report_death(graph: Any) -> Any:
         node = stack.enter_context(peer(graph))
         topic = interface.OBITUARY
         publisher = node.create_publisher(topic.type, topic.name, topic.qos)
@@ -258,7 +258,7 @@ def test_f4_given_a_forged_obituary_then_the_run_is_spoilt_and_has_no_verdict(wh
         publisher.publish(death_notice('run', who, 'said so'))
 
     with contextlib.ExitStack() as stack:
-        result = disturbed(tmp_path, mourn)
+        result = disturbed(tmp_path, report_death)
     assert (result.outcome, result.kind, result.who) == (Outcome.INFRA_ERROR, 'died', who)
     assert_bag_has_no_verdict(tmp_path / 'run', who)
 

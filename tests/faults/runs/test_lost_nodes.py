@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from fault_runs import once, request, run, steps_in
+from waiting import PATIENT_S
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.recovery import recover
@@ -46,8 +47,9 @@ def test_given_a_node_that_is_lost_at_any_step_then_the_run_names_it_and_the_bag
     step = random.Random(f'{number}{who}').randrange(3, 90)
     options = GraphOptions(
         perception='truth', out=tmp_path, images='none',
-        # The simulator is silent while it makes its first pictures.
-        timeouts={'answer_timeout': 2.0}, patience={'silence_timeout': 12.0},
+        # The simulator is silent while it makes its first pictures. Of the dead others know.
+        timeouts={'answer_timeout': 2.0 if number is signal.SIGSTOP else PATIENT_S},
+        patience={'silence_timeout': 12.0},
     )
     with process_graph(options, tmp_path / 'logs') as graph:
         pid = next(child.process.pid for child in graph.children if child.name == who)

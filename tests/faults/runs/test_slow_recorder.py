@@ -11,8 +11,8 @@ from fault_runs import grown, once, request, run, steps_in
 
 from taxinet_ros.bag.check.doctor import check_bag
 from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing
+from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
-from taxinet_ros.nodes.names import RECORDER
 
 pytestmark = pytest.mark.ros
 

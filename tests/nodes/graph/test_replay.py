@@ -21,8 +21,9 @@ STEPS = 121
 
 
 def columns(bag, target, **changes):
-    run = dataclasses.replace(open_recording(bag).run, **changes)
-    return replay(bag, run, target=target, perception=run.perception)
+    recording = open_recording(bag)
+    run = dataclasses.replace(recording.run, **changes)
+    return replay(recording, run, target=target, perception=run.perception)
 
 
 @pytest.mark.parametrize('target', TARGETS)

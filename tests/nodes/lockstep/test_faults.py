@@ -14,6 +14,8 @@ from taxinet_ros.core.scenario import scenario_from_human
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS
+from taxinet_ros.nodes.lockstep import sampler
+from taxinet_ros.nodes.messages.convert import scenario_message
 
 pytestmark = pytest.mark.ros
 
@@ -168,23 +170,16 @@ def test_given_an_interrupt_then_the_run_at_hand_ends_in_order_and_no_more_are_b
     assert not (tmp_path / 'two').exists()
 
 
-def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_reason(tmp_path):
-    from taxinet_ros.nodes.messages import convert
-
-    original = convert.scenario_message
-
+def test_given_an_impossible_scenario_in_a_request_then_it_is_rejected_with_a_reason(
+    tmp_path, monkeypatch
+):
     def broken(asked):
-        message = original(asked)
+        message = scenario_message(asked)
         message.cross_track_m = 99.0
         return message
 
-    import taxinet_ros.nodes.lockstep.sampler as sampler
-
-    sampler.scenario_message, kept = broken, sampler.scenario_message
-    try:
-        with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
-            (result,) = run(graph, request(duration=1.0))
-    finally:
-        sampler.scenario_message = kept
+    monkeypatch.setattr(sampler, 'scenario_message', broken)
+    with composed_graph(GraphOptions(perception='truth', out=tmp_path)) as graph:
+        (result,) = run(graph, request(duration=1.0))
     assert result.outcome is Outcome.REJECTED
     assert 'cross_track_m is 99' in result.detail

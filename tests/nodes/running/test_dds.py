@@ -48,7 +48,7 @@ def test_given_another_middleware_or_system_then_nothing_is_sure(monkeypatch):
 
 def test_given_nobody_there_then_only_who_may_be_on_other_machines_is_looked_for(monkeypatch):
     looked: list[float] = []
-    monkeypatch.setattr(domain, 'clock_keepers', lambda _: looked.append(1.0) or [])
+    monkeypatch.setattr(domain, 'clock_keepers', lambda *_, **__: looked.append(1.0) or [])
     monkeypatch.setattr(domain, '_LOOK_FAR_S', 0.1)
     with own_domain() as number:
         refuse_neighbours(number)

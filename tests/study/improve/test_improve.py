@@ -131,8 +131,8 @@ def test_given_no_candidate_that_is_better_then_the_network_stays_what_it_was(be
     code, rounds = go(options, out, Bench(out, failing))
     assert code == 0
     assert [one.decision.why for one in rounds] == ['not better beyond doubt'] * 2
-    start = load_model(options.start_path).card.weights_sha256
-    assert load_model(out / BEST).card.weights_sha256 == start == rounds[1].incumbent
+    start = load_model(options.start_path).fingerprint
+    assert load_model(out / BEST).fingerprint == start == rounds[1].incumbent
 
 
 def test_given_no_failure_then_the_loop_ends_there_and_says_so(begun):

@@ -40,7 +40,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
             ledger.intent(index, name)
             ledger.result(RunRow(
                 run_id=name, index=index, program='s', seed=told.seed, perception='original',
-                perception_fingerprint=told.nodes['perception'].fingerprint,
+                fingerprint=told.nodes['perception'].fingerprint,
                 outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
                 steps=told.steps,
                 **recorded.scenario.to_columns(),

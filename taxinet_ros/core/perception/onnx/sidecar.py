@@ -39,7 +39,7 @@ from pathlib import Path
 
 from taxinet_ros.core.perception.network import IMAGE_SHAPE
 from taxinet_ros.errors import UsageError
-from taxinet_ros.files.plain_values import Section, parse_yaml
+from taxinet_ros.files.plain_values import Section, expected, parse_yaml
 
 _ABOUT = 'onnx: '
 
@@ -185,9 +185,11 @@ def _crop(section: Section) -> tuple[int, int, int, int]:
     left, top, right, bottom = map(int, edges)
     whole = all(edge.is_integer() for edge in edges)
     if not (whole and left < right and top < bottom <= height):
-        raise section.wrong(
-            f'is {list(edges)}; write [left, top, right, bottom] in whole pixels with '
-            f'left < right <= {width} and top < bottom <= {height}', 'crop')
+        kind = (
+            f'[left, top, right, bottom] in whole pixels with left < right <= {width} and '
+            f'top < bottom <= {height}'
+        )
+        raise section.wrong(expected(kind, list(edges)), 'crop')
     return left, top, right, bottom
 
 

@@ -1,0 +1,15 @@
+"""What a run's bag tells: what was run, how it went, and what another requirement says of it."""
+
+import sys
+
+import taxinet_ros as tx
+
+recording = tx.open_recording(sys.argv[1])
+for run in recording:  # a bag may hold several runs
+    print(f'{run.run_id}: {run.scenario}')
+    trace = run.trace
+    print(f'{len(trace)} control steps, |CTE| at most {trace["cte_m"].abs().max():.2f} m')
+    found = run.judge('gentle=always(abs(steering) <= 20 deg)')
+    print(f'gentle: {found.verdict}, rho {found.lower:+.3f} to {found.upper:+.3f}')
+    commands = run.table('taxi_command')
+    print(f'nose wheel at most {commands["steering_angle"].abs().max():.3f} rad')
