@@ -118,8 +118,9 @@ class Run:
     def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
         world = self.make_world(self.scenario)
         for step in self.steps:
-            now = world.observe(picture=wanted(step.observation.seq))
-            if now.image is not None:
+            asked = wanted(step.observation.seq)
+            now = world.observe(picture=asked)
+            if asked and now.image is not None:
                 yield now.image
             if step is not self.steps[-1]:
                 world.advance(step.command)

@@ -137,6 +137,7 @@ def answering(answer):
     (lambda: tx.run(SHORT, specs=['usable', 'usable']), 'usable is given twice'),
     (lambda: tx.run(SHORT, specs='always[50:60](cte <= 1)'), 'always'),
     (lambda: tx.run(SHORT, stop_on='tired'), 'tired'),
+    (lambda: tx.run(SHORT, world='moon'), "world: 'moon' is unknown; known: kmwh"),
     (lambda: tx.run(SHORT).frame(21), 'no control step 21; it has 0 to 20'),
     (lambda: tx.render(SHORT, (400.0, 99.0, 0.0)), 'cross_track_m is 99, outside'),
     (lambda: tx.render(SHORT, t_s=-1.0), 't_s is -1'),
