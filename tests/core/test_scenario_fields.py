@@ -102,6 +102,11 @@ def test_given_the_rows_then_the_pages_list_them_all():
     assert sorted(re.findall(r'`(\w+)`', said)) == sorted(PARAMETERS)
     said = re.search(r'^\| `with (.*?) \| refused: they follow', scenic, re.MULTILINE)[1]
     assert re.findall(r'\w+', said) == list(PLANE_PROPERTIES.values())
+    tour = (ROOT / 'docs/tour.md').read_text(encoding='utf-8')
+    said = re.search(r'People write\n?(.*?)`--set` fixes', tour, re.DOTALL)[1]
+    assert re.findall(r'`(\w+)`', said) == list(HUMAN_KEYS)
+    for field in SCENARIO_FIELDS:
+        assert all(word in said for word in field.words), field.key
     columns = (ROOT / 'docs/falsification.md').read_text(encoding='utf-8')
     said = re.search(r'^\| (.*?) \| the scene \|$', columns, re.MULTILINE)[1]
     assert re.findall(r'`(\w+)`', said) == [field.column for field in SCENARIO_FIELDS]

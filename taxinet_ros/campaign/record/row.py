@@ -142,7 +142,7 @@ class RunRow:
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f'{column.name} is {value}')
+                raise ValueError(f'{_KEYS.get(column.name, column.name)} is {value}')
         try:
             parse_timing(self.timing)
         except UsageError as error:
@@ -296,7 +296,8 @@ class RunRow:
                 'robustness': _robustness(values),
             })
             for column in dataclasses.fields(cls):
-                check_kind(column.name, str(column.type), getattr(row, column.name))
+                name = _KEYS.get(column.name, column.name)
+                check_kind(name, str(column.type), getattr(row, column.name))
             row.check()
             return row
         except (AttributeError, KeyError, TypeError, ValueError) as error:

@@ -296,7 +296,7 @@ RUNS: dict[str, tuple[dict[str, Any], str]] = {
     'passed': ({'scenario': Scenario()}, 'satisfied phi_eventually with rho +0.30'),
     'broken': ({'outcome': Outcome.INFRA_ERROR}, 'INFRA_ERROR, so it was never judged'),
     'rejected': ({'outcome': Outcome.REJECTED, 'distance': None}, 'no scene was drawn'),
-    'other weights': ({'fingerprint': 'ab' * 32},
+    'other weights': ({'perception_fingerprint': 'ab' * 32},
                       'truth is without weights now, it was abababababab; --perception truth'),
     'lost file': ({'perception': 'gone.onnx'}, 'say with --perception where it is'),
 }
