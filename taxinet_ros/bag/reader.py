@@ -379,21 +379,6 @@ def _folder_trouble(path: Path, messages: int) -> list[str]:
     return []
 
 
-class DecodedMessage(NamedTuple):
-    """One message: topic name, log time [ns] and the object with its fields."""
-
-    topic: str
-    stamp_ns: int
-    message: Any
-
-
-def decoded_messages(path: Path, wanted: Wanted | None = None) -> Iterator[DecodedMessage]:
-    """Yield the decoded messages of a bag; errors as ``reader.read_messages``."""
-    for count, stored in enumerate(stored_messages(path, wanted)):
-        message = decode_of(path, stored, count)
-        yield DecodedMessage(stored.topic.name, stored.stamp_ns, message)
-
-
 def decode_of(path: Path, stored: StoredMessage, count: int) -> Any:
     """A message of the bag at ``path``, decoded; ``count`` sound ones were read before it.
 

@@ -285,7 +285,7 @@ def measure_searches(
     if repeats < 1:
         raise UsageError(f'bench: --repeats is {repeats}, needs to be 1 or more')
     samplers = [word for word in SAMPLERS if word in words] or [
-        word for word in SAMPLERS if word not in _SLOW
+        word for word in registry.SHIPPED[registry.SAMPLERS] if word not in _SLOW
     ]
     landscapes = [word for word in LANDSCAPES if word in words] or list(LANDSCAPES)
     cases = list(product(landscapes, samplers))

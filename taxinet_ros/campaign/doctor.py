@@ -333,7 +333,7 @@ def _verdict_of(bag: Path) -> str:
         return ''
     if told is None or not told.outcome:
         return ''
-    rho = ', '.join(f'{name} {one.upper:+.3f}' for name, one in told.judged.items())
+    rho = ', '.join(f'{name} {one.interval.upper:+.3f}' for name, one in told.judged.items())
     return f'; it says {told.outcome}{f" ({rho})" if rho else ""}'
 
 

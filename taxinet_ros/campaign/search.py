@@ -91,9 +91,7 @@ class Search:
         self.exhausted = False
         self.interrupted = False
         self._campaign = options.campaign
-        self.book = CampaignBook(
-            self._campaign, participants, on_row, resume=options.resume
-        )
+        self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._source = SceneSource(
             self._campaign.program, seed=self._campaign.seed,
             overrides=self._campaign.overrides, laid_over=self._campaign.laid_over,

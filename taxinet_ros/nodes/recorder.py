@@ -483,10 +483,10 @@ class Recorder(Participant):
         self._write(interface.SCENARIO, serialize_message(self._scenario_message), 0)
         for node, cdr in sorted(self._ready_for(self.run_id).items()):
             if node == interface.SIMULATOR:
-                timing = deserialize_message(cdr, NodeStatus).implementation
-                self._free |= is_free(timing)
-                if not timing:
-                    continue  # Every answer takes effect at once: nothing to say.
+                told = deserialize_message(cdr, NodeStatus)
+                self._free |= is_free(told.implementation)
+                if not (told.implementation or told.detail):
+                    continue  # Every answer takes effect at once, in our world: nothing to say.
             self._write(interface.NODE_STATUS, cdr, 0)
         self._write(interface.TF_STATIC, camera_transform(), 0)
 

@@ -157,17 +157,15 @@ def _mark(axes: Axes, verdict: SpecVerdict, last_s: float) -> None:
     colour = _COLOURS.get(verdict.verdict, _OPEN)
     if verdict.decided_s is not None:
         axes.axvline(verdict.decided_s, color=colour, clip_on=False, **_MOMENT)
-    if verdict.lower == verdict.upper:
-        axes.plot([last_s], [verdict.upper], marker='o', color=colour, markersize=6,
+    if verdict.interval.exact:
+        axes.plot([last_s], [verdict.interval.upper], marker='o', color=colour, markersize=6,
                   clip_on=False, zorder=5)
     axes.set_title(_words(verdict), fontsize=10, color=colour, loc='right', weight='bold')
 
 
 def _words(verdict: SpecVerdict) -> str:
     when = '' if verdict.decided_s is None else f', decided at {verdict.decided_s:.1f} s'
-    if verdict.lower == verdict.upper:
-        return f'{verdict.verdict}, rho {verdict.upper:+.3f}{when}'
-    return f'{verdict.verdict}, rho within [{verdict.lower:+.3f}, {verdict.upper:+.3f}]{when}'
+    return f'{verdict.verdict}, {verdict.interval.words()}{when}'
 
 
 def _legend() -> list[Artist]:

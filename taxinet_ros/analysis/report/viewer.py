@@ -227,8 +227,9 @@ def _words(facts: RunFacts) -> dict[str, str]:
     """What a person wants to know of a run, in the order in which they ask."""
     words = {'outcome': ' '.join(w for w in (facts.outcome, facts.kind, facts.detail) if w)}
     for name, judged in facts.judged.items():
-        ends = f'{judged.lower:.2f} … {judged.upper:.2f}'
-        words[f'ρ of {name}'] = f'{judged.lower:.2f}' if judged.final else ends
+        lower, upper = judged.interval
+        ends = f'{lower:.2f} … {upper:.2f}'
+        words[f'ρ of {name}'] = f'{lower:.2f}' if judged.final else ends
     if (perception := facts.nodes.get('perception')) is not None:
         words['perception'] = perception.implementation
     words['program'] = f'{facts.program}, seed {facts.seed}, run {facts.index}'

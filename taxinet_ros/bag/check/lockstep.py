@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.check.findings import Check, Finding, ranges
@@ -36,7 +36,7 @@ from taxinet_ros.bag.run.topics import (
     is_topic,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.mtl import parse_spec
+from taxinet_ros.core.mtl import RobustnessInterval, parse_spec
 from taxinet_ros.core.outcome import Outcome
 from taxinet_ros.core.pacing.timing import is_free
 from taxinet_ros.core.types import NS_PER_S
@@ -46,13 +46,6 @@ from taxinet_ros.errors import UsageError
 MOST_STEPS = 100_000
 """Steps beyond are not looked at: no run is nearly as long."""
 _KEPT = (TRUTH, ODOMETRY, ESTIMATE, COMMAND)
-
-
-class Interval(NamedTuple):
-    """Robust satisfaction interval of one formula after one step."""
-
-    lower: float
-    upper: float
 
 
 @dataclass
@@ -70,7 +63,7 @@ class RunRecord:
     once: dict[str, list[Any]] = field(default_factory=dict)
     counts: dict[str, dict[int, int]] = field(default_factory=dict)
     odometry: dict[int, Any] = field(default_factory=dict)
-    robustness: dict[int, dict[str, Interval]] = field(default_factory=dict)
+    robustness: dict[int, dict[str, RobustnessInterval]] = field(default_factory=dict)
     stamps: list[Finding] = field(default_factory=list)
     latest: dict[str, int] = field(default_factory=dict)
 
@@ -123,7 +116,7 @@ class RunRecord:
         if header is not None and stamp_of(message) != stamp:
             self._wrong(name, stamp, f'{name}: header says {stamp_of(message)} ns')
         if is_topic(name, ROBUSTNESS):
-            reading = Interval(float(message.rho_lower), float(message.rho_upper))
+            reading = RobustnessInterval(float(message.rho_lower), float(message.rho_upper))
             self.robustness.setdefault(step, {})[str(message.spec)] = reading
         if is_topic(name, ODOMETRY):
             self.odometry.setdefault(step, message)
@@ -344,7 +337,7 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
     if steps <= last_seq(record):
         found.append(Finding(where=f'step {steps}', what='no samples from here on'))
     elif steps:
-        last = {name: Interval(all_[-1].lower, all_[-1].upper) for name, all_ in judged.items()}
+        last = {name: all_[-1].interval for name, all_ in judged.items()}
         found += _verdict_troubles(record, last)
     return steps, found
 
@@ -363,7 +356,7 @@ def _whole(samples: RunSamples, most: int) -> RunSamples:
     )
 
 
-def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[Finding]:
+def _verdict_troubles(record: RunRecord, readings: dict[str, RobustnessInterval]) -> list[Finding]:
     """What the run's judgement says against the one made here."""
     verdict = next(iter(record.once.get(VERDICT, ())), None)
     if verdict is None:
@@ -371,16 +364,16 @@ def _verdict_troubles(record: RunRecord, readings: dict[str, Interval]) -> list[
     found = []
     for spec in verdict.specs:
         here = readings.get(str(spec.spec))
-        told = Interval(float(spec.rho_lower), float(spec.rho_upper))
+        told = RobustnessInterval(float(spec.rho_lower), float(spec.rho_upper))
         if here is None or not same_bits(told, here):
             text = f'{spec.spec}: recorded {_words(told)}, from the truth {_words(here)}'
             found.append(Finding(where=VERDICT, what=text))
     outcome = record.ending.outcome if record.ending is not None else ''
-    satisfied = all(interval.lower > 0 for interval in readings.values())
+    satisfied = all(interval.satisfied for interval in readings.values())
     if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
         found.append(Finding(where='run_status', what=f'{outcome}, but the truth says otherwise'))
     return found
 
 
-def _words(interval: Interval | None) -> str:
+def _words(interval: RobustnessInterval | None) -> str:
     return 'nothing' if interval is None else f'[{interval.lower:g}, {interval.upper:g}]'

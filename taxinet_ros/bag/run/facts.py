@@ -29,6 +29,7 @@ from taxinet_ros.bag.run.topics import (
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, RUN_METADATA
 from taxinet_ros.core.controller import SteeringGains
 from taxinet_ros.core.judging import Judging
+from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, parse_timing
@@ -159,18 +160,17 @@ class NodeFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class RecordedRobustness:
     """The newest of what the monitor said of one formula.
 
     Attributes:
         formula: fully parenthesised.
-        lower, upper: ends of the robust satisfaction interval.
+        interval: of robustness.
         final: the run reached its horizon, so both ends are rho.
     """
 
     formula: str
-    lower: float
-    upper: float
+    interval: RobustnessInterval
     final: bool
 
 
@@ -202,7 +202,7 @@ class RunFacts:
     who: str
     detail: str
     steps: int
-    judged: Mapping[str, Judged]
+    judged: Mapping[str, RecordedRobustness]
     figures: Mapping[str, float | bool]
 
 
@@ -250,7 +250,7 @@ class _FactsReader:
     scenario: dict[str, Any] | None = None
     nodes: dict[str, NodeFacts] = field(default_factory=dict)
     ending: dict[str, str] = field(default_factory=dict)
-    judged: dict[str, Judged] = field(default_factory=dict)
+    judged: dict[str, RecordedRobustness] = field(default_factory=dict)
     figures: dict[str, float | bool] = field(default_factory=dict)
     last_seq: int = -1
 
@@ -298,9 +298,10 @@ class _FactsReader:
 
     def _judge(self, robustness: Any) -> None:
         self.last_seq = max(self.last_seq, int(robustness.seq))
-        self.judged[str(robustness.spec)] = Judged(
-            formula=str(robustness.formula), lower=float(robustness.rho_lower),
-            upper=float(robustness.rho_upper), final=bool(robustness.final),
+        self.judged[str(robustness.spec)] = RecordedRobustness(
+            formula=str(robustness.formula), interval=RobustnessInterval(
+                float(robustness.rho_lower), float(robustness.rho_upper)
+            ), final=bool(robustness.final),
         )
 
 

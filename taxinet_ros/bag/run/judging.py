@@ -10,10 +10,17 @@ import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from taxinet_ros.bag.run.samples import RecordedInterval, RunSamples, same_bits
+from taxinet_ros.bag.run.samples import RecordedReading, RunSamples, same_bits
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import MAX_GAP_NS
-from taxinet_ros.core.mtl import Assumptions, Monitor, Reading, Spec, signal_names
+from taxinet_ros.core.mtl import (
+    Assumptions,
+    Monitor,
+    Reading,
+    RobustnessInterval,
+    Spec,
+    signal_names,
+)
 from taxinet_ros.core.mtl.lint import check_windows
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -51,9 +58,9 @@ class SpecVerdict:
     Attributes:
         spec: the requirement.
         verdict: what the bag says of it.
-        lower, upper: ends of the robust satisfaction interval; both rho where the run was whole.
+        interval: of robustness; rho where the run was whole.
         decided_s: first moment from which zero is out of the interval [s], or None.
-        recorded: ends of the interval that the bag itself has for this formula, or None.
+        recorded: the interval that the bag itself has for this formula, or None.
         same: whether that is the interval found here, to the last bit; None where it has none, or
             where other assumptions make an interval that is still open another one, or a topic
             that it reads is missing.
@@ -64,10 +71,9 @@ class SpecVerdict:
 
     spec: Spec
     verdict: BagVerdict
-    lower: float
-    upper: float
+    interval: RobustnessInterval
     decided_s: float | None
-    recorded: tuple[float, float] | None
+    recorded: RobustnessInterval | None
     same: bool | None
     breach_s: float | None
     why: str = ''
@@ -115,7 +121,7 @@ def _spec_verdict(
     # What was decided on an assumption that broke later, was not.
     decided = (
         stamp for stamp, reading in moments
-        if _decided(reading) and reading.trusted is last.trusted
+        if reading.interval.decided and reading.trusted is last.trusted
     )
     broken = (stamp for stamp, reading in moments if not reading.trusted)
     recorded = samples.recorded.get(spec.text)
@@ -125,11 +131,10 @@ def _spec_verdict(
         spec=spec,
         verdict=BagVerdict.UNCLEAR if why and verdict.judged else verdict,
         why=why,
-        lower=last.lower,
-        upper=last.upper,
+        interval=last.interval,
         decided_s=_seconds(next(decided, None)),
         breach_s=_seconds(next(broken, None)),
-        recorded=None if recorded is None else (recorded.lower, recorded.upper),
+        recorded=None if recorded is None else recorded.interval,
         same=_matches_recorded(samples, readings, recorded)
         if recorded is not None and alike
         else None,
@@ -145,7 +150,7 @@ def _verdict(samples: RunSamples, last: Reading) -> BagVerdict:
         return BagVerdict.INCOMPLETE
     if not last.valid:
         return BagVerdict.INVALID
-    if samples.flaws or not (last.final or samples.stopped_early) or not _decided(last):
+    if samples.flaws or not (last.final or samples.stopped_early) or not last.interval.decided:
         return BagVerdict.INCOMPLETE
     if last.lower > 0:
         return BagVerdict.SATISFIED
@@ -160,14 +165,10 @@ def _why_unclear(samples: RunSamples, spec: Spec) -> str:
     return ''
 
 
-def _decided(reading: Reading) -> bool:
-    return reading.lower > 0 or reading.upper <= 0
-
-
 def _matches_recorded(
-    samples: RunSamples, readings: Sequence[Reading], recorded: RecordedInterval
+    samples: RunSamples, readings: Sequence[Reading], recorded: RecordedReading
 ) -> bool | None:
     if recorded.stamp_ns not in samples.stamps_ns:
         return None if samples.flaws else False
     here = readings[samples.stamps_ns.index(recorded.stamp_ns)]
-    return same_bits((recorded.lower, recorded.upper), (here.lower, here.upper))
+    return same_bits(recorded.interval, here.interval)

@@ -26,7 +26,14 @@ from taxinet_ros.bag.run.topics import (
     VERDICT,
 )
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.mtl import NO_ASSUMPTIONS, Assumptions, Spec, parse_spec, signal_names
+from taxinet_ros.core.mtl import (
+    NO_ASSUMPTIONS,
+    Assumptions,
+    RobustnessInterval,
+    Spec,
+    parse_spec,
+    signal_names,
+)
 from taxinet_ros.core.pacing.timing import is_free, parse_timing
 from taxinet_ros.core.run_statistics import EstimateWatch
 from taxinet_ros.core.types import NS_PER_S
@@ -44,12 +51,11 @@ _TOPIC_OF_SIGNAL = {
 _READ = frozenset({SCENARIO, NODE_STATUS, VERDICT, ROBUSTNESS, *_TOPIC_OF_SIGNAL.values()})
 
 
-class RecordedInterval(NamedTuple):
-    """The newest that a bag has of one formula: stamp of the sample [ns], ends of its interval."""
+class RecordedReading(NamedTuple):
+    """The newest that a bag has of one formula: stamp of the sample [ns], and its interval."""
 
     stamp_ns: int
-    lower: float
-    upper: float
+    interval: RobustnessInterval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +86,7 @@ class RunSamples:
     assumptions: Assumptions
     stamps_ns: tuple[int, ...]
     samples: tuple[Mapping[str, float], ...]
-    recorded: Mapping[str, RecordedInterval]
+    recorded: Mapping[str, RecordedReading]
     stopped_early: bool
     unusable_estimates: int
     trouble: str
@@ -359,14 +365,14 @@ class _SamplesReader:
         assert truth is not None
         return sample_of(truth, odometry, estimate, commands.at(command))
 
-    def _recorded(self) -> dict[str, RecordedInterval]:
+    def _recorded(self) -> dict[str, RecordedReading]:
         if self.verdict is not None:
             told = list(self.verdict.specs)
         else:
             told = [decode(stored.topic, stored.cdr) for stored in self.last]
         return {
-            str(one.formula): RecordedInterval(
-                stamp_of(one), float(one.rho_lower), float(one.rho_upper)
+            str(one.formula): RecordedReading(
+                stamp_of(one), RobustnessInterval(float(one.rho_lower), float(one.rho_upper))
             )
             for one in told
         }

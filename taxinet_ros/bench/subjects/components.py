@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
+from taxinet_ros import registry
 from taxinet_ros.bench.measure import Subject
-from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
+from taxinet_ros.campaign.samplers.registry import make_sampler
 from taxinet_ros.campaign.samplers.sampler import Lagged
 from taxinet_ros.campaign.samplers.space import Dimension, Point
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
@@ -198,7 +199,7 @@ def sampler_subjects() -> list[Subject]:
             warm_ups=1,
             most=3 if word == 'bo' else 20,
         )
-        for word in SAMPLERS
+        for word in registry.SHIPPED[registry.SAMPLERS]
     ]
 
 

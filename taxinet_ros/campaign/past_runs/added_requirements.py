@@ -99,4 +99,4 @@ def _interval(row: RunRow, spec: Spec, bag: JudgedBag | None) -> RobustnessInter
         return None
     one = next((one for one in bag.verdicts if one.spec.name == spec.name), None)
     known = one is not None and (one.verdict.judged or bag.stopped_early)
-    return RobustnessInterval(one.lower, one.upper) if one is not None and known else None
+    return one.interval if one is not None and known else None

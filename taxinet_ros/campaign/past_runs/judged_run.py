@@ -111,7 +111,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
     robustness: dict[str, RobustnessInterval] = {}
     if outcome.judged and told is not None:
         robustness = {
-            name: RobustnessInterval(one.lower, one.upper) for name, one in told.judged.items()
+            name: one.interval for name, one in told.judged.items()
         }
     return JudgedRun(
         run_id=run.request.run_id, seed=run.request.seed, scenario=run.request.scenario,
@@ -182,7 +182,7 @@ def bag_differences(
     if whole and row.outcome.judged:
         pairs |= {'outcome': (told.outcome, row.outcome.value), 'steps': (told.steps, row.steps)}
         pairs |= {
-            f'rho of {name}': ((one.lower, one.upper), row.robustness.get(name))
+            f'rho of {name}': (one.interval, row.robustness.get(name))
             for name, one in told.judged.items()
         }
         pairs |= {**_of_nodes(told, row), **_of_controller(told, row, facts)}

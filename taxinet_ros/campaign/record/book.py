@@ -279,12 +279,12 @@ class CampaignBook:
         Raises:
             RecordError: that is not possible; ``rows`` has it all the same.
         """
-        self._write_due_facts()
         self.rows[row.index] = row
         if row.outcome not in (Outcome.REJECTED, Outcome.INTERRUPTED):  # the bench had a part
             infra = row.outcome is Outcome.INFRA_ERROR
             self.broken_in_a_row = self.broken_in_a_row + 1 if infra else 0
         try:
+            self._write_due_facts()
             with self._watched():
                 self._ledger.result(row)
         finally:

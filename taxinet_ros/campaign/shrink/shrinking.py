@@ -68,9 +68,7 @@ class Shrinking:
         self.broken: RunRow | None = None
         self.interrupted = False
         self._campaign = options.campaign
-        self.book = CampaignBook(
-            self._campaign, participants, on_row, resume=options.resume
-        )
+        self.book = CampaignBook(self._campaign, participants, on_row, resume=options.resume)
         self._earlier: dict[str, RunRow] = {}
         self._by_point: dict[Point, RunRow] = {}
         self._under_way: dict[int, Point] = {}

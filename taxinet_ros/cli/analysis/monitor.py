@@ -137,9 +137,7 @@ def as_document(bags: Iterable[JudgedBag], warnings: Sequence[str] = ()) -> str:
 
 
 def _rho(one: SpecVerdict) -> str:
-    if one.lower == one.upper:
-        return f'rho {one.lower:+9.3f}'
-    return f'rho within [{one.lower:+.3f}, {one.upper:+.3f}]'
+    return one.interval.words(width=9)
 
 
 def _time_words(one: SpecVerdict) -> str:
@@ -165,7 +163,7 @@ def _bag_document(bag: JudgedBag) -> dict[str, Any]:
         'verdicts': [
             {
                 'spec': one.spec.name, 'formula': one.spec.text, 'verdict': one.verdict,
-                'rho_lower': _known(one.lower), 'rho_upper': _known(one.upper),
+                'rho_lower': _known(one.interval.lower), 'rho_upper': _known(one.interval.upper),
                 'decided_s': one.decided_s, 'breach_s': one.breach_s,
                 'recorded': None if one.recorded is None else [*map(_known, one.recorded)],
                 'as_recorded': one.same, 'why_unclear': one.why,

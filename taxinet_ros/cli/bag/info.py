@@ -14,7 +14,6 @@ from rich.console import Console
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.facts import (
-    Judged,
     NodeFacts,
     RunFacts,
     free_account,
@@ -77,7 +76,7 @@ def _run_lines(
     yield 'run', f'{words or facts.run_id} ({drawn}){by}'
     yield 'outcome', _outcome(facts)
     for name, judged in facts.judged.items():
-        yield '', f'{name}: {_rho(judged)}, of {judged.formula}'
+        yield '', f'{name}: {judged.interval.words()}, of {judged.formula}'
     yield 'scene', scene_words(facts.scene)
     perception = facts.nodes.get('perception')
     if perception is not None:
@@ -148,12 +147,6 @@ def _outcome(facts: RunFacts) -> str:
     words = facts.outcome or 'unknown: the bag ends before the run does'
     detail = f' ({": ".join(part for part in (why, facts.detail) if part)})' if why else ''
     return f'{words}{detail}, {facts.steps} control steps judged'
-
-
-def _rho(judged: Judged) -> str:
-    if judged.final:
-        return f'rho {judged.lower:+.3f}'
-    return f'rho within [{judged.lower:+.3f}, {judged.upper:+.3f}]'
 
 
 _FIGURES = {

@@ -86,6 +86,11 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
+        if run.world:
+            raise UsageError(
+                f'--from: {run.request.run_id} took place in world {run.world}, in which a run '
+                'cannot be made once more'
+            )
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

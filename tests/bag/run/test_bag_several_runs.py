@@ -40,7 +40,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def essence(judged: JudgedBag) -> list[tuple[Any, ...]]:
     """What is said of a run, whatever bag it lies in."""
-    return [(one.spec, one.verdict, one.lower, one.upper, one.decided_s, one.same)
+    return [(one.spec, one.verdict, one.interval, one.decided_s, one.same)
             for one in judged.verdicts]
 
 

@@ -106,7 +106,7 @@ def test_given_a_run_when_its_facts_are_read_then_they_are_what_was_recorded(run
     assert set(facts.judged) == set(SPECS)
     judged = facts.judged['on_runway']
     assert judged.final
-    assert judged.lower == judged.upper > 10
+    assert judged.interval.lower == judged.interval.upper > 10
     assert facts.nodes['perception'].fingerprint == WEIGHTS
     assert facts.nodes['steering_controller'].implementation == 'heading_gain=1.5'
     assert facts.figures['max_cross_track_error'] == pytest.approx(2.5)

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign
-from taxinet_ros.bag.reader import decoded_messages
+from taxinet_ros.bag.reader import decode_of, stored_messages
 from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.topics import TopicInfo
@@ -165,7 +165,10 @@ def test_given_a_message_that_cannot_be_decoded_when_read_then_the_error_names_i
     messages = samples(2)
     messages[4] = (*messages[4][:2], b'\0\1\0\0nonsense')
     write_bag(tmp_path / 'run', messages)
-    found, error = drain(decoded_messages(tmp_path / 'run'))
+    found, error = drain(
+        decode_of(tmp_path / 'run', stored, count)
+        for count, stored in enumerate(stored_messages(tmp_path / 'run'))
+    )
     assert isinstance(error, BagCorrupt)
     assert re.search(r'at 0 ns: topic .*; 4 sound messages', str(error))
     assert len(found) == error.recovered == 4

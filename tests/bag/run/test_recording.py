@@ -56,7 +56,7 @@ def essence(recording: Recording) -> tuple[object, ...]:
     verdict = recording.judge('always(abs(cte) <= 3)')
     return (
         run, facts.outcome, dict(facts.judged), repr(facts.figures),
-        (verdict.verdict, verdict.lower, verdict.upper, verdict.decided_s),
+        (verdict.verdict, verdict.interval, verdict.decided_s),
     )
 
 
@@ -94,7 +94,7 @@ def test_given_a_run_when_judged_then_its_own_formula_has_the_recorded_robustnes
     recording = open_recording(GOOD)
     own = recording.judge('phi_eventually')
     assert (own.verdict, own.same) == (BagVerdict.SATISFIED, True)
-    assert own.recorded == (own.lower, own.upper)
+    assert own.recorded == own.interval
     assert recording.judge('always(abs(cte) <= 1)').verdict is BagVerdict.VIOLATED
     with pytest.raises(UsageError):
         recording.judge('always(abs(cte <= 1)')

@@ -171,7 +171,8 @@ def test_given_any_flipped_byte_then_a_bag_never_passes_as_sound(whole, tmp_path
         assert found.trouble
         for one in found.verdicts:
             assert one.verdict is BagVerdict.INCOMPLETE
-            assert one.lower <= expected.lower <= expected.upper <= one.upper
+            known = expected.interval
+            assert one.interval.lower <= known.lower <= known.upper <= one.interval.upper
 
 
 def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
@@ -197,7 +198,7 @@ def test_given_a_sample_that_is_missing_or_not_finite_then_the_run_is_invalid(wh
     for broken in (spoilt, gap):
         one, _ = judge_spec(broken, spec)
         assert one.verdict is BagVerdict.INVALID
-        assert one.lower < one.upper
+        assert one.interval.lower < one.interval.upper
 
 
 def test_given_new_requirements_when_added_then_the_table_keeps_them_for_good(campaign, capsys):

@@ -30,8 +30,11 @@ GOLDEN = Path(__file__).resolve().parents[3] / 'bags' / 'golden' / 'original-ear
 def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = True) -> Path:
     """The golden run first, and further ones that have left no bags."""
     folder.mkdir()
-    told = open_recording(GOLDEN).facts
-    rho = {name: one.upper for name, one in told.judged.items()} if failed else {'phi': 1.0}
+    recording = open_recording(GOLDEN)
+    told = recording.facts
+    rho = {'phi': 1.0}
+    if failed:
+        rho = {name: one.interval.upper for name, one in told.judged.items()}
     with Ledger(folder / 'ledger.jsonl') as ledger:
         ledger.campaign({'program': 's_falsif.scenic', 'runs': runs})
         for index in range(told.index, told.index + runs):
@@ -42,7 +45,7 @@ def campaign(folder: Path, *, bags: bool = True, runs: int = 2, failed: bool = T
                 fingerprint=told.nodes['perception'].fingerprint,
                 outcome=Outcome.FAIL if failed else Outcome.PASS, robustness=exact_intervals(rho),
                 steps=told.steps,
-                **told.scene,
+                **recording.run.request.scenario.to_columns(),
             ))
     if bags:
         shutil.copytree(GOLDEN, folder / GOLDEN.name)

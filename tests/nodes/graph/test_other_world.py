@@ -1,0 +1,57 @@
+"""A world that a package brings, in a whole graph: its bag tells, and is not driven in another."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from plugins import lay_down
+
+from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.cli.main import main
+from taxinet_ros.core.outcome import RunRequest, RunResult
+from taxinet_ros.errors import UsageError
+from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph
+
+pytestmark = pytest.mark.ros
+
+CODE = """
+from functools import partial
+from taxinet_ros.core.aircraft import MODELS, Aircraft
+from taxinet_ros.core.world import SimulatedWorld
+
+LIGHT = partial(SimulatedWorld, aircraft=partial(Aircraft, model=MODELS['c172p']))
+"""
+
+
+def test_given_a_world_of_a_package_when_a_graph_runs_in_it_then_its_bag_tells_and_needs_it(
+    tmp_path, monkeypatch, short_request: RunRequest, capfd
+):
+    site = tmp_path / 'site'
+    with monkeypatch.context() as installed:
+        installed.syspath_prepend(str(site))
+        lay_down(site, 'light-world', CODE, worlds='light = LIGHT')
+        options = GraphOptions(
+            perception='truth', out=tmp_path, images='none', timeouts={'world': 'light'},
+        )
+        results: list[RunResult] = []
+        with composed_graph(options) as graph:
+            graph.run([short_request], lambda _, result: results.append(result) or True)
+        assert results[0].outcome.judged, results[0]
+        bag = tmp_path / short_request.run_id
+        told = open_recording(bag).run
+        assert (told.world, len(told.world_fingerprint)) == ('light', 64)
+        # Compares every state with the bag's, to the bit; a Cessna stands lower than a Caravan.
+        driven = list(open_recording(bag).observations(lambda seq: False))
+        assert len(driven) == 21
+        assert driven[0].state.z_m < 1.4
+        (site / 'light_world.py').write_text(f'{CODE}# changed\n')
+        with pytest.raises(UsageError, match=r'world light is .* now, it was'):
+            next(open_recording(bag).observations())
+    with pytest.raises(UsageError, match="world: 'light' is unknown; known: kmwh"):
+        next(open_recording(bag).observations())
+    monkeypatch.setattr(sys, 'argv', ['taxinet', 'run', '--from', str(bag)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert 'took place in world light' in capfd.readouterr().err
