@@ -7,9 +7,7 @@ import signal
 import threading
 
 import pytest
-import rclpy
 from fault_runs import request, run, steps_in
-from rclpy.context import Context
 from rclpy.parameter import Parameter
 from waiting import PATIENT_S, wait_for
 
@@ -24,6 +22,7 @@ from taxinet_ros.nodes.graph.runner import (
 from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
 from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
 from taxinet_ros.nodes.running.domain import own_domain
+from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.simulator import Simulator
 
 pytestmark = pytest.mark.ros
@@ -36,16 +35,6 @@ def stopped(children, name: str) -> int:
     pid = next(child.process.pid for child in children if child.name == name)
     os.kill(pid, signal.SIGSTOP)
     return pid
-
-
-@pytest.fixture
-def context():
-    """Of ROS, on a domain of its own."""
-    context = Context()
-    with own_domain() as domain:
-        rclpy.init(context=context, domain_id=domain)
-        yield context
-        rclpy.try_shutdown(context=context)
 
 
 def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_whole(tmp_path):
@@ -63,20 +52,20 @@ def test_given_a_node_that_starts_ten_seconds_late_then_the_run_waits_and_is_who
     assert steps_in(tmp_path / 'run') == list(range(21))
 
 
-def test_r8_given_a_node_that_does_not_come_then_it_is_named_alone(context, tmp_path):
+def test_r8_given_a_node_that_does_not_come_then_it_is_named_alone(tmp_path):
     options = GraphOptions(perception='truth', out=tmp_path, images='none')
-    domain, logs = context.get_domain_id(), tmp_path / 'logs'
-    with node_processes(options, domain, logs, without=(SIMULATOR,)) as children:
+    impatient = [Parameter('ready_timeout', value=2.0)]
+    with (
+        own_domain() as domain,
+        node_processes(options, domain, tmp_path / 'logs', without=(SIMULATOR,)) as children,
+        NodeExecutor(domain) as spinning,
+    ):
         pid = stopped(children, PERCEPTION)
-        simulator = Simulator(
-            context=context, parameter_overrides=[Parameter('ready_timeout', value=2.0)],
-        )
-        graph = SampledGraph(context, children=children)
-        graph.add(simulator)
+        simulator = Simulator(context=spinning.context, parameter_overrides=impatient)
+        spinning.add(simulator)
         # Its time runs only when it has found all others, however long the machine takes for that.
         wait_for(lambda: set(missing_nodes(simulator, PARTICIPANTS)) == {PERCEPTION})
-        (result,) = run(graph, request(duration=2.0))
+        (result,) = run(SampledGraph(spinning, {}, children), request(duration=2.0))
         os.kill(pid, signal.SIGCONT)
-        graph.close()
     assert (result.outcome, result.kind) == (Outcome.INFRA_ERROR, 'not_ready')
     assert (result.who, result.detail.partition(':')[0]) == (PERCEPTION, 'not ready within 2 s')

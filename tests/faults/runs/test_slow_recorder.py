@@ -10,6 +10,7 @@ import pytest
 from fault_runs import grown, once, request, run, steps_in
 
 from taxinet_ros.bag.check.doctor import check_bag
+from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.pacing.timing import AT_ONCE, free_timing
 from taxinet_ros.core.topics import RECORDER
 from taxinet_ros.nodes.graph.runner import GraphOptions, process_graph
@@ -37,7 +38,7 @@ def test_given_a_recorder_that_stands_still_for_a_while_then_its_bag_is_whole(ti
         process_graph(options, tmp_path / 'logs') as graph,
         once(lambda: grown(tmp_path / 'run'), lambda: stop_for_a_while(graph)),
     ):
-        (result,) = run(graph, request(duration=60.0, specs=FORMULAS))
+        (result,) = run(graph, request(duration=60.0, judging=Judging(specs=FORMULAS)))
     assert result.outcome.judged, result
     assert steps_in(tmp_path / 'run') == list(range(601))
     assert check_bag(tmp_path / 'run').findings == ()
