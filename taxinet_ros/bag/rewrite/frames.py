@@ -22,6 +22,7 @@ from taxinet_ros.bag.reader import (
 )
 from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, written_steps
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
@@ -81,9 +82,13 @@ def restore_frames(recording: Recording, folder: Path, min_free_bytes: int = 0) 
     missing_frames(info)
     if info.trouble:
         raise UsageError(f'{info.trouble}; mend it first: taxinet bag recover {source} --out NEW')
-    with copy_of(info, folder, _topics(info), min_free_bytes) as bag:
-        for stamp_ns in written_steps(bag, _with_frames(recording)):
-            yield stamp_ns // CONTROL_PERIOD_NS
+    try:
+        with copy_of(info, folder, _topics(info), min_free_bytes) as bag:
+            for stamp_ns in written_steps(bag, _with_frames(recording)):
+                yield stamp_ns // CONTROL_PERIOD_NS
+    except WorldDiffers:
+        shutil.rmtree(folder)  # It would be called an unfinished recording.
+        raise
 
 
 def restore_in_place(folder: Path, min_free_bytes: int = 0) -> Iterator[int]:

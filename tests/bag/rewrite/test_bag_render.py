@@ -129,6 +129,9 @@ def test_given_another_command_in_the_bag_then_no_frame_is_made_up(blind, tmp_pa
     assert '\n' not in str(error.value)
     assert sorted(path.name for path in bag.iterdir()) == ['bag_0.mcap', 'metadata.yaml']
     assert missing_frames(read_info(bag)) == STEPS
+    with pytest.raises(WorldDiffers, match='step 11: '):
+        list(restore_frames(open_recording(bag), tmp_path / 'elsewhere'))
+    assert not (tmp_path / 'elsewhere').exists()
 
 
 def test_given_a_rendering_given_up_then_the_bag_is_as_it_was(blind, tmp_path):
