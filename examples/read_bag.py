@@ -10,7 +10,7 @@ for run in recording:  # a bag may hold several runs
     trace = run.trace
     print(f'{len(trace)} control steps, |CTE| at most {trace["cte_m"].abs().max():.2f} m')
     found = run.judge('gentle=always(abs(steering) <= 20 deg)')
-rho = found.interval
-print(f'gentle: {found.verdict}, rho {rho.lower:+.3f} to {rho.upper:+.3f}')
+    rho = found.interval
+    print(f'gentle: {found.verdict}, rho {rho.lower:+.3f} to {rho.upper:+.3f}')
     commands = run.table('taxi_command')
     print(f'nose wheel at most {commands["steering_angle"].abs().max():.3f} rad')
