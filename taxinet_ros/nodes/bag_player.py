@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool
 from taxinet_ros.bag.cdr.decode import definition_hash, with_present_names
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.bag.reader import BagInfo, StoredMessage, read_info, stored_messages
-from taxinet_ros.bag.run.topics import ODOMETRY, TF, is_of_frames, is_topic
+from taxinet_ros.bag.run.topics import IMAGE, ODOMETRY, TF, is_of_frames, is_topic
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles, type_hash
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
@@ -177,7 +177,7 @@ def known_topics(
     recorded = {topic.name for topic in info.topics}
     wanted = frozenset('/' + name.lstrip('/') for name in names if name)
     for name in sorted(wanted - recorded - {*made}):
-        frames = name == '/camera/image_raw'
+        frames = name == f'/{IMAGE}'
         known = 'taxinet bag render puts the frames in' if frames else (
             f'it has {", ".join(sorted(recorded))}'
         )

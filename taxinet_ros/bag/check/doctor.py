@@ -30,6 +30,7 @@ from taxinet_ros.bag.layout import METADATA_FILE, storage_files
 from taxinet_ros.bag.reader import BagInfo
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
+from taxinet_ros.bag.run.topics import IMAGE
 from taxinet_ros.bag.run.trace import Frame
 from taxinet_ros.bag.storage.summary import index_troubles
 from taxinet_ros.bag.topics import TopicInfo, qos_profiles
@@ -249,7 +250,7 @@ def check_recorded_frames(recording: Recording) -> Check:
         return Check(name='frames', looked_at='none in it to compare', skipped=True)
     if found.ok:
         return Check(name='frames', looked_at=f'{words}, bit for bit')
-    finding = Finding(where='/camera/image_raw', what=found.trouble)
+    finding = Finding(where=f'/{IMAGE}', what=found.trouble)
     if found.first_seq is not None:
         finding = Finding(
             where=f'step {found.first_seq}',

@@ -322,7 +322,7 @@ def verdict_findings(record: RunRecord, recording: Recording) -> tuple[int, list
         }
     except (BagError, UsageError, AttributeError, TypeError, ValueError, OverflowError) as error:
         what = str(error).removeprefix(f'{recording.path}: ')
-        return 0, [Finding(where='/scenario', what=f'cannot be judged: {what}')]
+        return 0, [Finding(where=f'/{SCENARIO}', what=f'cannot be judged: {what}')]
     steps = len(samples.stamps_ns)
     found = []
     for name, readings in judged.items():
@@ -371,7 +371,7 @@ def _verdict_troubles(record: RunRecord, readings: dict[str, RobustnessInterval]
     outcome = record.ending.outcome if record.ending is not None else ''
     satisfied = all(interval.satisfied for interval in readings.values())
     if outcome in (Outcome.PASS, Outcome.FAIL) and satisfied is not (outcome == Outcome.PASS):
-        found.append(Finding(where='run_status', what=f'{outcome}, but the truth says otherwise'))
+        found.append(Finding(where=RUN_STATUS, what=f'{outcome}, but the truth says otherwise'))
     return found
 
 

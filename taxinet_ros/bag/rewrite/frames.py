@@ -21,6 +21,7 @@ from taxinet_ros.bag.reader import (
     stored_messages,
 )
 from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, written_steps
+from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
@@ -28,7 +29,7 @@ from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import sync_folder
 
-IMAGE, CAMERA_INFO = '/camera/image_raw', '/camera/camera_info'
+IMAGE, CAMERA_INFO = f'/{topics.IMAGE}', f'/{topics.CAMERA_INFO}'
 _IMAGE_TYPE = 'sensor_msgs/msg/Image'
 _DRAFT = '.with-frames'
 

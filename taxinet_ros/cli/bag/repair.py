@@ -13,7 +13,7 @@ from taxinet_ros.bag.check.lockstep import run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
 from taxinet_ros.bag.reader import read_info, unchecked_files
-from taxinet_ros.bag.rewrite.frames import missing_frames, restore_frames, restore_in_place
+from taxinet_ros.bag.rewrite.frames import IMAGE, missing_frames, restore_frames, restore_in_place
 from taxinet_ros.bag.rewrite.recovery import Recovery, recover
 from taxinet_ros.bag.rewrite.split import write_runs
 from taxinet_ros.bag.run.recording import Recording, open_recording
@@ -150,7 +150,7 @@ def _render(recording: Recording, out: Path | None) -> int:
     bag, info = recording.path, recording.info
     missing = missing_frames(info)
     if not missing and not info.trouble:
-        frames = info.counts['/camera/image_raw']
+        frames = info.counts[IMAGE]
         console.print(f'nothing to do: all {frames} frames are in {bag}', soft_wrap=True)
         return ExitCode.OK
     steps = (

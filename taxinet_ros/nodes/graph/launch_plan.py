@@ -65,7 +65,7 @@ _EITHER = (
 RENAMED = {'weights': 'perception'}
 """Arguments of older launch files, with the one that takes their value now."""
 
-CLOCK_REMAP = ('/clock', 'clock')
+CLOCK_REMAP = (topics.CLOCK.name, topics.CLOCK.name.lstrip('/'))
 """Puts the clock into the node's namespace, where it has one."""
 
 NOT_STARTED = (ExitCode.USAGE, 127)
