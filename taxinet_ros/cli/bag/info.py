@@ -177,8 +177,8 @@ def _plain(
     return {
         'bag': str(info.path), 'whole': info.complete, 'trouble': info.trouble,
         'unchecked': info.unchecked, 'stamps_go_back_ns': info.back_ns,
-        'run': None if only is None else finite(asdict(only)),
-        'runs': [finite(asdict(facts)) for facts in runs if facts is not None],
+        'run': None if only is None else _facts_json(only),
+        'runs': [_facts_json(facts) for facts in runs if facts is not None],
         'own_recorder': recording.plain,
         'files': [
             {'name': file.name, 'bytes': file.stat().st_size} for file in storage_files(info.path)
@@ -193,6 +193,20 @@ def _plain(
         'attachments': list(info.attachments),
         'metadata': {name: words for name, words in info.metadata.items() if name != 'rosbag2'},
     }
+
+
+def _facts_json(facts: RunFacts) -> dict[str, Any]:
+    """What a bag tells of a run; an interval as ``lower`` and ``upper``."""
+    values = asdict(facts)
+    values['judged'] = {
+        name: {
+            'formula': one.formula, 'lower': one.interval.lower, 'upper': one.interval.upper,
+            'final': one.final,
+        }
+        for name, one in facts.judged.items()
+    }
+    plain: dict[str, Any] = finite(values)
+    return plain
 
 
 def finite(value: Any) -> Any:

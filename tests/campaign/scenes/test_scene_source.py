@@ -82,7 +82,7 @@ def test_f7_given_a_program_that_writes_answers_itself_then_one_line_says_so(
     forge = (
         'import os\nfrom scenic.core.distributions import distributionFunction\n'
         '@distributionFunction\ndef forge(x):\n'
-        '    for fd in range(3, 32):\n        try:\n'
+        '    for fd in range(3, 1024):\n        try:\n'
         f'            os.write(fd, {(line + chr(10)).encode()!r})\n'
         '        except OSError:\n            pass\n    return x\n'
     )

@@ -145,7 +145,7 @@ def test_given_a_torn_bag_then_there_is_an_interval_of_what_can_be_read_and_no_p
     assert one['rho_lower'] is None
     assert 0 < bag['end_s'] < 2
     assert one['as_recorded'] is True, 'the interval was recorded step by step'
-    rho = judge_runs(whole)[0].verdicts[0].upper
+    rho = judge_runs(whole)[0].verdicts[0].interval.upper
     assert rho <= one['rho_upper']
     assert 'torn_0.mcap' in bag['trouble']
 
@@ -180,7 +180,8 @@ def test_given_a_bag_that_contradicts_itself_then_that_is_said(whole):
     spec = parse_spec(samples.specs[0])
     assert judge_spec(samples, spec)[0].same is True
     newest = samples.recorded[spec.text]
-    other = newest._replace(upper=math.nextafter(newest.upper, 9), lower=newest.lower)
+    ends = newest.interval
+    other = newest._replace(interval=ends._replace(upper=math.nextafter(ends.upper, 9)))
     forged = dataclasses.replace(samples, recorded={spec.text: other})
     assert judge_spec(forged, spec)[0].same is False
 
@@ -301,7 +302,7 @@ def test_ros10_given_a_bag_of_a_seeing_perception_then_usable_is_judged_and_noth
     (samples,) = run_samples(open_recording(whole), ['estimate_gap'])
     values = [dict(sample, estimate_gap=0.1 * row) for row, sample in enumerate(samples.samples)]
     blind = dataclasses.replace(samples, samples=tuple(values), unusable_estimates=20)
-    assert judge_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].lower < 0
+    assert judge_spec(blind, parse_spec('always(estimate_gap <= 500 ms)'))[0].interval.lower < 0
 
 
 def test_given_several_processes_then_the_answers_are_the_same_and_in_order(campaign):

@@ -34,7 +34,7 @@ class Client(Node):
         super().__init__('client', context=graph.nodes[0].context)
         self._executor = graph.nodes[0].executor
         self.action = ActionClient(self, interface.RUN_SCENARIO_TYPE, interface.RUN_SCENARIO)
-        graph.add(self)
+        graph._spinning.add(self)
 
     def close(self) -> None:
         self.action.destroy()

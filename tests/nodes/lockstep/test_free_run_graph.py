@@ -145,8 +145,9 @@ def test_r5_given_a_free_run_then_what_counts_on_its_coming_again_refuses_it(slo
         make_shrink_options(bag, perception='truth', specs=('phi_always',), nominal=(), runs=100,
                             workers=1, out=tmp_path / 'never', resume=False, images='none')
     with pytest.raises(UsageError, match='a free run: frames without an answer'):
-        run_replay(ReplayOptions(bag=bag, target='perception', perception='truth', controller=None,
-                                 tolerance_cte_m=0.0, tolerance_he_deg=0.0, out=tmp_path / 'r'))
+        run_replay(ReplayOptions(
+            recording=open_recording(bag), target='perception', perception='truth', controller=None,
+            tolerance_cte_m=0.0, tolerance_he_deg=0.0, out=tmp_path / 'r'))
     assert list(tmp_path.iterdir()) == []
 
 
