@@ -149,6 +149,15 @@ def test_given_a_package_with_a_shipped_name_when_used_then_neither_is_taken(sit
         check_controller('steering')
 
 
+def test_given_a_package_with_a_shipped_requirement_when_used_then_neither_is_taken(
+    site: Path,
+) -> None:
+    lay_down(site, 'ours', "MINE = 'always(speed <= 6)'\n", requirements='phi_always = MINE')
+    with pytest.raises(UsageError, match=r'requirement phi_always: there are two, of taxinet_ros'):
+        parse_spec('phi_always')
+    assert parse_spec('on_runway').name == 'on_runway'
+
+
 @pytest.mark.parametrize('name', ['external', 'onnx', 'a.b'])
 def test_given_a_name_that_means_something_else_when_used_then_it_is_refused(
     site: Path, name: str

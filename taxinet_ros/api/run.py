@@ -43,6 +43,7 @@ from taxinet_ros.errors import UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
+_MOST_S = 1e9
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
 """A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. One with an attribute
@@ -258,14 +259,26 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
 
 def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
     if 't_ns' in trace.columns:
+        _check_time(trace, 't_ns', 'iu', 'integer nanoseconds')
         return trace['t_ns'].to_numpy()
     if 't_s' not in trace.columns:
         known = ', '.join(map(str, trace.columns)) or 'none'
         raise UsageError(f'trace: no column t_ns or t_s; it has: {known}')
+    _check_time(trace, 't_s', 'iuf', 'seconds as numbers')
     seconds = trace['t_s'].to_numpy(dtype=np.float64)
     if not np.isfinite(seconds).all():
         raise UsageError(f'trace: t_s is not finite at row {np.isfinite(seconds).argmin()}')
+    if (np.abs(seconds) > _MOST_S).any():
+        row = int((np.abs(seconds) > _MOST_S).argmax())
+        raise UsageError(f'trace: t_s is {seconds[row]:g} s at row {row}, beyond {_MOST_S:g}')
     return np.rint(seconds * NS_PER_S).astype(np.int64)
+
+
+def _check_time(trace: pd.DataFrame, name: str, kinds: str, expected: str) -> None:
+    column = trace[name]
+    if getattr(column, 'ndim', 1) != 1 or column.dtype.kind not in kinds:
+        kind = getattr(column, 'dtype', 'several columns')
+        raise UsageError(f'trace: {name} holds {kind}; expected {expected}')
 
 
 def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
@@ -274,7 +287,12 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
     Raises:
         UsageError: there is none, or one is not known.
     """
-    asked = (specs,) if isinstance(specs, str | Spec) else tuple(specs)
+    asked = (specs,) if isinstance(specs, str | Spec) else specs
+    if not isinstance(asked, list | tuple) or not all(isinstance(one, str | Spec) for one in asked):
+        raise UsageError(
+            f'specs: got {specs!r:.60}; expected a requirement or a list of them, each a text, as '
+            'in specs=["phi_always", "slow=always(speed <= 6)"]'
+        )
     if not asked:
         raise UsageError('specs: no requirement; name one, as in specs="phi_always"')
     return read_specs(f'{one.name}={one.text}' if isinstance(one, Spec) else one for one in asked)

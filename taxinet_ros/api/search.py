@@ -20,6 +20,7 @@ from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.errors import UsageError
 
 
 def falsify(
@@ -58,6 +59,8 @@ def falsify(
     Raises:
         UsageError: bad input, in one line; or no scene could be run.
     """
+    if not isinstance(runs, int) or runs < 1:
+        raise UsageError(f'runs: got {runs!r:.20}; expected a whole number from 1')
     check_perception(perception)  # none that only a graph could have
     check_controller(controller)
     options = make_options(

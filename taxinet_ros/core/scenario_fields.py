@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from numbers import Real
 from typing import Any
 
 from taxinet_ros.errors import UsageError
@@ -39,6 +40,12 @@ class Kind(Enum):
     WORD = 'word'
     DATE = 'date'
     SWITCH = 'switch'
+
+
+_VALUES: dict[Kind, tuple[type, str]] = {
+    Kind.NUMBER: (Real, 'a number'), Kind.WORD: (str, 'a word'),
+    Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
+}
 
 
 _COLUMN_TYPES = {
@@ -116,11 +123,16 @@ class ScenarioField:
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
     def check(self, value: Any) -> None:
-        """See that a value in SI units is within the range, or one of the words.
+        """See that a value in SI units is of its kind, and within the range or one of the words.
 
         Raises:
             UsageError: it is not.
         """
+        expected, what = _VALUES[self.kind]
+        # To Python a switch is a number too, and any text is true; numpy has switches of its own.
+        switch = type(value).__name__ in ('bool', 'bool_')
+        if switch is not (self.kind is Kind.SWITCH) or not (switch or isinstance(value, expected)):
+            raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not {what}')
         if self.kind is Kind.NUMBER and not (
             math.isfinite(value) and self.low <= value <= self.high
         ):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
-from taxinet_ros.core.camera.camera import Camera
+from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
@@ -40,6 +40,21 @@ class Observation:
     stamp_ns: int
     state: AircraftState
     image: NDArray[np.uint8] | None
+
+
+def check_picture(now: Observation) -> None:
+    """See that a world's picture is a camera frame.
+
+    Raises:
+        InfraError: it has another shape or type, from which a network would make something up.
+    """
+    image = now.image
+    frame = (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
+    if image is not None and (image.shape != frame or image.dtype != np.uint8):
+        got = f'{image.shape} {image.dtype}'
+        raise InfraError(
+            InfraKind.PROTOCOL, 'simulator', now.seq, f'the picture is {got}, not {frame} uint8'
+        )
 
 
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:

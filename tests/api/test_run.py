@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,8 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import same_stack
 from taxinet_ros.bag.run.recording import open_recording
+from taxinet_ros.core.loop import run_closed_loop
+from taxinet_ros.core.world import SimulatedWorld
 
 GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
 SHORT = tx.Scenario(cross_track_m=2.0, duration_s=2.0)
@@ -154,3 +158,57 @@ def test_given_what_cannot_be_then_one_line_says_so(call, words):
 def test_given_a_function_that_raises_then_what_it_raises_comes_through():
     with pytest.raises(ZeroDivisionError):
         tx.run(SHORT, perception=lambda frame: 1 / 0)
+
+
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'shadows': 'False'}, "shadows is 'False', not True or False"),
+    ({'crossing': None}, 'crossing is None, not True or False'),
+    ({'cross_track_m': None}, 'cross_track_m is None, not a number'),
+    ({'cross_track_m': '3'}, "cross_track_m is '3', not a number"),
+    ({'cross_track_m': True}, 'cross_track_m is True, not a number'),
+    ({'date': 20200320}, 'date is 20200320, not a date, YYYY-MM-DD'),
+    ({'clouds': 3}, 'clouds is 3, not a word'),
+])
+def test_given_a_value_of_another_kind_then_the_scenario_names_it(values, words):
+    with pytest.raises(tx.UsageError, match=re.escape(words)):
+        tx.Scenario(**values)
+
+
+@pytest.mark.parametrize('specs', [
+    {'phi_always': 'always(speed <= 6)'}, None, 3, ['phi_always', None], [],
+])
+def test_given_requirements_that_are_none_then_they_are_refused_and_none_is_dropped(specs):
+    with pytest.raises(tx.UsageError, match='specs: '):
+        tx.run(tx.Scenario(duration_s=0.5), perception='truth', specs=specs)
+
+
+@pytest.mark.parametrize(('times', 'words'), [
+    (pd.to_timedelta([0, 0.5, 2], unit='s'), 'expected seconds as numbers'),
+    (pd.to_datetime([0, 1, 2], unit='s'), 'expected seconds as numbers'),
+    ([0.0, 1e12, 1e30], 'beyond 1e.09'),
+    (['0', '1', '2'], 'expected seconds as numbers'),
+])
+def test_given_times_that_are_no_seconds_then_no_robustness_is_made_of_them(times, words):
+    trace = pd.DataFrame({'t_s': times, 'g': [4.0, 1.0, 3.0]})
+    with pytest.raises(tx.UsageError, match=words):
+        tx.robustness('always[0:1](g >= 2)', trace)
+
+
+@pytest.mark.parametrize('image', [
+    np.zeros((100, 100, 3), np.uint8), np.zeros((200, 360, 3), np.float32),
+])
+def test_given_a_world_whose_pictures_are_no_frames_then_the_run_is_none(image):
+    def look_elsewhere(self, *, picture=True):
+        return dataclasses.replace(SimulatedWorld.observe(self, picture=picture), image=image)
+
+    world = type('Elsewhere', (SimulatedWorld,), {'observe': look_elsewhere})
+    with pytest.raises(tx.InfraError, match='the picture is'):
+        run_closed_loop(
+            tx.Scenario(duration_s=0.5), tx.load_perception('original'), specs=(), make_world=world)
+
+
+def test_given_no_number_of_runs_then_a_search_is_refused_before_it_begins(tmp_path):
+    for runs in (0, -1, 1.5, '2'):
+        with pytest.raises(tx.UsageError, match='runs: got'):
+            tx.falsify('s_falsif', runs=runs, out=tmp_path / 'never')
+    assert list(tmp_path.iterdir()) == []

@@ -115,6 +115,7 @@ def parse_spec(
     """
     word = text.strip()
     if word in SHIPPED:
+        registry.find(registry.REQUIREMENTS, word)  # Refuses a package that has it too.
         return _readable(SHIPPED[word], signals)
     named = _NAMED.fullmatch(text)
     if named is not None:
