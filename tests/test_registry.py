@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from plugins import lay_down
 
+import taxinet_ros as tx
 from taxinet_ros import registry
 from taxinet_ros.campaign.options import read_specs
 from taxinet_ros.campaign.samplers.registry import SAMPLERS, make_sampler
@@ -22,7 +23,7 @@ from taxinet_ros.core.perception.weights import SHIPPED
 from taxinet_ros.core.types import TrackingError
 from taxinet_ros.core.user_code import UserCodeError
 from taxinet_ros.core.world import find_world
-from taxinet_ros.errors import UsageError
+from taxinet_ros.errors import InfraError, UsageError
 
 TRUTH = TrackingError(cte_m=1.0, he_rad=0.1)
 
@@ -110,6 +111,24 @@ def test_given_a_file_of_weights_when_a_package_names_it_then_it_is_the_network(
     found = make_perception('ours')
     assert found.word == 'ours'
     assert found.fingerprint == check_perception('taxinet') == check_perception('ours')
+
+
+@pytest.mark.parametrize('image', [
+    'np.zeros((100, 100, 3), np.uint8)', 'np.zeros((200, 360, 3), np.float32)',
+])
+def test_given_a_world_whose_pictures_are_no_frames_then_the_run_is_none(
+    site: Path, image: str,
+) -> None:
+    code = (
+        'import dataclasses\nimport numpy as np\n'
+        'from taxinet_ros.core.world import SimulatedWorld\n'
+        'class Elsewhere(SimulatedWorld):\n'
+        '    def observe(self, *, picture=True):\n'
+        f'        return dataclasses.replace(super().observe(picture=picture), image={image})\n'
+    )
+    lay_down(site, 'our-world', code, worlds='elsewhere = Elsewhere')
+    with pytest.raises(InfraError, match='the picture is'):
+        tx.run(tx.Scenario(duration_s=0.5), perception='original', world='elsewhere')
 
 
 UNKNOWN = {

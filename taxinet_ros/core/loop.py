@@ -19,7 +19,7 @@ from taxinet_ros.core.pacing.timing import AT_ONCE, LateAnswers, Timing
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TaxiCommand, TrackingError
-from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker, check_picture
+from taxinet_ros.core.world import Observation, SimulatedWorld, WorldMaker
 
 MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 """A lockstep run has a sample every control period; a longer gap means that one was lost."""
@@ -119,7 +119,6 @@ def run_closed_loop(
     judge = Judge(specs, horizon_ns, MAX_GAP_NS, stop_on, assumptions)
     while True:
         now = world.observe()
-        check_picture(now)
         estimate = perception.estimate(now.image, now.state.tracking_error)
         command = controller.command(estimate)
         truth = now.state.tracking_error

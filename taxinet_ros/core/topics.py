@@ -230,4 +230,3 @@ SCENE_AIRCRAFT = Topic(
 )
 SCENE = (SCENE_RUNWAY, SCENE_AIRCRAFT)
 """What a viewer draws beside the topics of the graph; made from odometry, never recorded."""
-EVERY_TOPIC = (*TOPICS, *TRANSFORMS, OBITUARY, DIAGNOSTICS, *SCENE)

@@ -42,21 +42,6 @@ class Observation:
     image: NDArray[np.uint8] | None
 
 
-def check_picture(now: Observation) -> None:
-    """See that a world's picture is a camera frame.
-
-    Raises:
-        InfraError: it has another shape or type, from which a network would make something up.
-    """
-    image = now.image
-    frame = (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
-    if image is not None and (image.shape != frame or image.dtype != np.uint8):
-        got = f'{image.shape} {image.dtype}'
-        raise InfraError(
-            InfraKind.PROTOCOL, 'simulator', now.seq, f'the picture is {got}, not {frame} uint8'
-        )
-
-
 def last_step(scenario: Scenario, period_ns: int = CONTROL_PERIOD_NS) -> int:
     """Number of the last control step of a run: steps 0..N cover the duration, both ends included.
 
@@ -203,6 +188,11 @@ class _PluginWorld(World):
         now = self._call(lambda: self._world.observe(picture=picture))
         if now.seq != self._seq:
             raise self._broken(f'observed step {now.seq}, expected {self._seq}')
+        image, frame = now.image, (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
+        if image is not None and (image.shape != frame or image.dtype != np.uint8):
+            # A network would make an estimate up from anything.
+            got = f'{image.shape} {image.dtype}'
+            raise self._broken(f'the picture is {got}, not {frame} uint8')
         return now
 
     def advance(self, command: TaxiCommand) -> None:

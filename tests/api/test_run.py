@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -13,8 +12,6 @@ import pytest
 import taxinet_ros as tx
 from taxinet_ros.bag.check.compare import same_stack
 from taxinet_ros.bag.run.recording import open_recording
-from taxinet_ros.core.loop import run_closed_loop
-from taxinet_ros.core.world import SimulatedWorld
 
 GOLDEN = Path(__file__).resolve().parents[2] / 'bags' / 'golden'
 SHORT = tx.Scenario(cross_track_m=2.0, duration_s=2.0)
@@ -192,19 +189,6 @@ def test_given_times_that_are_no_seconds_then_no_robustness_is_made_of_them(time
     trace = pd.DataFrame({'t_s': times, 'g': [4.0, 1.0, 3.0]})
     with pytest.raises(tx.UsageError, match=words):
         tx.robustness('always[0:1](g >= 2)', trace)
-
-
-@pytest.mark.parametrize('image', [
-    np.zeros((100, 100, 3), np.uint8), np.zeros((200, 360, 3), np.float32),
-])
-def test_given_a_world_whose_pictures_are_no_frames_then_the_run_is_none(image):
-    def look_elsewhere(self, *, picture=True):
-        return dataclasses.replace(SimulatedWorld.observe(self, picture=picture), image=image)
-
-    world = type('Elsewhere', (SimulatedWorld,), {'observe': look_elsewhere})
-    with pytest.raises(tx.InfraError, match='the picture is'):
-        run_closed_loop(
-            tx.Scenario(duration_s=0.5), tx.load_perception('original'), specs=(), make_world=world)
 
 
 def test_given_no_number_of_runs_then_a_search_is_refused_before_it_begins(tmp_path):

@@ -28,8 +28,6 @@ MAP_FRAME = 'map'
 BASE_FRAME = 'base_link'
 CAMERA_FRAME = 'camera_optical'
 
-RECORDED = tuple(topic.name.lstrip('/') for topic in topics.TOPICS if topic.recorded)
-"""The topics of a run, in the order in which our recorder writes them within a step."""
 ONCE = frozenset(
     topic.name for topic in (*topics.TOPICS, *topics.TRANSFORMS)
     if topic.recorded and not topic.each_step
