@@ -16,16 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    Header,
-    Message,
-    Metadata,
-    Schema,
-)
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Message, Metadata, Schema
 
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.description import read_description

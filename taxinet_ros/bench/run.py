@@ -13,11 +13,7 @@ import cv2
 from taxinet_ros.bench.measure import Progress, Subject, machine_facts, measure
 from taxinet_ros.bench.processes import Amounts
 from taxinet_ros.bench.report import Report, find_ratios, make_report
-from taxinet_ros.bench.subjects import (
-    closed_loop,
-    components,
-    monitor,
-)
+from taxinet_ros.bench.subjects import closed_loop, components, monitor
 from taxinet_ros.bench.subjects.closed_loop import step_parts
 from taxinet_ros.bench.subjects.monitor import peer_subjects
 from taxinet_ros.errors import UsageError

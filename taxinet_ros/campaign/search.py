@@ -19,11 +19,7 @@ from typing import Any, Self
 from taxinet_ros.campaign.rates import count_outcomes, failure_rate, off_runway_rate
 from taxinet_ros.campaign.record.book import CampaignBook
 from taxinet_ros.campaign.record.facts import campaign_facts, extension_facts
-from taxinet_ros.campaign.record.resumption import (
-    EarlierRuns,
-    facts_of_graph,
-    read_earlier_runs,
-)
+from taxinet_ros.campaign.record.resumption import EarlierRuns, facts_of_graph, read_earlier_runs
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.samplers.registry import drawn_share, make_sampler
 from taxinet_ros.campaign.samplers.sampler import LAG, Exhausted, Probabilities

@@ -26,10 +26,7 @@ from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.errors import InfraKind, UsageError
-from taxinet_ros.processes.child import (
-    ChildProcess,
-    open_pipe,
-)
+from taxinet_ros.processes.child import ChildProcess, open_pipe
 
 
 def encode_line(message: Mapping[str, Any]) -> bytes:

@@ -19,11 +19,7 @@ from taxinet_ros.core.mtl import (
     signal_names,
 )
 from taxinet_ros.core.mtl.lint import Setting, check_windows, spec_line, warnings
-from taxinet_ros.core.run_statistics import (
-    EstimateWatch,
-    RunStatistics,
-    RunStatisticsCollector,
-)
+from taxinet_ros.core.run_statistics import EstimateWatch, RunStatistics, RunStatisticsCollector
 from taxinet_ros.core.scenario_fields import CROSS_TRACK, DISTANCE
 from taxinet_ros.core.types import NS_PER_S
 

@@ -12,13 +12,7 @@ from typing import Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
 
-from taxinet_ros.bag.cdr.alignment import (
-    BODY,
-    FORMATS,
-    Trail,
-    steps_of,
-    walk_of,
-)
+from taxinet_ros.bag.cdr.alignment import BODY, FORMATS, Trail, steps_of, walk_of
 from taxinet_ros.bag.cdr.decode import typestore
 from taxinet_ros.bag.topics import TopicInfo
 

@@ -15,11 +15,7 @@ from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.errors import BagForeign, BagWriteError
 from taxinet_ros.bag.layout import METADATA_FILE, mcap_path
-from taxinet_ros.bag.reader import (
-    BagInfo,
-    StoredMessage,
-    stored_messages,
-)
+from taxinet_ros.bag.reader import BagInfo, StoredMessage, stored_messages
 from taxinet_ros.bag.rewrite.copying import NamedMessage, copy_of, written_steps
 from taxinet_ros.bag.run import topics
 from taxinet_ros.bag.run.recording import Recording, open_recording

@@ -16,12 +16,7 @@ from taxinet_ros.bag.rewrite.copying import storable_topic, write_steps
 from taxinet_ros.bag.run.message_values import scenario_json
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.runs import RANK_IN_STEP, RunPart
-from taxinet_ros.bag.run.topics import (
-    NODE_STATUS,
-    RUN_STATUS,
-    SCENARIO,
-    VERDICT,
-)
+from taxinet_ros.bag.run.topics import NODE_STATUS, RUN_STATUS, SCENARIO, VERDICT
 from taxinet_ros.bag.writer import BagWriter
 from taxinet_ros.errors import UsageError
 

@@ -27,13 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE
-from taxinet_ros.bag.reader import (
-    BagInfo,
-    Contents,
-    StoredMessage,
-    read_contents,
-    stored_messages,
-)
+from taxinet_ros.bag.reader import BagInfo, Contents, StoredMessage, read_contents, stored_messages
 from taxinet_ros.bag.run.runs import (
     RunPart,
     RunsWithin,

@@ -20,16 +20,7 @@ from typing import BinaryIO
 
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Header,
-    McapRecord,
-    Message,
-    Schema,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Header, McapRecord, Message, Schema
 
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagForeign, BagTruncated
 from taxinet_ros.bag.storage.records import (

@@ -149,12 +149,7 @@ class Programs:
         """``shipped``: the folder where a program that lies elsewhere finds the world model."""
         import scenic
 
-        from taxinet_ros.campaign.scenes import (
-            chance,
-            choices,
-            constructs,
-            verifai_choices,
-        )
+        from taxinet_ros.campaign.scenes import chance, choices, constructs, verifai_choices
 
         verifai_choices.install()
         self._words = verifai_choices

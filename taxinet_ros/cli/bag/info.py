@@ -13,13 +13,7 @@ from rich.console import Console
 
 from taxinet_ros.bag.layout import storage_files
 from taxinet_ros.bag.reader import BagInfo
-from taxinet_ros.bag.run.facts import (
-    NodeFacts,
-    RunFacts,
-    free_account,
-    is_steering_law,
-    made_on,
-)
+from taxinet_ros.bag.run.facts import NodeFacts, RunFacts, free_account, is_steering_law, made_on
 from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.writer import RUN_METADATA
 from taxinet_ros.cli.bag.input import exit_code_of

@@ -37,21 +37,10 @@ from taxinet_ros.core.mtl.assumptions import (
     parse_rates,
 )
 from taxinet_ros.core.mtl.ast import Formula, atoms, signal_names
-from taxinet_ros.core.mtl.interval import (
-    RobustnessInterval,
-    Verdict,
-    exact_intervals,
-    exact_rho,
-)
+from taxinet_ros.core.mtl.interval import RobustnessInterval, Verdict, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.offline import robustness
 from taxinet_ros.core.mtl.online import Monitor, Reading
-from taxinet_ros.core.mtl.specs import (
-    SHIPPED,
-    SIGNALS,
-    Spec,
-    parse_formula,
-    parse_spec,
-)
+from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_formula, parse_spec
 
 __all__ = [
     'NO_ASSUMPTIONS',

@@ -24,11 +24,7 @@ from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
-from taxinet_ros.processes.pool import (
-    SPAWN,
-    ProcessPool,
-    process_pool,
-)
+from taxinet_ros.processes.pool import SPAWN, ProcessPool, process_pool
 from taxinet_ros.training.data.augmentation import draw_variation
 
 GROUND_BLOCK = 64

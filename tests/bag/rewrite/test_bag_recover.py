@@ -7,15 +7,7 @@ from pathlib import Path
 
 import bag_samples
 import pytest
-from bag_faults import (
-    PER_STEP,
-    STEPS,
-    chunk,
-    chunks_of,
-    declarations,
-    file_with,
-    read_all,
-)
+from bag_faults import PER_STEP, STEPS, chunk, chunks_of, declarations, file_with, read_all
 from bag_samples import samples
 from mcap.records import Channel, Message
 from whole_runs import run_messages, write_run

@@ -14,9 +14,7 @@ from bag_faults import chunks_of
 from bag_samples import ROOT
 from whole_runs import PARTICIPANTS, RUN_ID, SCENE, SPECS, STEPS, TYPES, WEIGHTS, write_run
 
-from taxinet_ros.bag import (
-    BagTruncated,
-)
+from taxinet_ros.bag import BagTruncated
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.bag.run.tables import LONGEST_ARRAY, titles
 from taxinet_ros.errors import UsageError

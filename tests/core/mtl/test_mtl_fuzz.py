@@ -8,16 +8,7 @@ import struct
 import mtl_reference as reference
 from hypothesis import given
 from hypothesis import strategies as st
-from mtl_strategies import (
-    ATOMS,
-    HORIZON,
-    PLAIN_ATOMS,
-    Trace,
-    formulas,
-    fuzz,
-    random_traces,
-    traces,
-)
+from mtl_strategies import ATOMS, HORIZON, PLAIN_ATOMS, Trace, formulas, fuzz, random_traces, traces
 
 from taxinet_ros.core.mtl import Monitor, Reading, Spec, ast, parse_formula, robustness
 

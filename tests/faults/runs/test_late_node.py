@@ -13,12 +13,7 @@ from waiting import PATIENT_S, wait_for
 
 from taxinet_ros.bag.reader import read_info
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.nodes.graph.runner import (
-    GraphOptions,
-    SampledGraph,
-    node_processes,
-    process_graph,
-)
+from taxinet_ros.nodes.graph.runner import GraphOptions, SampledGraph, node_processes, process_graph
 from taxinet_ros.nodes.interface import PARTICIPANTS, PERCEPTION, SIMULATOR
 from taxinet_ros.nodes.lockstep.endpoints import missing_nodes
 from taxinet_ros.nodes.running.domain import own_domain
