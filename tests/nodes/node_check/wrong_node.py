@@ -142,11 +142,12 @@ def main():
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        if 'traceback' in FAULTS:
-            raise
+        pass
     except Exception:
         if rclpy.ok():  # else it is the end, which comes to rclpy at odd moments
             raise
+    if 'traceback' in FAULTS:  # however rclpy told of the end: it may as well just return
+        raise RuntimeError('told to end')
 
 
 if __name__ == '__main__':
