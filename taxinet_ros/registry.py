@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from taxinet_ros import __version__
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.processes.interrupts import refuse_exits
+from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
 WORLDS, REQUIREMENTS = 'worlds', 'requirements'

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
@@ -19,6 +18,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
 from taxinet_ros.registry import origins
+from taxinet_ros.version import __version__
 
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
