@@ -580,7 +580,8 @@ class Simulator(Node):
 
     def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
         """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
-        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        # Its first end: where it was told of the run, its others may be yet to be found.
+        ends = self.get_subscriptions_info_by_topic(interface.SCENARIO.name)
         if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
             run.finish()
         elif silence_s > self._answer_timeout_s:
