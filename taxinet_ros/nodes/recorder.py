@@ -249,6 +249,7 @@ class Recorder(Participant):
         self._canonical = Canonical(self._topics)
         self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
+        self._ended: RunStatus | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._contested = ('', '')
@@ -269,14 +270,14 @@ class Recorder(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
-        self.close()
+        self._abandon()
         self._scenario_message = scenario
         self._expected = {
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
             for topic in self._stepped
         }
         self.clear()
-        self._ended: RunStatus | None = None
+        self._ended = None
         self._written = 0
         self._head_complete = False
         self._rest_looks = 0
@@ -339,6 +340,14 @@ class Recorder(Participant):
         return closed or self.silent_looks > enough
 
     def close(self) -> None:
+        """Finish the bag of a run that is known to be broken off: no more is awaited of it."""
+        ended = self._ended if self._writer is not None else None
+        if ended is not None and not Outcome(ended.outcome).judged:
+            self._rest_looks = _REST_LOOKS
+            self._guarded(lambda _: self._finish_if_whole())(None)
+        self._abandon()
+
+    def _abandon(self) -> None:
         """Leave an unfinished bag readable, and not declared whole."""
         self._rest.cancel()
         self._late_frames.cancel()

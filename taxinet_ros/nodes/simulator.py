@@ -49,6 +49,7 @@ from taxinet_ros.nodes.lockstep.endpoints import (
     first_stranger,
     heard_by,
     missing_nodes,
+    why_silent,
 )
 from taxinet_ros.nodes.messages.convert import (
     account_message,
@@ -76,6 +77,7 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
+from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
 
 _WATCH_PERIOD_S = 0.1
@@ -503,15 +505,16 @@ class Simulator(Node):
         status = run.status(
             RunStatus.ENDED, outcome=Outcome.INFRA_ERROR, kind=kind, who=who, detail=detail
         )
-        recorder_lost = who == interface.RECORDER and kind != InfraKind.INTRUDER
+        recorder_lost = interface.RECORDER in who.split(', ') and kind != InfraKind.INTRUDER
         judged = run.ending is not None and Outcome(run.ending.outcome).judged
         doubtful = kind == InfraKind.INTRUDER or who == interface.SIMULATOR
         if run.ending is None or (judged and doubtful):
             self._end(run, status, recorder_lost)
         elif recorder_lost:
-            # The bag could not be finished, so the evidence is not whole: no verdict stands. Where
-            # somebody else spoke, that is why: it may have been closed with the verdict before.
-            run.ending = run.ending if run.ending.kind == InfraKind.INTRUDER else status
+            # The bag could not be finished, so the evidence is not whole: no verdict stands. What
+            # has broken the run before stays what broke it, and the bag is another matter.
+            if run.ending.outcome != Outcome.INFRA_ERROR:
+                run.ending = status
             run.finish()
 
     def _break_off(self, run: ActiveRun) -> None:
@@ -570,14 +573,19 @@ class Simulator(Node):
         elif run.free is not None and (
             who := run.free.silent(now, self._answer_timeout_s)
         ):
-            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail_silent(run, who)
         elif silence > self._answer_timeout_s:
-            who = (run.lockstep.missing() or [interface.MTL_MONITOR])[0]
-            self._fail(run, InfraKind.TIMEOUT, who, f'silent for {self._answer_timeout_s:g} s')
+            self._fail_silent(run, (run.lockstep.missing() or [interface.MTL_MONITOR])[0])
+
+    def _fail_silent(self, run: ActiveRun, who: str) -> None:
+        why = why_silent(self, who, run.participants)
+        detail = f'silent for {self._answer_timeout_s:g} s' + (f': it {why}' if why else '')
+        self._fail(run, InfraKind.TIMEOUT, who, detail)
 
     def _await_recorder(self, run: ActiveRun, silence_s: float) -> None:
         """Wait for the recorder to close its bag; where all are asked to end it may be gone."""
-        ends = self.get_subscriptions_info_by_topic(interface.RUN_STATUS.name)
+        # Its first end: where it was told of the run, its others may be yet to be found.
+        ends = self.get_subscriptions_info_by_topic(interface.SCENARIO.name)
         if self._leaving and interface.RECORDER not in {end.node_name for end in ends}:
             run.finish()
         elif silence_s > self._answer_timeout_s:
@@ -598,11 +606,14 @@ class Simulator(Node):
         for speakers in self._topics:
             if (stranger := speakers.early_stranger(run.participants)) is not None:
                 return InfraKind.INTRUDER, stranger.name, f'{stranger.detail} ({within})'
+        if parted := cut_off(self):
+            return InfraKind.NOT_READY, interface.SIMULATOR, f'{within}: {parted[0]}'
         if absent := missing_nodes(self, run.participants):
             names = sorted(absent)
             return InfraKind.NOT_READY, ', '.join(names), f'{within}: {absent[names[0]]}'
         if silent := run.lockstep.missing():
-            detail = f'{within}: does not say that it is ready'
+            why = why_silent(self, silent[0], run.participants) or 'does not say that it is ready'
+            detail = f'{within}: {why}'
             return InfraKind.NOT_READY, ', '.join(silent), detail
         detail = f'{within}: not all ends are found on {", ".join(self._deaf(run))}'
         return InfraKind.NOT_READY, interface.SIMULATOR, detail

@@ -149,7 +149,12 @@ class ActiveRun:
         self.created = self.last_heard = time.monotonic()
 
     def listeners(self, topic: str) -> set[str]:
-        """Participants that have said that they subscribe to a topic."""
+        """Participants that have said that they subscribe to a topic.
+
+        Of how answers are timed only a free run tells, and who follows it has to hear that.
+        """
+        if self.free is not None and topic == interface.TIMING.name:
+            return set(interface.FOLLOWERS) & set(self.participants)
         return {node for node, topics in self.listens.items() if topic in topics}
 
     def reset_watchdog(self) -> None:
