@@ -8,24 +8,37 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
-from taxinet_ros.core.controller import STEERING, Controller, SteeringGains, make_controller
-from taxinet_ros.core.judging import parse_stop_on
-from taxinet_ros.core.loop import Step, run_closed_loop
-from taxinet_ros.core.mtl import offline
+from taxinet_ros.core.controller import (
+    STEERING,
+    Controller,
+    SteeringGains,
+    SteeringLaw,
+    make_controller,
+)
+from taxinet_ros.core.judge import Judgement, check_specs
+from taxinet_ros.core.judging import Judging, parse_stop_on
+from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
+from taxinet_ros.core.mtl import offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
 from taxinet_ros.core.mtl.specs import Spec, parse_spec
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
+from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
     Perception,
@@ -34,16 +47,19 @@ from taxinet_ros.core.perception.perception import (
 )
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
+from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
+from taxinet_ros.core.world import KMWH, ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _MOST_S = 1e9
+_DRAWS = 0, 0
+"""Seed and index by which a run that nobody numbers draws its latencies."""
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
 """A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. One with an attribute
@@ -60,28 +76,58 @@ class Run:
         scenario: initial condition and environment.
         perception: word of what estimated; ``python`` for a function.
         fingerprint: SHA-256 of its weights or file; '' for the truth and for a function given.
-        specs: the requirements, the headline first.
-        outcome: PASS, FAIL, or INFRA_ERROR where a sample could not be judged (a formula read an
-            estimate that was not there).
-        rho: robustness by the name of the requirement, in the unit of the predicate that decides;
-            > 0 satisfies it. An interval of some width is of a run that was stopped early, or that
-            could not be judged.
-        stopped_early: whether the run ended before its end because that was decided.
-        statistics: how far off, when settled, how wrong the estimates.
+        judging: what decided its outcome: requirements, rule to stop, what was vouched for.
+        timing: when answers took effect.
         steps: its control steps, without their frames.
-        make_world: makes the world that it took place in.
+        judgement: what the judge said at its end.
+        world: what it took place in.
+        nodes: what perception, controller and world would say of themselves as nodes of a graph.
     """
 
     scenario: Scenario
     perception: str
     fingerprint: str
-    specs: tuple[Spec, ...]
-    outcome: Outcome
-    rho: Mapping[str, RobustnessInterval]
-    stopped_early: bool
-    statistics: RunStatistics
+    judging: Judging
+    timing: Timing
     steps: tuple[Step, ...]
-    make_world: WorldMaker = SimulatedWorld
+    judgement: Judgement = field(repr=False)
+    world: ChosenWorld = field(repr=False)
+    nodes: tuple[NodeWords, ...] = field(repr=False)
+
+    @cached_property
+    def specs(self) -> tuple[Spec, ...]:
+        """The requirements, the headline first."""
+        return self.judging.parsed_specs
+
+    @property
+    def outcome(self) -> Outcome:
+        """PASS or FAIL; INFRA_ERROR where a sample could not be judged: :attr:`detail` says why."""
+        return outcome_of(self.judgement)
+
+    @cached_property
+    def detail(self) -> str:
+        """Why it could not be judged, in a line; '' where it was."""
+        return '' if self.outcome.judged else self._why_not_judged()
+
+    @cached_property
+    def rho(self) -> Mapping[str, RobustnessInterval]:
+        """Robustness by the name of the requirement, in the unit of the predicate that decides.
+
+        > 0 satisfies it. An interval of some width is of a run that was stopped early, or that
+        could not be judged.
+        """
+        readings = zip(self.specs, self.judgement.readings, strict=True)
+        return {spec.name: reading.interval for spec, reading in readings}
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether the run ended before its end because that was decided."""
+        return self.judgement.stopped_early
+
+    @property
+    def statistics(self) -> RunStatistics:
+        """How far off, when settled, how wrong the estimates."""
+        return self.judgement.statistics
 
     @cached_property
     def trace(self) -> pd.DataFrame:
@@ -102,7 +148,10 @@ class Run:
         """
         if not 0 <= seq < len(self.steps):
             raise UsageError(f'run: no control step {seq}; it has 0 to {len(self.steps) - 1}')
-        return next(self._driven_again(lambda now: now == seq))
+        found = next(picture for now, picture in self._driven_again((seq,)) if now == seq)
+        if found is None:
+            raise UsageError(f'run: world {self.world.name} gave no picture at step {seq}')
+        return found
 
     def frames(self) -> Iterator[Frame]:
         """What the camera saw, a frame for each control step in order; each is made when asked for.
@@ -110,21 +159,65 @@ class Run:
         Frames are not kept (216 kB each): the aircraft is driven again by the run's commands, which
         gives every byte as it was.
         """
-        return self._driven_again(lambda now: True)
+        driven = self._driven_again(range(len(self.steps)))
+        return (picture for _, picture in driven if picture is not None)
+
+    def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
+        """Save the run as a bag, which every ``taxinet`` command and ``tx.open_recording`` reads.
+
+        Its messages are those of the bag that the graph records of the same run, to the byte.
+
+        Args:
+            path: folder of the bag, named as the run; it must not exist.
+            images: whether camera frames go in; they are made again, and are most of a bag.
+
+        Returns:
+            The folder.
+
+        Raises:
+            UsageError: there is something at ``path``, or its name can be none of a run.
+            BagError: the disk refuses; nothing is left of the bag then.
+        """
+        folder = Path(path)
+        status = RunEnding(
+            outcome=self.outcome, perception=self.perception, fingerprint=self.fingerprint,
+            **({} if self.outcome.judged else NOT_JUDGED),
+        )
+        driven = self._driven_again(range(len(self.steps)))
+        write_run(
+            folder,
+            RunRequest(
+                run_id=folder.name, index=_DRAWS[1], program='', seed=_DRAWS[0],
+                scenario=self.scenario, judging=self.judging, participants=PARTICIPANTS,
+            ),
+            nodes=self.nodes, steps=self.steps, judgement=self.judgement, ending=status,
+            frames=(picture for _, picture in driven) if images else None,
+        )
+        return folder
 
     def __repr__(self) -> str:
         known = ', '.join(f'{name}: {interval.words()}' for name, interval in self.rho.items())
-        return f'<Run {self.outcome}, {len(self.steps)} steps, {known}>'
+        return f'<Run {self.outcome}, {len(self.steps)} steps, {self.detail or known}>'
 
-    def _driven_again(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
-        world = self.make_world(self.scenario)
+    def _driven_again(self, wanted: Container[int]) -> Iterator[tuple[int, Frame | None]]:
+        """Number and picture of each step; a picture where it is wanted and there is one."""
+        world = self.world.make(self.scenario)
+        commands = LateCommands(self.timing, *_DRAWS)
         for step in self.steps:
-            asked = wanted(step.observation.seq)
-            now = world.observe(picture=asked)
-            if asked and now.image is not None:
-                yield now.image
+            now = world.observe(picture=step.observation.seq in wanted)
+            yield now.seq, now.image
             if step is not self.steps[-1]:
-                world.advance(step.command)
+                world.advance(commands.at(now.seq, step.command))
+
+    def _why_not_judged(self) -> str:
+        for step in self.steps:
+            sample = step.sample
+            for spec, reading in zip(self.specs, step.readings, strict=True):
+                for name in () if reading.valid else signal_names(spec.formula):
+                    if not math.isfinite(sample.get(name, 0.0)):
+                        t_s = step.observation.stamp_ns / NS_PER_S
+                        return f'{spec.name} reads {name}, which is {sample[name]:g} at {t_s:g} s'
+        return NOT_JUDGED['detail']
 
 
 def load_perception(word_or_file: str) -> Perception:
@@ -148,7 +241,8 @@ def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
     specs: str | Spec | Sequence[str | Spec] = DEFAULT_SPECS, stop_on: str = 'never',
-    world: str = KMWH,
+    bounds: str | Sequence[str] = (), rates: str | Sequence[str] = (),
+    latency: str | Sequence[str] = (), world: str = KMWH,
 ) -> Run:
     """Run one scenario to its end, in this process.
 
@@ -161,6 +255,11 @@ def run(
         specs: names of shipped formulas, ``NAME=FORMULA``, formulas, YAML files of them, or
             :class:`Spec`; the first is the headline.
         stop_on: ``never``, or end as soon as the headline is ``violated`` or all is ``decided``.
+        bounds: what is vouched for of signals, such as ``cte=-25:25``, in the signal's unit; it
+            narrows intervals before the end.
+        rates: of their change per second, such as ``cte=3``.
+        latency: how late answers take effect [s], such as ``perception=0.15`` or
+            ``controller=uniform(0.1,0.3)``; other draws with ``draws=SEED.INDEX`` behind it.
         world: ``kmwh``, the simulated one, or what a package adds (docs/extending.md).
 
     Returns:
@@ -172,8 +271,14 @@ def run(
         UserCodeError: a function in a file failed; what a function given here raises comes through.
         InfraError: the simulator failed.
     """
-    eyes, make_world = _perception(perception), find_world(world).make
-    asked = tuple(map(parse_spec, spec_texts(specs)))
+    eyes, hands, chosen = _perception(perception), _controller(controller), find_world(world)
+    judging = Judging(
+        specs=spec_texts(specs), stop_on=parse_stop_on(stop_on), bounds=_texts(bounds),
+        rates=_texts(rates),
+    )
+    timing, assumptions = parse_latency(_texts(latency)), judging.assumptions
+    asked = judging.parsed_specs
+    check_specs(asked, scenario.duration_s)
     steps: list[Step] = []
 
     def keep(step: Step) -> None:
@@ -181,19 +286,53 @@ def run(
         steps.append(dataclasses.replace(step, observation=seen))
 
     judgement = run_closed_loop(
-        scenario, eyes, specs=asked, controller=_controller(controller),
-        stop_on=parse_stop_on(stop_on), on_step=keep, make_world=make_world,
+        scenario, eyes, specs=asked, controller=hands, stop_on=judging.stop_on,
+        assumptions=assumptions, on_step=keep, timing=timing, draws=_DRAWS, make_world=chosen.make,
     )
     return Run(
-        scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, specs=asked,
-        outcome=outcome_of(judgement),
-        rho={
-            spec.name: reading.interval
-            for spec, reading in zip(asked, judgement.readings, strict=True)
-        },
-        stopped_early=judgement.stopped_early, statistics=judgement.statistics, steps=tuple(steps),
-        make_world=make_world,
+        scenario=scenario, perception=eyes.word, fingerprint=eyes.fingerprint, judging=judging,
+        timing=timing, steps=tuple(steps), judgement=judgement, world=chosen,
+        nodes=_node_words(eyes, hands, chosen, timing),
     )
+
+
+def _node_words(
+    eyes: Perception, hands: Controller, world: ChosenWorld, timing: Timing
+) -> tuple[NodeWords, ...]:
+    """What the nodes of a graph say of themselves for such a run, as their bags have it."""
+    usual = dataclasses.asdict(SteeringGains())
+    tuned = {
+        name: gain for name, gain in dataclasses.asdict(hands.gains).items() if gain != usual[name]
+    } if isinstance(hands, SteeringLaw) else {}
+    seen = topics.IMAGE if eyes.needs_image else topics.TRUTH
+    heard = topics.ODOMETRY, topics.TRUTH, topics.ESTIMATE, topics.COMMAND
+    nodes = [
+        NodeWords(
+            node=topics.PERCEPTION, implementation=eyes.word, fingerprint=eyes.fingerprint,
+            listens=(topics.SCENARIO.name, seen.name),
+        ),
+        NodeWords(
+            node=topics.STEERING_CONTROLLER, fingerprint=hands.fingerprint,
+            implementation=gains_text(tuned) if isinstance(hands, SteeringLaw) else hands.word,
+            listens=(topics.SCENARIO.name, topics.ESTIMATE.name),
+        ),
+        NodeWords(
+            node=topics.MTL_MONITOR,
+            listens=(topics.SCENARIO.name, *(topic.name for topic in heard)),
+        ),
+        NodeWords(node=topics.RECORDER),
+    ]
+    detail = '' if world.name == KMWH else world.name
+    if timing.words or detail:
+        nodes.append(NodeWords(
+            node=topics.SIMULATOR, implementation=timing.words, fingerprint=world.fingerprint,
+            detail=detail,
+        ))
+    return tuple(nodes)
+
+
+def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
+    return (words,) if isinstance(words, str) else tuple(words)
 
 
 def render(
