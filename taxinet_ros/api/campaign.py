@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taxinet_ros.arguments import PATH, takes
 from taxinet_ros.campaign.past_runs import recorded_campaign
 from taxinet_ros.campaign.past_runs.recorded_campaign import RecordedCampaign
 from taxinet_ros.campaign.rates import ProgramRate
@@ -114,6 +115,7 @@ class Campaign:
         return f'<Campaign {self.folder}: {len(self.recorded.rows)} runs>'
 
 
+@takes(path=PATH)
 def open_campaign(path: str | os.PathLike[str]) -> Campaign:
     """Read a campaign's folder; one that is under way gives the runs so far.
 

@@ -7,17 +7,35 @@ controller and requirements give the same trace, frames and robustness in both.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import os
+import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taxinet_ros.arguments import (
+    FINITE,
+    FLAG,
+    NUMBER,
+    PATH,
+    TABLE,
+    TEXT,
+    TEXTS,
+    WHOLE,
+    WORD,
+    Kind,
+    a,
+    takes,
+    told,
+)
 from taxinet_ros.bag.run.facts import gains_text
 from taxinet_ros.bag.run.run_bag import NodeWords, RunEnding, write_run
 from taxinet_ros.campaign.options import DEFAULT_SPECS, read_specs
@@ -29,6 +47,7 @@ from taxinet_ros.core.controller import (
     Controller,
     SteeringGains,
     SteeringLaw,
+    UserController,
     make_controller,
 )
 from taxinet_ros.core.judge import Judgement, check_specs
@@ -36,19 +55,23 @@ from taxinet_ros.core.judging import Judging, parse_stop_on
 from taxinet_ros.core.loop import LateCommands, Step, run_closed_loop
 from taxinet_ros.core.mtl import offline, signal_names
 from taxinet_ros.core.mtl.interval import RobustnessInterval
-from taxinet_ros.core.mtl.specs import Spec, parse_spec
+from taxinet_ros.core.mtl.lexer import RESERVED
+from taxinet_ros.core.mtl.specs import SHIPPED, SIGNALS, Spec, parse_spec
 from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, RunRequest, outcome_of
 from taxinet_ros.core.pacing.timing import Timing, parse_latency
 from taxinet_ros.core.perception.perception import (
     NO_ESTIMATE,
+    GroundTruth,
+    NetworkPerception,
     Perception,
+    UserPerception,
     make_perception,
     read_estimate,
 )
 from taxinet_ros.core.run_statistics import RunStatistics
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.topics import PARTICIPANTS
-from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
+from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
 from taxinet_ros.core.world import KMWH, ChosenWorld, find_world
@@ -60,6 +83,18 @@ if TYPE_CHECKING:
 _MOST_S = 1e9
 _DRAWS = 0, 0
 """Seed and index by which a run that nobody numbers draws its latencies."""
+_SCENARIO = a('a tx.Scenario', Scenario)
+_POSE = Kind(
+    'None, (x_m, cte_m, he_rad) as finite numbers, or a tx.AircraftState of them',
+    lambda pose: pose is None or all(map(FINITE.has, dataclasses.astuple(pose)))
+    if pose is None or isinstance(pose, AircraftState)
+    else isinstance(pose, tuple | list | np.ndarray) and len(pose) == 3
+    and all(map(FINITE.has, pose)),
+)
+_NEEDS_GRAPH: Mapping[str, str] = MappingProxyType(dict.fromkeys(
+    ('free', 'real_time_factor', 'participants', 'foxglove', 'processes'),
+    'needs the graph of nodes; type taxinet run',
+))
 Frame = NDArray[np.uint8]
 Look = Callable[[Any], Any]
 """A frame, (200, 360, 3) uint8 RGB, in; ``(cte_m, he_rad)`` or None out. One with an attribute
@@ -140,6 +175,7 @@ class Run:
         """
         return trace_table(columns_of_steps(self.steps, [spec.name for spec in self.specs]))
 
+    @takes(seq=WHOLE)
     def frame(self, seq: int) -> Frame:
         """What the camera saw at a control step, (200, 360, 3) uint8 RGB.
 
@@ -162,6 +198,7 @@ class Run:
         driven = self._driven_again(range(len(self.steps)))
         return (picture for _, picture in driven if picture is not None)
 
+    @takes(path=PATH, images=FLAG)
     def save_bag(self, path: str | os.PathLike[str], *, images: bool = True) -> Path:
         """Save the run as a bag, which every ``taxinet`` command and ``tx.open_recording`` reads.
 
@@ -220,6 +257,7 @@ class Run:
         return NOT_JUDGED['detail']
 
 
+@takes(word_or_file=WORD)
 def load_perception(word_or_file: str) -> Perception:
     """A perception, loaded once for many runs.
 
@@ -237,6 +275,10 @@ def load_perception(word_or_file: str) -> Perception:
     return make_perception(word_or_file)
 
 
+@takes(
+    _NEEDS_GRAPH, scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS,
+    world=WORD,
+)
 def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
@@ -335,6 +377,7 @@ def _texts(words: str | Sequence[str]) -> tuple[str, ...]:
     return (words,) if isinstance(words, str) else tuple(words)
 
 
+@takes(scenario=_SCENARIO, pose=_POSE, t_s=NUMBER)
 def render(
     scenario: Scenario, pose: AircraftState | tuple[float, float, float] | None = None, *,
     t_s: float = 0.0,
@@ -360,7 +403,7 @@ def render(
     if not isinstance(pose, AircraftState):
         start = scenario
         if pose is not None:
-            x_m, cte_m, he_rad = pose
+            x_m, cte_m, he_rad = map(float, pose)
             start = dataclasses.replace(
                 scenario, distance_m=x_m, cross_track_m=cte_m, heading_rad=he_rad
             )
@@ -368,6 +411,7 @@ def render(
     return Camera(scenario).render(pose, round(t_s * NS_PER_S))
 
 
+@takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, whose last row is taken for its end.
 
@@ -376,7 +420,9 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         trace: a row per sample, in time. ``t_ns`` (integer nanoseconds) or else ``t_s`` says when.
             A formula reads the signals ``cte``, ``he``, ``x``, ``speed``, ``steering``,
             ``cte_estimate``, ``he_estimate``, ``estimate_gap`` and ``unusable_share`` of the
-            columns of :attr:`Run.trace`, and any column with numbers by its own name.
+            columns of :attr:`Run.trace`, which are in SI units and radians, and any column with
+            numbers by its own name, in whatever unit it has. Where ``attrs['units']`` says another
+            unit of a signal's column, it is refused.
 
     Returns:
         Signed distance from violation, in the unit of the predicate that decides; > 0 is satisfied.
@@ -391,9 +437,37 @@ def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
         if trace[name].dtype.kind in 'biuf'
     }
     signals = trace_signals(stamps_ns, numbers)
-    signals |= {name: column for name, column in numbers.items() if name.isidentifier()}
+    signals |= {
+        name: column for name, column in numbers.items()
+        if name.isidentifier() and name not in RESERVED
+    }
+    _check_read(spec, trace, signals)
     asked = spec if isinstance(spec, Spec) else parse_spec(spec, signals=tuple(signals))
     return offline.robustness(asked.formula, stamps_ns, signals)
+
+
+def _check_read(spec: str | Spec, trace: pd.DataFrame, signals: Mapping[str, Any]) -> None:
+    """Name columns that a formula reads and that hold no numbers: to its parser they are not there.
+
+    Raises:
+        UsageError: there is one, or a signal's column is in another unit than the signal.
+    """
+    text = spec.text if isinstance(spec, Spec) else SHIPPED[spec].text if spec in SHIPPED else spec
+    read = set(re.findall(r'[^\W\d]\w*', text))
+    for name in trace.columns:
+        if str(name) in read and str(name) not in {*signals, *RESERVED}:
+            kind = getattr(trace[name], 'dtype', 'several columns')
+            raise UsageError(f'trace: column {name}, which {text!r:.80} reads, holds {kind}, no '
+                             'numbers')
+    units = trace.attrs.get('units')
+    if not isinstance(units, Mapping):
+        return
+    for name, column in SIGNAL_COLUMNS.items():
+        unit = units.get(column, SIGNALS[name])
+        if name in read and column in trace.columns and unit != SIGNALS[name]:
+            raise UsageError(
+                f'trace: column {column} is in {unit}; signal {name} is in {SIGNALS[name]}'
+            )
 
 
 def _stamps_ns(trace: pd.DataFrame) -> NDArray[np.int64]:
@@ -429,7 +503,7 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
     asked = (specs,) if isinstance(specs, str | Spec) else specs
     if not isinstance(asked, list | tuple) or not all(isinstance(one, str | Spec) for one in asked):
         raise UsageError(
-            f'specs: got {specs!r:.60}; expected a requirement or a list of them, each a text, as '
+            f'specs: got {told(specs)}; expected a requirement or a list of them, each a text, as '
             'in specs=["phi_always", "slow=always(speed <= 6)"]'
         )
     if not asked:
@@ -440,49 +514,71 @@ def spec_texts(specs: str | Spec | Sequence[str | Spec]) -> tuple[str, ...]:
 def _perception(given: str | Perception | Look) -> Perception:
     if isinstance(given, str):
         return make_perception(given)
-    if hasattr(given, 'estimate'):
-        return cast('Perception', given)
-    if callable(given):
-        return _FunctionPerception(given)
-    raise UsageError(f'perception: {given!r:.60} is neither a word, a perception nor a function')
+    if isinstance(given, GroundTruth | NetworkPerception | UserPerception):
+        return given
+    _check_answering('perception', given, 'estimate', 2)
+    return _FunctionPerception(given)
 
 
 def _controller(given: str | Controller | Steer) -> Controller:
     if isinstance(given, str):
         return make_controller(given, SteeringGains())
-    if hasattr(given, 'command'):
-        return cast('Controller', given)
-    if callable(given):
-        return _FunctionController(given)
-    raise UsageError(f'controller: {given!r:.60} is neither a word, a controller nor a function')
+    if isinstance(given, SteeringLaw | UserController):
+        return given
+    _check_answering('controller', given, 'command', 1)
+    return _FunctionController(given)
 
 
-def _reset(function: object) -> None:
-    reset = getattr(function, 'reset', None)
-    if reset is not None:
-        reset()
+def _check_answering(name: str, given: Any, method: str, arguments: int) -> None:
+    """See that it is a function of one argument, or has a method that answers."""
+    answer, count = getattr(given, method, None), arguments
+    if answer is None:
+        answer, count = given, 1
+    if isinstance(given, type) or not callable(answer):
+        told_words = given if isinstance(given, int | float) else told(given)
+        raise UsageError(f'{name}: {told_words} is neither a word, a {name} nor a function')
+    try:
+        inspect.signature(answer).bind(*range(count))
+    except TypeError as error:
+        raise UsageError(f'{name}: {told(given)} cannot be called with {count}: {error}') from None
+    except ValueError:  # of what is compiled nobody knows
+        pass
 
 
-class _FunctionPerception(Perception):
-    """A function of the caller's, called as one in a file is; what it raises comes through."""
+class _Function:
+    """A function of the caller's, or his own object; what it raises comes through."""
 
-    word = IMPLEMENTATION
-    fingerprint = ''
-
-    def __init__(self, look: Look) -> None:
-        self._look = look
-        self.needs_image = bool(getattr(look, 'needs_image', True))
+    def __init__(self, given: Any) -> None:
+        self.word = str(getattr(given, 'word', IMPLEMENTATION))
+        self.fingerprint = str(getattr(given, 'fingerprint', ''))
+        self._given = given
 
     def begin(self) -> None:
-        """Have it forget the run before, if it has a ``reset()``."""
-        _reset(self._look)
+        """Have it forget the run before, if it has a ``begin()`` or ``reset()``."""
+        for name in ('begin', 'reset'):
+            forget = getattr(self._given, name, None)
+            if forget is not None:
+                forget()
+                return
+
+
+class _FunctionPerception(_Function, Perception):
+    """It looks at frames, or at the truth."""
+
+    def __init__(self, given: Any) -> None:
+        super().__init__(given)
+        self.needs_image = bool(getattr(given, 'needs_image', True))
 
     def estimate(self, image: Frame | None, truth: TrackingError | None) -> TrackingError:
         """What it answers."""
         if (image if self.needs_image else truth) is None:
             return NO_ESTIMATE
         # A copy, for it may write on what is its own.
-        answer = self._look(image.copy() if self.needs_image and image is not None else truth)
+        seen = image.copy() if self.needs_image and image is not None else None
+        if hasattr(self._given, 'estimate'):
+            answer = self._given.estimate(seen, None if self.needs_image else truth)
+        else:
+            answer = self._given(truth if seen is None else seen)
         found = read_estimate(answer)
         if found is None:
             raise UsageError(
@@ -491,22 +587,12 @@ class _FunctionPerception(Perception):
         return found
 
 
-class _FunctionController(Controller):
-    """A function of the caller's; what it raises comes through."""
-
-    word = IMPLEMENTATION
-    fingerprint = ''
-
-    def __init__(self, steer: Steer) -> None:
-        self._steer = steer
-
-    def begin(self) -> None:
-        """Have it forget the run before, if it has a ``reset()``."""
-        _reset(self._steer)
+class _FunctionController(_Function, Controller):
+    """It answers estimates with commands."""
 
     def command(self, estimate: TrackingError) -> TaxiCommand:
         """What it answers."""
-        answer = self._steer(estimate)
+        answer = getattr(self._given, 'command', self._given)(estimate)
         pair = (answer.steering_rad, answer.speed_mps) if isinstance(answer, TaxiCommand) \
             else pair_of_numbers(answer)
         if pair is None or not (math.isfinite(pair[0]) and 0 <= pair[1] < math.inf):
