@@ -33,6 +33,7 @@ from taxinet_ros.arguments import (
     WORD,
     Kind,
     a,
+    says_parameters,
     takes,
     told,
 )
@@ -279,6 +280,7 @@ def load_perception(word_or_file: str) -> Perception:
     _NEEDS_GRAPH, scenario=_SCENARIO, stop_on=WORD, bounds=TEXTS, rates=TEXTS, latency=TEXTS,
     world=WORD,
 )
+@says_parameters
 def run(
     scenario: Scenario, *, perception: str | Perception | Look = 'truth',
     controller: str | Controller | Steer = STEERING,
@@ -412,6 +414,7 @@ def render(
 
 
 @takes(spec=TEXT | a('a tx.Spec', Spec), trace=TABLE)
+@says_parameters
 def robustness(spec: str | Spec, trace: pd.DataFrame) -> float:
     """Robustness of a requirement on a finished trace, whose last row is taken for its end.
 

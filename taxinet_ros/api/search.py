@@ -19,6 +19,8 @@ from taxinet_ros.arguments import (
     NONE,
     PATH,
     WORD,
+    python_words,
+    says_parameters,
     takes,
 )
 from taxinet_ros.campaign.campaign import exit_code
@@ -31,12 +33,16 @@ from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.mtl.specs import Spec
 from taxinet_ros.core.perception.perception import check_perception
 
+_CALLER = 4
+"""Frames from a warning to the caller, over those that check arguments and words."""
+
 
 @takes(
     program=PATH, runs=FROM_1, seed=FROM_0, sampler=NONE | WORD, sampler_options=NONE | MAPPING,
     perception=WORD, controller=WORD, settings=NONE | MAPPING, stop_on=WORD, until=NONE | WORD,
     workers=FROM_1, out=NONE | PATH, resume=FLAG,
 )
+@says_parameters
 def falsify(
     program: str | os.PathLike[str], *, runs: int = 100, seed: int = 0, sampler: str | None = None,
     sampler_options: Mapping[str, object] | None = None, perception: str = 'taxinet',
@@ -91,7 +97,7 @@ def falsify(
     )
     with search:
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
-            warnings.warn(line, stacklevel=2)
+            warnings.warn(python_words(line), stacklevel=_CALLER)
         sha256 = search.book.facts['controller_sha256']
         command = loop_worker_command(search.options.campaign, sha256)
         with WorkerPool(command, workers, options.out / 'logs') as pool:

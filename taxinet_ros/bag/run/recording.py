@@ -25,7 +25,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from taxinet_ros.arguments import FLAG, PATH, TEXT, WHOLE, Kind, takes
+from taxinet_ros.arguments import FLAG, TEXT, WHOLE, Kind, takes
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import BagInfo, Contents, StoredMessage, read_contents, stored_messages
@@ -66,7 +66,6 @@ class _Within(NamedTuple):
     part: RunPart
 
 
-@takes(path=PATH)
 def open_recording(path: Path | str) -> Recording:
     """Open a bag, of one run or of several; its messages are read, in one pass.
 
