@@ -20,16 +20,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.bag.run.messages import observation_messages
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.active_run import (
     FREE_TICK_S,
@@ -64,7 +65,6 @@ from taxinet_ros.nodes.messages.step import (
     StepMessage,
     TransformBroadcaster,
     is_read_raw,
-    observation_messages,
     step_reader,
 )
 from taxinet_ros.nodes.running.domain import require_free_domain
@@ -436,7 +436,7 @@ class Simulator(Node):
         run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
-            if topic is interface.ODOMETRY:
+            if topic is topics.ODOMETRY:
                 self._transforms.follow(message)
         if run.free is not None:
             self._held = run.command or ROLLING_ON
@@ -470,8 +470,7 @@ class Simulator(Node):
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         outcome = outcome_of(verdict)
         if not outcome.judged:
-            detail = 'the monitor had no whole, finite sequence of samples to judge'
-            self._fail(run, InfraKind.INVALID_RUN, interface.MTL_MONITOR, detail)
+            self._fail(run, **NOT_JUDGED)
             return
         self._look_for_strangers(thorough=True)
         if run.ending is not None:
@@ -618,7 +617,7 @@ class Simulator(Node):
         detail = f'{within}: not all ends are found on {", ".join(self._deaf(run))}'
         return InfraKind.NOT_READY, interface.SIMULATOR, detail
 
-    def _say(self, topic: Topic, message: Any) -> None:
+    def _say(self, topic: topics.Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)
 
 

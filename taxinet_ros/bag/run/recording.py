@@ -25,6 +25,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from taxinet_ros.arguments import FLAG, TEXT, WHOLE, Kind, takes
 from taxinet_ros.bag.errors import BagCorrupt, BagEmpty, BagError, BagTruncated
 from taxinet_ros.bag.layout import METADATA_FILE
 from taxinet_ros.bag.reader import BagInfo, Contents, StoredMessage, read_contents, stored_messages
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.world import Observation
 
+_SPEC = Kind('a tx.Spec', lambda value: bool(value.formula and value.name))
 _HEAD_OF_A_PICTURE = 64
 """Its stamp is in the first bytes."""
 
@@ -188,6 +190,7 @@ class Recording(Sequence['Recording']):
     def __iter__(self) -> Iterator[Recording]:
         return (self._of(number) for number in range(len(self.runs)))
 
+    @takes(key=TEXT | WHOLE)
     def __getitem__(self, key: int | str) -> Recording:  # type: ignore[override]  # no slices
         """One run of it, by its number, name or id.
 
@@ -413,6 +416,7 @@ class Recording(Sequence['Recording']):
 
         return trace_table(self.columns)
 
+    @takes(topic=TEXT)
     def table(self, topic: str) -> pd.DataFrame:
         """The messages of one topic, see :meth:`tables`."""
         return next(iter(self.tables([topic]).values()))
@@ -455,6 +459,7 @@ class Recording(Sequence['Recording']):
             self.choose(None)
         return found[0]
 
+    @takes(spec=TEXT | _SPEC)
     def judge(self, spec: Spec | str, assumptions: Assumptions | None = None) -> SpecVerdict:
         """What the run says of a requirement, whether it was judged by that one then or not.
 
@@ -482,6 +487,7 @@ class Recording(Sequence['Recording']):
 
         return recorded_steps(self)
 
+    @takes(wanted=Kind('a function', callable), render=FLAG)
     def frames(
         self, wanted: Callable[[int], bool] = lambda seq: True, *, render: bool = True
     ) -> Iterator[CameraFrame]:
