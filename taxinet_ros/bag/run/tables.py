@@ -25,7 +25,7 @@ from taxinet_ros.bag.topics import TopicInfo
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 LONGEST_ARRAY = 40
 """Arrays with more elements than a 6 x 6 covariance has get no column for each."""
@@ -52,7 +52,7 @@ _SUFFIXES = {'m': 'm', 'mps': 'm/s', 'rad': 'rad', 'ns': 'ns', 's': 's'}
 
 
 def topic_tables(
-    recording: Recording, topics: Collection[str] | None
+    recording: StoredRuns, topics: Collection[str] | None
 ) -> dict[str, pd.DataFrame]:
     """See :meth:`.recording.Recording.tables`."""
     chosen = _chosen(recording, topics)
@@ -101,7 +101,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value.item() if isinstance(value, np.generic) else value
 
 
-def _chosen(recording: Recording, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
+def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, TopicInfo]:
     """The topics wanted, by name, in the order of the file."""
     path, known = recording.path, recording.topics
     if wanted is None:
