@@ -31,6 +31,7 @@ from taxinet_ros.campaign.record.facts import (
     recorded_stacks,
     stack_difference,
     this_stack,
+    with_present_keys,
     write_facts,
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
@@ -385,7 +386,7 @@ def read_same_campaign(
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
-    before = {**_DEFAULTS_OF_BEFORE, **before}
+    before = {**_DEFAULTS_OF_BEFORE, **with_present_keys(before)}
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')

@@ -15,6 +15,7 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
+from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
@@ -29,6 +30,9 @@ ARMS = 'experiment_arms'
 
 EXTENSIONS = 'extensions'
 """The fact that names the packages of what is not shipped, with their versions and hashes."""
+
+_BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
+"""Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
 
 WORLD = 'world'
 """The fact that names the world that the runs take place in; versions without a choice had none."""
@@ -140,6 +144,14 @@ def this_stack() -> str:
 def this_stack_record() -> dict[str, dict[str, str]]:
     """The record of this process under its name, to be added to those of earlier sittings."""
     return {this_stack(): dict(provenance())}
+
+
+def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Facts with scenario keys as they are written now: before, they had no units."""
+    present: dict[str, Any] = {name: by_key(facts[name]) for name in _BY_KEY if name in facts}
+    if 'parameters' in facts:
+        present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
+    return {**facts, **present}
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
