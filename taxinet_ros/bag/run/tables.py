@@ -64,13 +64,13 @@ def topic_tables(
     return {name: _table(rows[name], topic) for name, topic in chosen.items()}
 
 
-def units_of(topic: TopicInfo) -> dict[str, str]:
+def units_of(topic: TopicInfo) -> Mapping[str, str]:
     """Units of a topic's columns, as far as its definition or a standard fixes them.
 
     A definition says it in brackets at the beginning of a field's comment: ``# [rad] left
     positive``.
     """
-    return dict(_units(topic))
+    return _units_within(topic.type, topic.definition)
 
 
 def titles(table: pd.DataFrame) -> dict[str, str]:
@@ -116,13 +116,9 @@ def _chosen(recording: StoredRuns, wanted: Collection[str] | None) -> dict[str, 
 def _table(rows: list[dict[str, Any]], topic: TopicInfo) -> pd.DataFrame:
     columns = list(dict.fromkeys(name for row in rows for name in row)) or ['t_s', 'stamp_ns']
     table = pd.DataFrame(rows, columns=columns)
-    units = {'t_s': 's', 'stamp_ns': 'ns', **_units(topic)}
+    units = {'t_s': 's', 'stamp_ns': 'ns', **units_of(topic)}
     table.attrs['units'] = {name: unit for name, unit in units.items() if name in table.columns}
     return table
-
-
-def _units(topic: TopicInfo) -> Mapping[str, str]:
-    return _units_within(topic.type, topic.definition)
 
 
 @lru_cache(maxsize=64)
