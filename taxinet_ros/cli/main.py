@@ -42,6 +42,7 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     learned,
+    plugins,
     run,
     shrink,
     up,
@@ -130,7 +131,7 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')

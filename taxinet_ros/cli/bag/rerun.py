@@ -88,7 +88,7 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        recorded_world(recording)
+        recorded_world(recording.path, run)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
