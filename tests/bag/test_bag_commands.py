@@ -169,10 +169,10 @@ BAD = {
     'no bag': (['doctor', 'garbage.mcap'], 2, 'not an MCAP file'),
     'an sqlite bag': (['info', 'sqlite'], 2, 'ros2 bag convert'),
     'empty folder': (['recover', 'empty', '--out', 'NEW/x'], 2, 'holds no .mcap'),
-    'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'exists already'),
+    'recover onto something': (['recover', 'cut', '--out', 'run'], 2, 'already exists'),
     'recover into the bag': (['recover', 'cut', '--out', 'cut/x'], 2, 'lies within the bag'),
     'export of a damaged bag': (
-        ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save what is sound: taxinet bag recover cut',
+        ['export', 'cut', '--out', 'NEW/x.csv'], 3, 'save the intact part: taxinet bag recover cut',
     ),
     'unknown format': (['export', 'run', '--out', 'NEW/x.xls'], 2, "'xls' is no format; known:"),
     'other suffix': (
@@ -188,9 +188,9 @@ BAD = {
     'two topics in a file': (
         ['export', 'run', '--out', 'NEW/x.csv', '--topics', 'tracking_error'], 2, 'name one',
     ),
-    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'there is no folder'),
+    'no folder': (['export', 'run', '--out', 'NEW/no/x.csv'], 2, 'no such folder'),
     'file that exists': (['export', 'run', '--out', 'garbage.mcap'], 2, 'is no format'),
-    'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'exists already'),
+    'folder that exists': (['export', 'run', '--out', 'empty'], 2, 'already exists'),
 }
 
 

@@ -58,7 +58,7 @@ def test_given_a_shrunk_run_then_there_are_bags_a_table_numbers_and_a_picture(fo
     assert table['rho'].notna().all()
     assert all(read_info(out / bag).complete for bag in table['bag'])
     assert found['end'] == 'minimal'
-    assert found['original']['rho'] == read_table(folder / 'c')['rho'][0], 'the same to the bit'
+    assert found['original']['rho'] == read_table(folder / 'c')['rho'][0], 'bit-identical'
     assert {key for key, one in found['parameters'].items() if one['matters']} == {'cross_track'}
     assert (out / 'shrink.png').read_bytes().startswith(b'\x89PNG')
 

@@ -142,7 +142,7 @@ BAD = {
     'no key': (['frame', '--set', 'clouds'], 'expected key=value'),
     'unknown key': (['frame', '--set', 'cloud=clear'], "unknown key 'cloud'"),
     'no PNG': (['frame', '--out', 'f.jpg'], 'name it f.png'),
-    'no parent': (['frame', '--out', 'no/where.png'], 'there is no folder no'),
+    'no parent': (['frame', '--out', 'no/where.png'], 'no such folder: no'),
     'not writable': (['frame', '--out', '/proc/f.png'], 'cannot be written'),
     'hours twice': (['sheet', '--set', 'time_of_day=9'], 'use --hours 9'),
     'hours no numbers': (['sheet', '--hours', 'noon'], "--hours 'noon': expected numbers"),

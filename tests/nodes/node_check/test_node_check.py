@@ -211,10 +211,10 @@ def test_given_quality_of_service_in_time_then_what_cannot_match_is_named(publis
 
 
 @pytest.mark.parametrize(('more', 'says'), [
-    ({'log': Path('no_such_folder/x.log')}, 'there is no folder no_such_folder'),
+    ({'log': Path('no_such_folder/x.log')}, 'no such folder: no_such_folder'),
     ({'log': Path('/')}, 'is a folder'),
     ({'patience_s': math.nan}, '--patience nan: not a number'),
-    ({'command': str(HERE / 'wrong_node.py')}, "for a node say 'python3 "),
+    ({'command': str(HERE / 'wrong_node.py')}, "give 'python3 "),
 ])
 def test_given_words_that_cannot_be_then_they_are_refused_before_the_check(more, says):
     words = {
