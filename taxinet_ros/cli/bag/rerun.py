@@ -102,7 +102,7 @@ def run_again(
     before = perception_words(run.perception, run.fingerprint)
     now = perception_words(word, fingerprint)
     console.print(
-        f'once more {run.request.run_id}, perception {before}'
+        f'rerun of {run.request.run_id}, perception {before}'
         + (f', now {now}' if now != before else '')
         + (f', {run.timing.words}' if run.timing.words else '') + f' -> {out}', soft_wrap=True,
     )

@@ -110,8 +110,7 @@ def _decision_lines(made: Decision) -> list[str]:
         f'{made.off_before} and {made.off_now} left the runway',
         f'  now satisfied: {100 * now.rate:.1f} % ({100 * now.low:.1f}-{100 * now.high:.1f} %); '
         f'rho {_change(made)}',
-        '    failure rate higher by   failure rate higher by at most '
-        f'{100 * max(made.more_failures, 0):.1f} points',
+        f'  failure rate higher by at most {100 * max(made.more_failures, 0):.1f} points',
         f'  {"ACCEPTED" if made.accepted else "REJECTED"}: {made.why}',
     ]
 

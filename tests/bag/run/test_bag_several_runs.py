@@ -235,7 +235,7 @@ def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(
 def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_each(tmp_path):
     playback = pytest.importorskip('taxinet_ros.nodes.bag_player')
     bag = record(tmp_path / 'all', heard([GOOD, BAD], sim_time=True))
-    with pytest.raises(UsageError, match='begins anew 12 s earlier, so it holds several runs'):
+    with pytest.raises(UsageError, match='jumps back by 12 s, so it holds several runs'):
         playback.open_bag(str(bag))
     assert playback.open_bag(str(record(tmp_path / 'wall', heard([GOOD, BAD])))).complete
 

@@ -50,7 +50,7 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
 def test_given_a_recorded_run_when_run_again_then_it_is_the_same_to_the_byte(again, taxinet):
     code, out, _ = taxinet('run', '--from', again, '--out', 'new')
     assert code == 0
-    assert 'once more short, perception truth -> new' in out
+    assert 'rerun of short, perception truth -> new' in out
     assert 'the same: ' in out
     code, out, _ = taxinet('bag', 'compare', again, 'new/short')
     assert (code, out.splitlines()[-1]) == (0, 'the files are byte-identical')
@@ -104,7 +104,7 @@ def test_given_a_golden_bag_that_comes_out_otherwise_then_update_records_it_anew
     shutil.copytree(again, golden / 'short')
     assert taxinet('run', '--from', again, '--perception', 'original', '--out', 'new')[0] == 1
     code, out, _ = taxinet('bag', 'golden', golden, '--update')
-    assert (code, out.splitlines()[-1]) == (0, '0 of 1 golden bags recorded anew')
+    assert (code, out.splitlines()[-1]) == (0, '0 of 1 golden bags re-recorded')
     before = {path.name: path.read_bytes() for path in (golden / 'short').iterdir()}
     assert taxinet('bag', 'golden', golden)[0] == 0
 
@@ -117,7 +117,7 @@ def test_given_a_golden_bag_that_comes_out_otherwise_then_update_records_it_anew
     code, out, _ = taxinet('bag', 'golden', golden, '--update')
     assert code == 0
     assert '/taxi_command  1 of 11 differ' in out
-    assert out.splitlines()[-1] == '1 of 1 golden bags recorded anew'
+    assert out.splitlines()[-1] == '1 of 1 golden bags re-recorded'
     assert {path.name: path.read_bytes() for path in (golden / 'short').iterdir()} == before
 
 

@@ -422,7 +422,7 @@ def test_given_a_node_that_somebody_starts_when_checked_then_it_is_found_and_lef
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    ((), 'check-node: name a COMMAND, or say --external'),
+    ((), 'check-node: name a COMMAND, or give --external'),
     (('no_such_program',), 'check-node: no_such_program: no such program'),
     (('true', '--role', 'pilot'), '--role pilot: unknown; known: perception, controller'),
     (('mine.py:steer',), '--role: mine.py:steer is a function; give perception or controller'),
