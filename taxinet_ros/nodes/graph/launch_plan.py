@@ -30,6 +30,7 @@ from taxinet_ros.core.user_code import (
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
+from taxinet_ros.registry import KMWH
 
 ARGUMENTS = {
     'perception': ('taxinet', 'perception: truth, taxinet, original, …; a .safetensors or .onnx '
@@ -37,8 +38,10 @@ ARGUMENTS = {
     'perception_cmd': ('', 'command of your own perception: short for perception:=cmd:…'),
     'controller': (STEERING, 'controller: steering; FILE.py:NAME; external; or cmd:COMMAND'),
     'controller_cmd': ('', 'command of your own controller: short for controller:=cmd:…'),
+    'world': (KMWH, 'world of the runs: kmwh, the simulated airport, or a name that a package '
+              'adds'),
     'scenario': ('s_falsif', 'Scenic program to draw scenes from: a shipped name or a file'),
-    'program': ('', 'older name of program'),
+    'program': ('', 'older name of scenario'),
     'runs': ('10', 'number of runs'),
     'seed': ('0', 'seed of the scenes'),
     'sampler': ('', 'ce, random, …: search for failures; empty: scenes drawn by the program'),
@@ -126,9 +129,10 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
     perception = _word_or_command(words, 'perception')
     controller = _word_or_command(words, 'controller')
     seeing, weights = perception_executable(perception)
+    there = {} if words['world'] == KMWH else {'world': words['world']}
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
-        _ours(topics.SIMULATOR, **_timing(words)),
+        _ours(topics.SIMULATOR, **_timing(words), **there),
         _elsewhere(topics.PERCEPTION, perception, words) if is_node_elsewhere(perception)
         else NodePlan(name=topics.PERCEPTION, executable=seeing, parameters=weights),
         _elsewhere(topics.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)

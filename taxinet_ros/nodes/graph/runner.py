@@ -37,6 +37,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 from taxinet_ros.processes.child import end_all
+from taxinet_ros.registry import KMWH
 
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
@@ -65,6 +66,8 @@ class GraphOptions:
         change during a campaign is detected; '' for any.
         alone: whether only this process may request runs; others are not recorded.
         timing: timing of answers.
+        world: name of the world that runs take place in.
+        world_sha256: what the package that brings it has to be; '' where it may be any.
     """
 
     perception: str
@@ -78,6 +81,8 @@ class GraphOptions:
     controller_sha256: str = ''
     alone: bool = True
     timing: Timing = AT_ONCE
+    world: str = KMWH
+    world_sha256: str = ''
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of this package except the sampler, by node name."""
@@ -99,9 +104,12 @@ class GraphOptions:
         return {name: node for name, node in every.items() if name not in self.elsewhere}
 
     def _simulator(self) -> dict[str, Any]:
+        there = {} if self.world == KMWH else {
+            'world': self.world, 'world_sha256': self.world_sha256,
+        }
         if self.timing.free:
-            return {'lockstep': False, 'real_time_factor': self.timing.factor}
-        return {'latency': self.timing.latency} if self.timing.laws else {}
+            return {**there, 'lockstep': False, 'real_time_factor': self.timing.factor}
+        return {**there, 'latency': self.timing.latency} if self.timing.laws else there
 
     @property
     def elsewhere(self) -> dict[str, str]:
@@ -120,17 +128,20 @@ class GraphOptions:
         return {name: words for name, words in found.items() if words}
 
 
-def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
+def campaign_graph(
+    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
+) -> GraphOptions:
     """Options of the graphs of a campaign.
 
     Args:
         campaign: campaign whose folder exists.
         controller_sha256: recorded hash of its controller.
+        world_sha256: likewise of the package that brings its world, or ''.
     """
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
-        timing=campaign.timing,
+        timing=campaign.timing, world=campaign.world, world_sha256=world_sha256,
     )
 
 
@@ -267,7 +278,7 @@ def node_processes(
         domain: ROS domain of the nodes.
         logs: folder for their output.
         without: names of nodes to leave out.
-        remaps: remap rules for every node, ``FROM:=TO``.
+        remaps: remap remap rules for every node, ``FROM:=TO``.
     """
     logs.mkdir(parents=True, exist_ok=True)
     children: list[NodeProcess] = []

@@ -40,6 +40,7 @@ class Participant(Node):
         run_id: the run the node is prepared for, or ''.
         implementation: name of the implementation; recorded in every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        origin: what of which package it is (:func:`.registry.origin_words`), or ''.
         silent_looks: number of :meth:`may_leave` calls since the last message.
     """
 
@@ -49,6 +50,7 @@ class Participant(Node):
         self.run_id = ''
         self.implementation = ''
         self.fingerprint = ''
+        self.origin = ''
         self._scenario: Scenario | None = None
         self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
@@ -242,7 +244,7 @@ class Participant(Node):
         self.clear()
         self._begun = False
         self._poll.cancel()
-        self.report(NodeStatus.READY)
+        self.report(NodeStatus.READY, detail=self.origin)
 
     def _unsettled(self) -> Iterator[str]:
         """Topics with unmatched or foreign endpoints in this run."""
