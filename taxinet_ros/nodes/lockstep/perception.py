@@ -1,4 +1,4 @@
-"""The perception node: a camera frame (or the truth) in, an estimate of the tracking error out."""
+"""Perception node: camera frame (or ground truth) in, estimated tracking error out."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from taxinet_ros.registry import PERCEPTIONS, origin_words
 
 
 class PerceptionNode(Participant, abc.ABC):
-    """Runs one perception of the core, and subscribes to what that one needs only."""
+    """Runs one perception of the core and subscribes only to its inputs."""
 
     def __init__(self, **node: Any) -> None:
-        """Choose the perception; a network never gets the truth, nor the truth the picture."""
+        """Choose the perception; a network never gets the truth, nor truth the image."""
         super().__init__(interface.PERCEPTION, **node)
         self._perception = self.choose()
         refuse_unknown(self)
@@ -38,12 +38,12 @@ class PerceptionNode(Participant, abc.ABC):
             self.listen(interface.TRUTH, self._know, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
-        """Forget the previous run."""
+        """Reset from the previous run."""
         self._perception.begin()
 
     @abc.abstractmethod
     def choose(self) -> Perception:
-        """Which perception this node runs; may declare parameters to decide it."""
+        """Return the perception to run; may declare parameters for it."""
 
     def _see(self, cdr: bytes) -> None:
         stamp_ns, pixels = frame_of_cdr(cdr)

@@ -22,14 +22,14 @@ from taxinet_ros.nodes.messages.convert import stamp_of
 
 
 class StepMessage(NamedTuple):
-    """What one message of a control step says.
+    """Content of one message of a control step.
 
     Attributes:
         stamp_ns: simulated time since the start of the run [ns].
         value: a :class:`TrackingError`, a :class:`TaxiCommand`, a :class:`Motion`, or the name of
             the node that reports progress.
-        run_id: the run that it belongs to; '' where messages of the topic do not tell.
-        seq: number of the step as the message has it; -1 where they do not tell.
+        run_id: the run it belongs to; '' if the message type has no run_id.
+        seq: step number in the message; -1 if the message type has none.
     """
 
     stamp_ns: int
@@ -39,10 +39,10 @@ class StepMessage(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What is monitored of odometry.
+    """Monitored values of odometry.
 
     Attributes:
-        x_m: place along the runway [m].
+        x_m: position along the runway [m].
         speed_mps: ground speed along the body x axis [m/s].
     """
 
@@ -83,19 +83,20 @@ _READ: dict[str, Callable[[Any], StepMessage]] = {
 
 
 def is_read_raw(topic: Topic) -> bool:
-    """Whether a topic is one of many messages, which is to be subscribed to as raw."""
+    """Whether a high-rate topic is subscribed to with raw messages."""
     return topic.name in _READ
 
 
 def step_reader(topic: Topic) -> Callable[[Any], Any]:
-    """From what a subscription gives, raw where :func:`is_read_raw`, to :class:`StepMessage`.
+    """Return a converter from subscribed messages to :class:`StepMessage`.
 
-    Messages of other topics stay as they are. The reader raises
-    :class:`~taxinet_ros.bag.errors.BagCorrupt` where bytes are no message of the topic's type.
+    Messages are raw if :func:`is_read_raw`; those of other topics are passed unchanged. The
+    converter raises :class:`~taxinet_ros.bag.errors.BagCorrupt` if bytes are not a message of the
+    topic's type.
     """
     if not is_read_raw(topic):
         return _as_it_is
-    # rclpy's own objects cost three times as much, a seventh of a run (docs/performance.md).
+    # rclpy's message objects cost three times as much, a seventh of a run (docs/performance.md).
     decode = decoder(describe_topic(name=topic.name, type_name=topic.type_name, qos=''))
     read = _READ[topic.name]
     return lambda cdr: read(decode(cdr))
@@ -106,16 +107,16 @@ def _as_it_is(message: Any) -> Any:
 
 
 class TransformBroadcaster:
-    """Publishes ``tf_static`` once, for whoever comes, and ``tf`` with each odometry."""
+    """Publishes ``tf_static`` once (latched), and ``tf`` with each odometry."""
 
     def __init__(
         self, node: Node, *, prefix: str = '', odometry: TopicInfo | None = None
     ) -> None:
-        """Say where the camera is.
+        """Publish the camera transform.
 
         Args:
-            node: who speaks.
-            prefix: what is put before the names of the topics, with its slash.
+            node: publishing node.
+            prefix: prefix of the topic names, with slash.
             odometry: as in :class:`.OdometryTransforms`.
         """
         static, moving = (
@@ -127,21 +128,21 @@ class TransformBroadcaster:
         static.publish(camera_transform())
 
     def follow(self, odometry: bytes) -> None:
-        """Say where ``base_link`` is by serialised odometry, if anybody listens.
+        """Publish ``base_link`` from serialised odometry, if there are subscribers.
 
         Raises:
-            BagCorrupt: the bytes are no odometry.
+            BagCorrupt: the bytes are not odometry.
         """
         if self._moving.get_subscription_count():
             self._moving.publish(self._transform_of(odometry))
 
 
 Step = tuple[int, dict[str, list[Any]]]
-"""Number of a control step, and its messages by topic."""
+"""Control step number and its messages by topic."""
 
 
 class StepCollector:
-    """Collects so many messages per topic and step, and hands out whole steps in order."""
+    """Collects messages per topic and step, and returns complete steps in order."""
 
     def __init__(self, expected: Mapping[str, int]) -> None:
         """``expected``: topic name to number of messages per step."""
@@ -152,9 +153,9 @@ class StepCollector:
         self.repeated = 0
 
     def add(self, topic: str, seq: int, message: Any) -> Sequence[Step]:
-        """Take one message; answer every step that is now whole, oldest first.
+        """Add one message; return the steps now complete, oldest first.
 
-        A message beyond the expected number (a repetition, or one of a step already handed out) is
+        A message beyond the expected number (a repetition, or of a step already returned) is
         counted in :attr:`repeated` and ignored.
         """
         if seq < self._next:
@@ -177,7 +178,7 @@ class StepCollector:
         return () if step.missing or seq != self._next else self._whole()
 
     def excuse(self, topic: str, seq: int) -> Sequence[Step]:
-        """What a topic says of a step does not come, or came for nothing; answer as :meth:`add`."""
+        """Drop a topic from a step, including messages received; return as :meth:`add`."""
         if seq < self._next:
             return ()
         step = self._pending.setdefault(seq, _Pending(self._total))
@@ -195,12 +196,12 @@ class StepCollector:
         return whole
 
     def torn(self) -> list[Step]:
-        """Steps begun and not whole, oldest first: what an aborted run left behind."""
+        """Incomplete steps, oldest first, left by an aborted run."""
         return sorted((seq, step.messages) for seq, step in self._pending.items())
 
 
 class _Pending:
-    """Messages of a step by topic, how many are to come, and topics of which none is."""
+    """Messages of a step by topic, number still missing, and excused topics."""
 
     __slots__ = ('excused', 'messages', 'missing')
 
