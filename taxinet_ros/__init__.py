@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.core.user_code import UserCodeError
     from taxinet_ros.errors import InfraError, RecordError, UsageError
-
-__version__ = '0.1.0'
+    from taxinet_ros.version import __version__ as __version__
 
 __all__ = [
     'AircraftState',
@@ -71,6 +70,7 @@ _MODULES = {
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
     'taxinet_ros.core.user_code': ('UserCodeError',),
     'taxinet_ros.errors': ('InfraError', 'RecordError', 'UsageError'),
+    'taxinet_ros.version': ('__version__',),
 }
 
 

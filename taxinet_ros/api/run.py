@@ -75,8 +75,9 @@ from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.trace import SIGNAL_COLUMNS, columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import KMWH, ChosenWorld, find_world
+from taxinet_ros.core.world import ChosenWorld, find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
     import pandas as pd
