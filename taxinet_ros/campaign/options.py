@@ -332,7 +332,7 @@ def check_new(out: Path) -> None:
         return
     if out.exists() or out.is_symlink():
         raise UsageError(
-            f'--out {out}: exists already; nothing recorded is overwritten, name a new folder'
+            f'--out {out}: already exists; nothing recorded is overwritten, name a new folder'
         )
 
 

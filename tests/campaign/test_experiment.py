@@ -148,7 +148,7 @@ def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match='no shipped experiment; known: crossing, light, shadows'):
         find_experiment('shadow')
     one = read_experiment(written(tmp_path))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         arm_searches(one, tmp_path, workers=1, resume=False)
     with pytest.raises(UsageError, match='holds no arm of mine'):
         arm_searches(one, tmp_path, workers=1, resume=True)

@@ -341,9 +341,9 @@ def test_f2_given_an_intent_without_result_or_the_other_way_then_the_gate_names_
     events = read_journal(path)
     result = next(event for event in events if event['event'] == 'result')
     for left_out, said in (
-        (result, 'begun, and without a result to this day'),
+        (result, 'started but has no result'),
         (next(event for event in events if event.get('index') == result['row']['index']),
-         'has a result, but nothing says that it was begun'),
+         'has a result but no record of its start'),
     ):
         write_events(path, [event for event in events if event is not left_out])
         (campaign / FACTS_NAME).unlink()

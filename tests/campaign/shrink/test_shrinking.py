@@ -335,7 +335,7 @@ def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_p
     drive(options(path, out))
     with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         options(path, out)
 
 
