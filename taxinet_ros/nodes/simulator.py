@@ -20,16 +20,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, RunStatus, Verdict
 
+from taxinet_ros.bag.run.messages import observation_messages
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON
-from taxinet_ros.core.outcome import Outcome, outcome_of
+from taxinet_ros.core.outcome import NOT_JUDGED, Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import KMWH, find_world
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.active_run import (
     FREE_TICK_S,
@@ -64,7 +65,6 @@ from taxinet_ros.nodes.messages.step import (
     StepMessage,
     TransformBroadcaster,
     is_read_raw,
-    observation_messages,
     step_reader,
 )
 from taxinet_ros.nodes.running.domain import require_free_domain
@@ -78,7 +78,7 @@ from taxinet_ros.nodes.running.parameters import (
     subscribed_topics,
 )
 from taxinet_ros.nodes.running.remaps import cut_off
-from taxinet_ros.registry import WORLDS, names
+from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -122,6 +122,10 @@ _OPTIONS = (
         name='world', default=KMWH, takes=', '.join(names(WORLDS)),
         description='the world that runs take place in',
     ),
+    Parameter(
+        name='world_sha256', default='',
+        description='what the package that brings the world has to be; empty: it may be any',
+    ),
 )
 
 USAGE = Usage(
@@ -148,7 +152,7 @@ class Simulator(Node):
             parse_latency([given['latency']]), lockstep=given['lockstep'],
             factor=given['real_time_factor'],
         )
-        self._world = find_world(given['world'])
+        self._world = find_world(given['world'], given['world_sha256'])
         self._health = RunHealth()
         self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
@@ -277,7 +281,7 @@ class Simulator(Node):
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
             fingerprint=self._world.fingerprint,
-            detail='' if self._world.name == KMWH else self._world.name,
+            detail=origin_words(WORLDS, self._world.name),
         )
 
     # What the graph says -----------------------------------------------------------------------
@@ -432,7 +436,7 @@ class Simulator(Node):
         run.lockstep.begin(now.seq, time.monotonic())
         for topic, message in observation_messages(now, run.run_id):
             self._say(topic, message)
-            if topic is interface.ODOMETRY:
+            if topic is topics.ODOMETRY:
                 self._transforms.follow(message)
         if run.free is not None:
             self._held = run.command or ROLLING_ON
@@ -466,8 +470,7 @@ class Simulator(Node):
     def _conclude(self, run: ActiveRun, verdict: Verdict) -> None:
         outcome = outcome_of(verdict)
         if not outcome.judged:
-            detail = 'the monitor had no whole, finite sequence of samples to judge'
-            self._fail(run, InfraKind.INVALID_RUN, interface.MTL_MONITOR, detail)
+            self._fail(run, **NOT_JUDGED)
             return
         self._look_for_strangers(thorough=True)
         if run.ending is not None:
@@ -614,7 +617,7 @@ class Simulator(Node):
         detail = f'{within}: not all ends are found on {", ".join(self._deaf(run))}'
         return InfraKind.NOT_READY, interface.SIMULATOR, detail
 
-    def _say(self, topic: Topic, message: Any) -> None:
+    def _say(self, topic: topics.Topic, message: Any) -> None:
         self._speakers[topic.name].publish(message)
 
 

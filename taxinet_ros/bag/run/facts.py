@@ -37,7 +37,7 @@ from taxinet_ros.core.provenance import NAMES, Provenance
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -66,7 +66,7 @@ class RecordedRun:
     timing: Timing = AT_ONCE
 
 
-def recorded_run(recording: Recording) -> RecordedRun:
+def recorded_run(recording: StoredRuns) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
     scenario: Any = None
@@ -97,7 +97,7 @@ def recorded_run(recording: Recording) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
-            world=world.detail if world and world.fingerprint else '',
+            world=world.detail.partition(' ')[0] if world and world.fingerprint else '',
             world_fingerprint=world.fingerprint if world else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
@@ -152,11 +152,14 @@ class NodeFacts:
 
     Attributes:
         implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
-        fingerprint: sha256 of its weights, or ''.
+        fingerprint: sha256 of its weights or package, or ''.
+        origin: ``NAME of PACKAGE VERSION`` where a package brought it (of the simulator: its
+            world); of earlier versions the world's name alone, or ''.
     """
 
     implementation: str
     fingerprint: str
+    origin: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +209,7 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def run_facts(recording: Recording) -> RunFacts | None:
+def run_facts(recording: StoredRuns) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
     told = _FactsReader(recording.path)
     for relative, stored in recording.messages(_FACT_TOPICS):
@@ -272,7 +275,7 @@ class _FactsReader:
             if message.state == NODE_READY:
                 self.nodes[str(message.node)] = NodeFacts(
                     implementation=str(message.implementation),
-                    fingerprint=str(message.fingerprint),
+                    fingerprint=str(message.fingerprint), origin=str(message.detail),
                 )
         elif relative == RUN_STATUS:
             if message.state == RUN_ENDED:

@@ -223,6 +223,6 @@ def _leave(node: Any, executor: Any) -> None:
 
 
 def complain(line: str, code: int) -> int:
-    """Print one line on what is wrong; the exit code that goes with it."""
+    """Print a one-line error message; return the exit code."""
     print(f'error: {line}', file=sys.stderr)
     return code

@@ -95,12 +95,12 @@ def test_given_too_few_files_for_the_nodes_of_ros_then_that_is_said_and_no_defec
 
 @pytest.mark.parametrize(('surroundings', 'code', 'complaint'), [
     ('stdin closed', 0, ''),
-    ('stdout closed', 2, 'taxinet: error: standard output is closed; send it somewhere, if to '
-     '/dev/null\n'),
+    ('stdout closed', 2,
+     'taxinet: error: standard output is closed; redirect it, e.g. to /dev/null\n'),
     ('stderr closed', 0, ''),
     ('stdout full', 4, 'taxinet: error: output: [Errno 28] No space left on device\n'),
     ('stderr full', 0, ''),
-    ('stdout unread', 141, 'taxinet: error: output: nobody reads it any more\n'),
+    ('stdout unread', 141, 'taxinet: error: output: closed by its reader\n'),
     ('no HOME', 0, ''),
     ('HOME nowhere', 0, ''),
     ('no PATH', 0, ''),
