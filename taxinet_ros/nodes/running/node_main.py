@@ -6,6 +6,7 @@ graph before any of them could say or hear how the run at hand ends.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
+from taxinet_ros.nodes.running.domain import domain_number
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
 from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
@@ -150,6 +152,8 @@ def run_node(
     try:
         if read_arguments(usage, sys.argv):
             sys.exit(ExitCode.OK)
+        # Where it is too high Fast DDS ends the process, with 1; of -1 ROS makes 0.
+        domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
