@@ -86,7 +86,7 @@ def test_r5_given_free_runs_then_a_search_or_a_localisation_of_them_is_refused(f
                               perception=None)
     answer = RunResult(outcome=Outcome.PASS, robustness=exact_intervals({'near': 1.0}),
                        timing=WORDS, perception='truth')
-    with pytest.raises(UsageError, match=r'^the graph lets runs go free, and a search goes by'):
+    with pytest.raises(UsageError, match=r'^the graph is free-running, but a search needs'):
         facts_of_graph(folder, {'perception': '', 'perception_sha256': '', 'timing': ''}, answer)
 
 
