@@ -152,9 +152,9 @@ BAD = {
     'no bag to render': (('bag', 'render', 'nowhere'), 'nowhere: no such bag'),
     'no golden bags': (('bag', 'golden', 'nowhere'), 'nowhere: holds no bags'),
     'neither scene nor bag': (('run',), 'run: name a SCENARIO, or a recorded run with --from'),
-    'scene and bag': (('run', 'nominal', '--from', TRUTH), '--from: the bag already says SCENARIO'),
-    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), 'the bag already says --seed'),
-    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), 'already says --set'),
+    'scene and bag': (('run', 'nominal', '--from', TRUTH), 'SCENARIO is taken from the bag'),
+    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), '--seed is taken from the bag'),
+    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), '--set is taken from the bag'),
     'bag and images': (('run', '--from', TRUTH, '--images', 'few'), '--images few: unknown'),
     'no bag to run': (('run', '--from', 'nowhere'), 'nowhere: no such bag'),
 }
