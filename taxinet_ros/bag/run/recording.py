@@ -1,4 +1,4 @@
-"""A recorded run, read from its bag in one pass: what was asked, what happened, what came of it.
+"""A recorded run, read from its bag in one pass: request, messages and outcome.
 
 ``open_recording`` takes bags of our recorder and of ``ros2 bag record``, in any namespace and with
 any perception and controller. A bag of several runs is a sequence of recordings::
@@ -235,15 +235,15 @@ class Recording(Sequence['Recording']):
         if len(present) > 1:
             raise UsageError(
                 f'{self.path}: holds {len(present)} runs: '
-                f'{", ".join(run.words() for run in present)}; choose one with --run, or make a '
-                f'bag of each: taxinet bag split {self.path} --out DIR'
+                f'{", ".join(run.words() for run in present)}; choose one with --run, or split it: '
+                f'taxinet bag split {self.path} --out DIR'
             )
         return present[0]
 
     def without_run(self) -> BagEmpty:
         """What to raise where there is no run; damage may have taken it."""
         why = f': {self.damage[0]}' if self.damage else ''
-        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
+        return BagEmpty(f'{self.path}: contains no run of taxinet_ros{why}', path=self.path)
 
     # ---- its messages ------------------------------------------------------------------------
 
@@ -277,7 +277,7 @@ class Recording(Sequence['Recording']):
         for _, error in damage:
             text = str(error)
             if isinstance(error, BagTruncated | BagCorrupt):
-                text = f'{text}; {count} sound messages before'
+                text = f'{text}; {count} intact messages before'
             raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
 
     def messages_of_runs(
@@ -369,7 +369,7 @@ class Recording(Sequence['Recording']):
         if told is not None and told.run_id != run_id:
             raise UsageError(
                 f'{self.path}: is of run {told.run_id}, not of {run_id}; was the folder moved '
-                f'here? taxinet doctor {self.path.parent} checks all of them'
+                f'here? Check all with taxinet doctor {self.path.parent}'
             )
 
     @property
