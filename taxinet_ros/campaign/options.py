@@ -35,6 +35,7 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -353,7 +354,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither.
+        UsageError: one is neither, or a key is there with its short form too.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
@@ -372,4 +373,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    return overrides, gains
+    try:
+        return by_key(overrides), gains
+    except UsageError as error:
+        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None

@@ -16,11 +16,12 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from taxinet_ros.bag.errors import BagError
@@ -41,6 +42,7 @@ from taxinet_ros.cli.run.commands import (
     experiment,
     falsify,
     learned,
+    plugins,
     run,
     shrink,
     up,
@@ -56,6 +58,7 @@ from taxinet_ros.cli.training.commands import camera_app, dataset, evaluate, tra
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError, plain_line
 from taxinet_ros.files.atomic import disk_words
 from taxinet_ros.processes.interrupts import (
+    ToldInterrupt,
     interrupted_exit_code,
     lost_interrupts_resent,
     raise_interrupt,
@@ -97,7 +100,32 @@ _PATH_ERRORS = (
     errno.EPERM,
 )
 """Operating system errors that mean the path is unusable."""
+
+
+class _Interrupted(BaseException):
+    """An interrupt on its way past typer, which would make an exit code of it without a word."""
+
+
+@contextlib.contextmanager
+def _past_typer() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        raise _Interrupted from interrupt
+
+
+class _Commands(TyperGroup):
+    def make_context(self, *words: Any, **named: Any) -> Any:
+        with _past_typer():
+            return super().make_context(*words, **named)
+
+    def invoke(self, *words: Any, **named: Any) -> Any:
+        with _past_typer():
+            return super().invoke(*words, **named)
+
+
 app = typer.Typer(
+    cls=_Commands,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -105,7 +133,7 @@ app = typer.Typer(
 )
 for command in (
     run, up, check_node, falsify, learned, shrink, analyze, localize, explain, experiment, gate,
-    doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
+    plugins, doctor, monitor, spec, demo, train, dataset, evaluate, case_study, improve,
 ):
     app.command()(command)
 app.add_typer(camera_app, name='camera')
@@ -229,17 +257,24 @@ def _main(
 
 def main() -> None:
     """Entry point of ``taxinet``."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, raise_interrupt)
-    code: int = ExitCode.INTERRUPTED
+    code: int | None = None
     with (
         contextlib.suppress(KeyboardInterrupt),
         lost_interrupts_resent(),
         signals_handled(raise_interrupt, (signal.SIGTERM, signal.SIGHUP)),
         standard_streams() as closed,
     ):
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, raise_interrupt)
         code = _delivered(_exit_code(lambda: _command(closed)))
-    sys.exit(interrupted_exit_code(code))
+    sys.exit(interrupted_exit_code(_interrupted() if code is None else code))
+
+
+def _interrupted() -> int:
+    """Say so, where nothing else tells it."""
+    with contextlib.suppress(OSError):
+        os.write(2, b'taxinet: interrupted\n')
+    return ExitCode.INTERRUPTED
 
 
 def _command(output_closed: bool) -> object:
@@ -294,8 +329,9 @@ def _exit_code(command: Callable[[], object]) -> int:
         return _complain(f'{text.rstrip(".")}; see taxinet --help', ExitCode.USAGE)
     except UsageError as error:
         return _complain(str(error), ExitCode.USAGE)
-    except (KeyboardInterrupt, typer.Abort):
-        return ExitCode.INTERRUPTED
+    except (_Interrupted, KeyboardInterrupt, typer.Abort) as end:
+        told = isinstance(end.__cause__, ToldInterrupt)
+        return ExitCode.INTERRUPTED if told else _interrupted()
     except (InfraError, RecordError, BagError) as error:
         return _complain(str(error), ExitCode.INFRA)
     except OutputUnreadError:

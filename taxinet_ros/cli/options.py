@@ -118,8 +118,8 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option(
         '--set', metavar='KEY=VALUE',
-        help='fix a scenario value (clouds=clear, time_of_day=9.5, heading=-20, duration=10, …) '
-        'or a gain (steering.heading_gain=1.2); repeatable',
+        help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
+        'duration_s=10, …) or a gain (steering.heading_gain=1.2); repeatable',
     ),
 ]
 SpecOption = Annotated[
@@ -247,7 +247,7 @@ NominalOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar='KEY=VALUE',
-        help='nominal value of a scenario key (time_of_day=12, shadows=off, …); repeatable',
+        help='nominal value of a scenario key (time_of_day_h=12, shadows=off, …); repeatable',
     ),
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='maximum number of runs of the search')]

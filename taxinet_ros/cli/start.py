@@ -64,6 +64,8 @@ def _run(work: Callable[[], None]) -> NoReturn:
             work()
         except SystemExit as end:
             code = end.code
+        except KeyboardInterrupt:  # between those who handle it
+            _leave(signal.SIGINT, None)
     for stream in filter(None, (sys.stdout, sys.stderr)):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()

@@ -11,7 +11,8 @@ from typing import Any
 
 from taxinet_msgs.msg import Scenario, Timing, Verdict
 
-from taxinet_ros.bag.run.message_values import scenario_of
+from taxinet_ros.bag.run.message_values import scenario_of, verdict_values
+from taxinet_ros.bag.run.messages import robustness_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.judge import Judge
 from taxinet_ros.core.judging import Judging, StopOn
@@ -24,8 +25,8 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.live_monitor.node import LIVE_PARAMETERS, RESTART, LiveMonitor
 from taxinet_ros.nodes.lockstep import diagnostics
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.convert import header, robustness_message, statistics_fields
-from taxinet_ros.nodes.messages.step import StepCollector, StepMessage, robustness_cdr
+from taxinet_ros.nodes.messages.convert import header, robustness_message
+from taxinet_ros.nodes.messages.step import StepCollector, StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Usage,
@@ -166,13 +167,7 @@ class MtlMonitor(Participant):
             for spec, reading in zip(self._specs, judgement.readings, strict=True)
         ]
         self._verdict.publish(Verdict(
-            header=header(stamp_ns),
-            run_id=self.run_id,
-            specs=results,
-            complete=judgement.complete,
-            stopped_early=judgement.stopped_early,
-            satisfied=judgement.satisfied,
-            **statistics_fields(judgement.statistics),
+            header=header(stamp_ns), specs=results, **verdict_values(judgement, self.run_id)
         ))
 
 

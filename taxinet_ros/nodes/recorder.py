@@ -12,10 +12,9 @@ bag is complete without them.
 from __future__ import annotations
 
 import functools
-import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,15 @@ from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.rewrite.frames import restore_in_place
 from taxinet_ros.bag.run.message_values import scenario_json, scenario_of
+from taxinet_ros.bag.run.run_bag import (
+    OUTCOME_METADATA,
+    bag_name,
+    bag_topics,
+    commit_words,
+    outcome_words,
+    run_words,
+)
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
-from taxinet_ros.bag.topics import TopicInfo, describe_topic, offered_qos
 from taxinet_ros.bag.writer import FREE_RUN_METADATA, BagWriter
 from taxinet_ros.campaign.options import IMAGES
 from taxinet_ros.campaign.record.facts import read_facts
@@ -41,7 +47,6 @@ from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRunAccount
 from taxinet_ros.core.pacing.lockstep import reports_progress
 from taxinet_ros.core.pacing.timing import is_free
-from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.nodes import interface
@@ -67,7 +72,6 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.version import __version__
 
 _PAUSE_S = 0.001
 _FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)
@@ -172,31 +176,8 @@ _DEAF_LOOKS = 80
 _STEPPED = tuple(topic for topic in interface.TOPICS if topic.each_step)
 
 
-def bag_name(topic: Topic) -> str:
-    """Name of a topic in a bag, independent of the graph's namespace."""
-    return '/' + topic.name.lstrip('/')
-
 _TOPICS = (*interface.TOPICS, *interface.TRANSFORMS)
 _BAG_NAMES = {topic.name: bag_name(topic) for topic in _TOPICS}
-
-
-@functools.cache
-def bag_topics(images: bool = True) -> tuple[TopicInfo, ...]:
-    """Recorded topics of the graph, as bag topic descriptions.
-
-    Args:
-        images: whether camera frames are among them.
-    """
-    return tuple(
-        describe_topic(
-            name=bag_name(topic),
-            type_name=topic.type_name,
-            qos=offered_qos(**asdict(topic.quality)),
-        )
-        for topic in _TOPICS
-        if topic.recorded and (images or topic is not interface.IMAGE)
-    )
-
 _OPTIONS = (
     Parameter(
         name='out', default='bags', takes='a folder',
@@ -249,6 +230,7 @@ class Recorder(Participant):
         self._canonical = Canonical(self._topics)
         self._transform_of = OdometryTransforms()
         self._writer: BagWriter | None = None
+        self._ended: RunStatus | None = None
         self._refused = ''
         self._reports: dict[str, tuple[str, bytes]] = {}
         self._contested = ('', '')
@@ -269,14 +251,14 @@ class Recorder(Participant):
 
     def prepare(self, scenario: Scenario) -> None:
         """Open the bag of a run."""
-        self.close()
+        self._abandon()
         self._scenario_message = scenario
         self._expected = {
             topic.name: len(scenario.specs) if topic.recorded == interface.PER_SPEC else 1
             for topic in self._stepped
         }
         self.clear()
-        self._ended: RunStatus | None = None
+        self._ended = None
         self._written = 0
         self._head_complete = False
         self._rest_looks = 0
@@ -285,10 +267,10 @@ class Recorder(Participant):
         self._writer = BagWriter(
             run_folder(self._out, scenario.run_id),
             self._topics,
-            metadata=self._facts(scenario),
+            metadata=run_words(scenario),
             attachments=run_attachments(scenario, self._out),
             min_free_bytes=self._min_free,
-            beside=_commit(),
+            beside=commit_words(),
             make_parents=self._make_out,
         )
 
@@ -339,7 +321,15 @@ class Recorder(Participant):
         return closed or self.silent_looks > enough
 
     def close(self) -> None:
-        """Close an unfinished bag as readable but incomplete."""
+        """Finish the bag of a run that is known to be broken off: no more is awaited of it."""
+        ended = self._ended if self._writer is not None else None
+        if ended is not None and not Outcome(ended.outcome).judged:
+            self._rest_looks = _REST_LOOKS
+            self._guarded(lambda _: self._finish_if_whole())(None)
+        self._abandon()
+
+    def _abandon(self) -> None:
+        """Leave an unfinished bag readable, and not declared whole."""
         self._rest.cancel()
         self._late_frames.cancel()
         if self._writer is not None:
@@ -558,11 +548,7 @@ class Recorder(Participant):
             self._done()
 
     def _add_ending(self, writer: BagWriter, ended: RunStatus) -> None:
-        writer.add_metadata('taxinet_outcome', {
-            'outcome': ended.outcome, 'kind': ended.kind, 'who': ended.who,
-            'detail': ended.detail, 'steps': str(self._written),
-            'perception': ended.perception, 'weights_sha256': ended.fingerprint,
-        })
+        writer.add_metadata(OUTCOME_METADATA, outcome_words(ended, self._written))
         if self._account is not None:
             writer.add_metadata(FREE_RUN_METADATA, {
                 **self._account.to_words(),
@@ -636,22 +622,6 @@ class Recorder(Participant):
         for seq, messages in [*self._held, *self._steps.torn()]:
             self._write_step(seq, messages)
         self._held.clear()
-
-    def _facts(self, scenario: Scenario) -> dict[str, str]:
-        return {
-            'taxinet_ros_version': __version__,
-            **{name: value for name, value in without_commit(provenance()).items()
-               if name != 'taxinet_ros'},
-            'run_id': scenario.run_id,
-            'program': scenario.program,
-            'seed': str(scenario.seed),
-            'index': str(scenario.index),
-            'specs': json.dumps(list(scenario.specs)),
-        }
-
-
-def _commit() -> dict[str, str]:
-    return {name: value for name, value in provenance().items() if name == COMMIT}
 
 
 def main() -> None:

@@ -85,12 +85,14 @@ def localize(
     continues.
     """
     from taxinet_ros.campaign.past_runs.localisation import make_localize_options
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.analysis.localize import run_localize
 
-    options = make_localize_options(
-        campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
-        perception=perception,
-    )
+    with missing_packages_named(campaign):
+        options = make_localize_options(
+            campaign, runs=runs, words=substitutions or (), workers=workers, out=out,
+            perception=perception,
+        )
     raise typer.Exit(run_localize(options, as_json=as_json))
 
 

@@ -136,14 +136,14 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 
 def scene_words(scene: Mapping[str, Any]) -> str:
     """One-line description of a scenario in display units."""
-    rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
+    rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
     return (
-        f'CTE {scene["cross_track"]:+.2f} m (left positive), HE {scene["heading"]:+.1f} deg, '
-        f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
-        f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}{rain}, '
+        f'CTE {scene["cross_track_m"]:+.2f} m (left positive), HE {scene["heading_deg"]:+.1f} deg, '
+        f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
+        f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
-        f'{scene["duration"]:g} s'
+        f'{scene["duration_s"]:g} s'
     )
 
 

@@ -75,7 +75,7 @@ def _steps(bag: Path) -> Iterator[str]:
     for name, fact, record in told:
         if fact is not None:
             whole = whole_steps(record, list(record.counts))
-            planned = round(fact.scene['duration'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
+            planned = round(fact.scene['duration_s'] * NS_PER_S) // CONTROL_PERIOD_NS + 1
             ended = f', ended as {fact.outcome}' if fact.outcome else ''
             yield f'{name}{whole} whole control steps of {planned} planned{ended}'
 

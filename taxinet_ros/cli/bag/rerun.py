@@ -40,6 +40,7 @@ from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.nodes.graph.replay import rerun
+from taxinet_ros.processes.interrupts import ToldInterrupt
 
 _TAKEN_BESIDE_FROM = frozenset({
     'bag', 'run_id', 'perception', 'perception_cmd', 'controller', 'controller_cmd', 'out',
@@ -87,7 +88,7 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        recorded_world(recording)
+        recorded_world(recording.path, run)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')
@@ -117,7 +118,7 @@ def run_again(
     )
     console.print(row_line(row), soft_wrap=True)
     if result.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
+        raise ToldInterrupt
     if not result.outcome.judged:
         raise InfraError(result.kind, result.who, result.last_seq, result.detail)
     with readable_bags():

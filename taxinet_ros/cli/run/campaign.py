@@ -27,7 +27,7 @@ from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
@@ -86,7 +86,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
                     at_hand.graph = None
     console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
     if at_hand.interrupted and len(campaign.rows) < options.runs:
-        raise KeyboardInterrupt
+        raise ToldInterrupt if campaign.rows else KeyboardInterrupt
     return campaign.rows
 
 

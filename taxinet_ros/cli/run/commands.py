@@ -158,6 +158,7 @@ def falsify(
     likely. Can be resumed after Ctrl-C or power loss.
     """
     from taxinet_ros.campaign.options import make_options
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.search_options import make_search_options
     from taxinet_ros.cli.run.search import run_falsify
     from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
@@ -168,16 +169,17 @@ def falsify(
             f'--free: not in a search, which needs reproducible verdicts, and {NOT_REPRODUCIBLE}; '
             'use taxinet run --runs N --free, or search with --latency'
         )
-    campaign = make_options(
-        program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
-        settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
-        resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'), latency=latency or (), world=world,
-    )
-    options = make_search_options(
-        campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
-        resume=resume, until=until, budget_min=budget,
-    )
+    with missing_packages_named(out if resume else None):
+        campaign = make_options(
+            program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
+            settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
+            resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
+            controller=word_of(context, 'controller'), latency=latency or (), world=world,
+        )
+        options = make_search_options(
+            campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
+            resume=resume, until=until, budget_min=budget,
+        )
     raise typer.Exit(run_falsify(options, quiet=quiet))
 
 
@@ -217,13 +219,15 @@ def shrink(
 
     Moves its parameters to nominal taxiing one by one, and reports which of them matter.
     """
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.campaign.shrink.options import make_shrink_options
     from taxinet_ros.cli.run.search import run_shrink
 
-    options = make_shrink_options(
-        run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
-        workers=workers, out=out, resume=resume, images=images, controller=controller,
-    )
+    with missing_packages_named(run.parent):
+        options = make_shrink_options(
+            run, perception=perception, specs=spec or (), nominal=nominal or (), runs=runs,
+            workers=workers, out=out, resume=resume, images=images, controller=controller,
+        )
     raise typer.Exit(run_shrink(options, quiet=quiet))
 
 
@@ -363,6 +367,23 @@ def check_node(
     ))
 
 
+def plugins(
+    name: Annotated[
+        str | None, typer.Argument(metavar='[NAME]', help='only what stands behind this name')
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List perceptions, controllers, samplers, worlds and requirements by name.
+
+    Those that are shipped and those of installed packages, with the package's version and where
+    in it each is; also those that cannot be used, with the reason. Exit code 0; with a NAME, 2
+    where it cannot be used.
+    """
+    from taxinet_ros.cli.run.plugins import show_plugins
+
+    raise typer.Exit(show_plugins(name, as_json=as_json))
+
+
 def experiment(
     file: Annotated[
         str,
@@ -390,12 +411,14 @@ def experiment(
     """
     from taxinet_ros.campaign.experiment import find_experiment, read_experiment, with_network
     from taxinet_ros.campaign.options import DEFAULT_ROOT, new_folder
+    from taxinet_ros.campaign.record.facts import missing_packages_named
     from taxinet_ros.cli.run.search import run_experiment
     from taxinet_ros.errors import UsageError
 
     if resume and out is None:
         raise UsageError('--resume: name the experiment to continue with --out')
-    asked = read_experiment(find_experiment(file))
+    with missing_packages_named(out if resume else None):
+        asked = read_experiment(find_experiment(file))
     if runs is not None:
         asked = dataclasses.replace(asked, runs=runs)
     if perception is not None:

@@ -107,5 +107,7 @@ def _interval(text: str) -> tuple[str, float, float]:
     except ValueError:
         ends = (1.0, 0.0)
     if not ends[0] <= ends[1]:
-        raise UsageError(f'--within {text!r}: expected DIMENSION=LOW:HIGH, e.g. distance=1400:1600')
+        raise UsageError(
+            f'--within {text!r}: expected DIMENSION=LOW:HIGH, e.g. distance_m=1400:1600'
+        )
     return name, *ends

@@ -15,6 +15,7 @@ from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.weights import card_path
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.errors import UsageError
+from taxinet_ros.processes.interrupts import ToldInterrupt
 from taxinet_ros.training.data.dataset_folder import LABELS, REQUEST, DatasetOptions, write_dataset
 from taxinet_ros.training.evaluation import (
     SliceErrors,
@@ -37,6 +38,7 @@ def run_dataset(options: DatasetOptions) -> None:
                 f'interrupted; images in {options.out} are kept, continue with --resume',
                 soft_wrap=True, highlight=False,
             )
+            raise ToldInterrupt from None
         raise
     Console(highlight=False).print(
         f'{options.count} images in {options.out}, {rendered} of them rendered now; labels: '

@@ -25,6 +25,7 @@ from taxinet_msgs.msg import NodeStatus, Scenario
 from taxinet_ros.bag.rewrite.frames import frame_messages
 from taxinet_ros.bag.run.facts import RecordedRun, gains_text
 from taxinet_ros.bag.run.recording import Recording
+from taxinet_ros.bag.run.run_bag import bag_name
 from taxinet_ros.bag.topics import type_hash
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.controller import STEERING
@@ -36,7 +37,6 @@ from taxinet_ros.nodes.graph.runner import GraphOptions, composed_graph, process
 from taxinet_ros.nodes.interface import PARTICIPANTS, Topic
 from taxinet_ros.nodes.messages.convert import scenario_message
 from taxinet_ros.nodes.messages.step import StepCollector
-from taxinet_ros.nodes.recorder import bag_name
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until

@@ -148,7 +148,12 @@ class ActiveRun:
         self.created = self.last_heard = time.monotonic()
 
     def listeners(self, topic: str) -> set[str]:
-        """Participants that have declared a subscription to a topic."""
+        """Participants that have declared a subscription to a topic.
+
+        Only a free run publishes timing, and its followers must receive it.
+        """
+        if self.free is not None and topic == interface.TIMING.name:
+            return set(interface.FOLLOWERS) & set(self.participants)
         return {node for node, topics in self.listens.items() if topic in topics}
 
     def reset_watchdog(self) -> None:

@@ -26,6 +26,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import SIMULATOR, Topic
+from taxinet_ros.nodes.running.remaps import elsewhere
 
 
 def heard_by(node: Node, publisher: Publisher, names: Collection[str]) -> bool:
@@ -77,11 +78,33 @@ def missing_nodes(node: Node, names: Sequence[str], gone: Collection[End] = ()) 
             ('subscribe to', listeners, topic.listeners(names) - _CHOSEN.get(topic.name, set())),
         )
         for verb, ends, wanted in expected:
-            for name in wanted & set(names) - {end.node_name for end in ends}:
-                why.setdefault(name, f'does not {verb} {topic.name}')
+            for name in wanted & set(names) - {end.node_name for end in ends} - why.keys():
+                others = elsewhere(node, topic, {name}, publish=ends is speakers)
+                but = f' but {"to " if ends is listeners else ""}{others[0][1]}' if others else ''
+                why[name] = f'does not {verb} {topic.name}{but}'
         for name in _misfits(speakers, listeners, set(names)):
             why.setdefault(name, f'incompatible quality of service on {topic.name}')
     return why
+
+
+def why_silent(node: Node, name: str, names: Sequence[str]) -> str:
+    """What a node of a graph lacks that says nothing, or '': a topic, or an end that fits.
+
+    Args:
+        node: who looks.
+        name: of the silent one.
+        names: of the nodes that belong to the graph.
+    """
+    if why := missing_nodes(node, names).get(name):
+        return why
+    inputs = [topic for topic in interface.TOPICS if name in _CHOSEN.get(topic.name, ())]
+    if any(name == end.node_name for topic in inputs for end in _ends(node, topic)[1]):
+        return ''
+    others = [end for topic in inputs for end in elsewhere(node, topic, {name}, publish=False)]
+    if not others and name != interface.PERCEPTION:
+        return ''
+    but = f' but to {others[0][1]}' if others else ''
+    return f'does not subscribe to {" or ".join(topic.name for topic in inputs)}{but}'
 
 
 def ends_of(node: Node, name: str) -> set[End]:

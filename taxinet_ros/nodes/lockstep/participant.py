@@ -14,13 +14,14 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from taxinet_msgs.msg import NodeStatus, Scenario
 
+from taxinet_ros.bag.run.messages import progress_cdr
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
 from taxinet_ros.nodes.lockstep.diagnostics import Diagnostics, Health, Pace, too_long
 from taxinet_ros.nodes.lockstep.endpoints import UNKNOWN, HeardSpeakers, first_stranger, heard_by
 from taxinet_ros.nodes.messages.convert import blame_text, header, one_line
-from taxinet_ros.nodes.messages.step import is_read_raw, progress_cdr, step_reader
+from taxinet_ros.nodes.messages.step import is_read_raw, step_reader
 
 _READY_POLL_S = 0.005
 _SILENT_LOOKS = 20

@@ -8,13 +8,14 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.cdr.image import frame_of_cdr
+from taxinet_ros.bag.run.messages import error_cdr
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.perception.network import IMAGE_SHAPE, is_frame
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError as Estimate
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.step import StepMessage, error_cdr
+from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.parameters import refuse_unknown
 from taxinet_ros.registry import PERCEPTIONS, origin_words
 

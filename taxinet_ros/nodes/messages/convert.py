@@ -6,20 +6,16 @@ are in :mod:`taxinet_ros.nodes.messages.step`.
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from taxinet_msgs import msg as taxinet
 from taxinet_msgs.msg import NodeStatus, RunStatus
 from taxinet_msgs.msg import Timing as TimingMessage
 
+from taxinet_ros.bag.run.message_values import reading_values, scenario_values
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
-from taxinet_ros.core.camera import camera
 from taxinet_ros.core.mtl import Reading, Spec
 from taxinet_ros.core.outcome import Outcome, RunRequest
 from taxinet_ros.core.pacing.free_run import FreeRun, FreeRunAccount
@@ -27,7 +23,7 @@ from taxinet_ros.core.run_statistics import ErrorStatistics, RunStatistics
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, InfraKind, plain_line
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.interface import CAMERA_FRAME, MAP_FRAME
+from taxinet_ros.nodes.interface import MAP_FRAME
 
 
 def time_of(stamp_ns: int) -> Time:
@@ -47,35 +43,7 @@ def header(stamp_ns: int, frame_id: str = MAP_FRAME) -> Header:
 
 def scenario_message(request: RunRequest) -> taxinet.Scenario:
     """Message that requests a run."""
-    return taxinet.Scenario(
-        header=header(0),
-        run_id=request.run_id,
-        index=request.index,
-        program=request.program,
-        seed=request.seed,
-        specs=list(request.judging.specs),
-        stop_on=request.judging.stop_on,
-        bounds=list(request.judging.bounds),
-        rates=list(request.judging.rates),
-        participants=list(request.participants),
-        **dataclasses.asdict(request.scenario),
-    )
-
-
-def camera_info_message() -> CameraInfo:
-    """Intrinsics of the wing camera at the start of a run."""
-    matrix = camera.intrinsics()
-    projection = np.hstack([matrix, np.zeros((3, 1))])
-    return CameraInfo(
-        header=header(0, CAMERA_FRAME),
-        height=camera.IMAGE_HEIGHT,
-        width=camera.IMAGE_WIDTH,
-        distortion_model='plumb_bob',
-        d=[0.0] * 5,
-        k=matrix.ravel().tolist(),
-        r=np.eye(3).ravel().tolist(),
-        p=projection.ravel().tolist(),
-    )
+    return taxinet.Scenario(header=header(0), **scenario_values(request))
 
 
 def robustness_message(
@@ -83,37 +51,8 @@ def robustness_message(
 ) -> taxinet.Robustness:
     """Current robustness of one formula."""
     return taxinet.Robustness(
-        header=header(stamp_ns, frame_id),
-        run_id=run_id,
-        seq=seq,
-        spec=spec.name,
-        formula=spec.text,
-        rho_lower=reading.lower,
-        rho_upper=reading.upper,
-        verdict=int(reading.verdict),
-        final=reading.final,
-        valid=reading.valid,
-        trusted=reading.trusted,
-        samples=reading.samples,
-        rejected=reading.rejected,
+        header=header(stamp_ns, frame_id), **reading_values(spec, reading, run_id, seq)
     )
-
-
-def statistics_fields(statistics: RunStatistics) -> dict[str, Any]:
-    """Verdict fields with the run's statistics; the inverse of :func:`statistics_of`."""
-    cte, he = statistics.cte_error, statistics.he_error
-    return {
-        'left_runway': statistics.left_runway,
-        'max_cross_track_error': statistics.max_cross_track_m,
-        'settle_time': statistics.settle_time_s,
-        'estimate_cte_error_mean': cte.mean,
-        'estimate_cte_error_mean_abs': cte.mean_abs,
-        'estimate_cte_error_max_abs': cte.max_abs,
-        'estimate_he_error_mean': he.mean,
-        'estimate_he_error_mean_abs': he.mean_abs,
-        'estimate_he_error_max_abs': he.max_abs,
-        'unusable_estimates': statistics.unusable_estimates,
-    }
 
 
 def statistics_of(verdict: taxinet.Verdict) -> RunStatistics:

@@ -1,170 +1,24 @@
-"""Serialise, decode and collect the messages of a control step.
+"""The messages of a control step: read back, collected, and the transforms that follow them.
 
-rclpy publishes bytes unchanged, and passes them to subscribers of raw messages. It converts message
-objects field by field, which takes several times as long. Floats pass unchanged, so the graph is
-bit-identical to the core.
+rclpy publishes bytes as they are (:mod:`taxinet_ros.bag.run.messages` makes them), and hands them
+to subscribers that ask for raw messages. A message object it converts field by field, which takes
+several times as long. Floats pass unchanged, so the graph matches the core's bits.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
-from taxinet_msgs import msg as taxinet
 
 from taxinet_ros.bag.cdr.decode import decoder
-from taxinet_ros.bag.cdr.fields import MessageTemplate
-from taxinet_ros.bag.cdr.image import image_cdr
 from taxinet_ros.bag.run.transforms import OdometryTransforms, camera_transform
 from taxinet_ros.bag.topics import TopicInfo, describe_topic
-from taxinet_ros.core.mtl import Reading, Spec
-from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError, quaternion
-from taxinet_ros.core.world import Observation
+from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
-from taxinet_ros.nodes.messages.convert import camera_info_message, header, stamp_of
-
-_STAMP = ('header.stamp.sec', 'header.stamp.nanosec')
-_STEP = (*_STAMP, 'seq')
-_KEPT = 256
-"""Cache size of templates per kind: more than the formulas of a run."""
-
-
-def clock_cdr(stamp_ns: int) -> bytes:
-    """Simulated time [ns]."""
-    return _clock().filled(*divmod(stamp_ns, NS_PER_S))
-
-
-def camera_info_cdr(stamp_ns: int) -> bytes:
-    """Intrinsics of the wing camera, stamped [ns]."""
-    return _camera_info().filled(*divmod(stamp_ns, NS_PER_S))
-
-
-def odometry_cdr(state: AircraftState, stamp_ns: int) -> bytes:
-    """True state: pose in map, velocity in base_link."""
-    return _odometry().filled(
-        *divmod(stamp_ns, NS_PER_S), state.x_m, state.y_m, state.z_m,
-        *quaternion(state.roll_rad, state.pitch_rad, state.yaw_rad),
-        state.speed_mps, state.yaw_rate_radps,
-    )
-
-
-def error_cdr(error: TrackingError, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """True or estimated tracking error."""
-    return _error(run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, error.cte_m, error.he_rad, error.valid
-    )
-
-
-def command_cdr(command: TaxiCommand, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """A command."""
-    return _command(run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, command.steering_rad, command.speed_mps
-    )
-
-
-def robustness_cdr(spec: Spec, reading: Reading, run_id: str, seq: int, stamp_ns: int) -> bytes:
-    """Current robustness of one formula."""
-    return _robustness(spec.name, spec.text, run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq, reading.lower, reading.upper, reading.verdict,
-        reading.final, reading.valid, reading.samples, reading.rejected, reading.trusted,
-    )
-
-
-def progress_cdr(
-    node: str, implementation: str, fingerprint: str, run_id: str, seq: int, stamp_ns: int
-) -> bytes:
-    """Status of a lockstep node with progress up to ``seq``.
-
-    Args:
-        node: its name.
-        implementation: name of its implementation.
-        fingerprint: sha256 of the weights that decide its behaviour, or ''.
-        run_id: its run.
-        seq: the last control step it has finished.
-        stamp_ns: simulated time of that [ns].
-    """
-    return _progress(node, implementation, fingerprint, run_id).filled(
-        *divmod(stamp_ns, NS_PER_S), seq
-    )
-
-
-@functools.cache
-def _clock() -> MessageTemplate:
-    return _template(interface.CLOCK, Clock(), 'clock.sec', 'clock.nanosec')
-
-
-@functools.cache
-def _camera_info() -> MessageTemplate:
-    return _template(interface.CAMERA_INFO, camera_info_message(), *_STAMP)
-
-
-@functools.cache
-def _odometry() -> MessageTemplate:
-    message = Odometry(header=header(0), child_frame_id=interface.BASE_FRAME)
-    return _template(
-        interface.ODOMETRY, message, *_STAMP,
-        *(f'pose.pose.position.{axis}' for axis in 'xyz'),
-        *(f'pose.pose.orientation.{axis}' for axis in 'xyzw'),
-        'twist.twist.linear.x', 'twist.twist.angular.z',
-    )
-
-
-@functools.lru_cache(_KEPT)
-def _error(run_id: str) -> MessageTemplate:
-    message = taxinet.TrackingError(header=header(0), run_id=run_id)
-    fields = 'cross_track_error', 'heading_error', 'valid'
-    return _template(interface.TRUTH, message, *_STEP, *fields)
-
-
-@functools.lru_cache(_KEPT)
-def _command(run_id: str) -> MessageTemplate:
-    message = taxinet.TaxiCommand(header=header(0, interface.BASE_FRAME), run_id=run_id)
-    return _template(interface.COMMAND, message, *_STEP, 'steering_angle', 'speed')
-
-
-@functools.lru_cache(_KEPT)
-def _robustness(name: str, text: str, run_id: str) -> MessageTemplate:
-    message = taxinet.Robustness(header=header(0), run_id=run_id, spec=name, formula=text)
-    return _template(
-        interface.ROBUSTNESS, message, *_STEP,
-        'rho_lower', 'rho_upper', 'verdict', 'final', 'valid', 'samples', 'rejected', 'trusted',
-    )
-
-
-@functools.lru_cache(_KEPT)
-def _progress(node: str, implementation: str, fingerprint: str, run_id: str) -> MessageTemplate:
-    message = taxinet.NodeStatus(
-        header=header(0, ''), run_id=run_id, node=node, state=taxinet.NodeStatus.PROGRESS,
-        implementation=implementation, fingerprint=fingerprint,
-    )
-    return _template(interface.PROGRESS, message, *_STEP)
-
-
-def _template(topic: Topic, message: Any, *fields: str) -> MessageTemplate:
-    described = describe_topic(name=topic.name, type_name=topic.type_name, qos='')
-    return MessageTemplate(described, bytes(serialize_message(message)), fields)
-
-
-def observation_messages(now: Observation, run_id: str) -> Iterator[tuple[Topic, bytes]]:
-    """Serialised messages of a control step, in order of publication.
-
-    Args:
-        now: the observation.
-        run_id: the run it belongs to.
-    """
-    stamp_ns = now.stamp_ns
-    yield interface.CLOCK, clock_cdr(stamp_ns)
-    yield interface.ODOMETRY, odometry_cdr(now.state, stamp_ns)
-    yield interface.TRUTH, error_cdr(now.state.tracking_error, run_id, now.seq, stamp_ns)
-    yield interface.CAMERA_INFO, camera_info_cdr(stamp_ns)
-    if now.image is not None:
-        yield interface.IMAGE, image_cdr(now.image, stamp_ns, interface.CAMERA_FRAME)
+from taxinet_ros.nodes.messages.convert import stamp_of
 
 
 class StepMessage(NamedTuple):

@@ -28,6 +28,8 @@ from rclpy.task import Future
 from sensor_msgs.msg import Image
 from taxinet_msgs.msg import NodeStatus, RunStatus
 
+from taxinet_ros.bag.run.messages import error_cdr, observation_messages
+from taxinet_ros.core import topics
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.judging import Judging
@@ -44,8 +46,6 @@ from taxinet_ros.nodes.lockstep.endpoints import NAMELESS, heard_by
 from taxinet_ros.nodes.messages.convert import header, scenario_message
 from taxinet_ros.nodes.messages.step import (
     StepMessage,
-    error_cdr,
-    observation_messages,
     step_reader,
 )
 from taxinet_ros.nodes.node_check.clauses import Status, judge
@@ -595,7 +595,7 @@ class Stage:
             said = question.truth if estimate is None else estimate
             self._say(interface.ESTIMATE, error_cdr(said, run_id or run.run_id, seq, stamp_ns))
 
-    def _say(self, topic: Topic, message: Any) -> None:
+    def _say(self, topic: topics.Topic, message: Any) -> None:
         self._publishers[topic.name].publish(message)
 
     def _truth(self, seq: int) -> TrackingError:

@@ -6,6 +6,7 @@ exchange the end of the current run.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +22,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
+from taxinet_ros.nodes.running.domain import domain_number
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
+from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
     exit_handler,
     exit_now,
@@ -67,7 +70,8 @@ _PATIENCE_S = 2.0
 class Waiting:
     """Reports which nodes a node waits for: once it lasts, at each change, and at its end.
 
-    The node's method ``waits_for``, if any, returns the names of these nodes.
+    The node's method ``waits_for``, if any, returns the names of these nodes. Also warns of remaps
+    that separate the node from its counterparts.
     """
 
     def __init__(self, node: Any) -> None:
@@ -75,13 +79,15 @@ class Waiting:
         self._node = node
         self._since_s = 0.0
         self._told: tuple[str, ...] = ()
+        self._parted: list[str] = []
         self._timer = node.create_timer(
             _WAITING_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        ) if hasattr(node, 'waits_for') else None
+        )
 
     def look(self) -> None:
         """Report changes."""
-        names = tuple(sorted(self._node.waits_for()))
+        self._look_for_remaps()
+        names = tuple(sorted(getattr(self._node, 'waits_for', tuple)()))
         now_s = time.monotonic()
         if not names:
             if self._told:
@@ -95,8 +101,13 @@ class Waiting:
 
     def end(self) -> None:
         """Stop watching."""
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
+
+    def _look_for_remaps(self) -> None:
+        before, self._parted = self._parted, cut_off(self._node)
+        for line in self._parted:
+            if line not in before:
+                self._node.get_logger().warning(line)
 
     def _say(self, line: str) -> None:
         self._node.get_logger().info(line)
@@ -107,7 +118,10 @@ _BAD_ARGUMENTS = (
     rclpy_implementation.RCLError,
 )
 GRACE_S = 5.0
-"""Maximum time [s] a node continues after a shutdown request until the current run ends."""
+"""Maximum time [s] a node continues after a shutdown request until the current run ends.
+
+Longer on a machine so busy that the node itself has to wait.
+"""
 AT_ONCE_S = 1.0
 """Maximum time [s] to leave the graph after a second signal."""
 _LOOK_S = 0.05
@@ -138,6 +152,8 @@ def run_node(
     try:
         if read_arguments(usage, sys.argv):
             sys.exit(ExitCode.OK)
+        # Where it is too high Fast DDS ends the process, with 1; of -1 ROS makes 0.
+        domain_number(os.environ.get('ROS_DOMAIN_ID') or '0', 'ROS_DOMAIN_ID')
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = build()
         executor = EventsExecutor()
@@ -187,11 +203,11 @@ def _serve(node: Any, executor: Any) -> int:
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
-        deadline_s = time.monotonic() + GRACE_S
-        while not (ended.done() or asked_again.is_set() or may_leave()):
-            spin_for(executor, ended, _LOOK_S)
-            if time.monotonic() > deadline_s:
+        # Looks are counted and no seconds, which a busy machine would take away.
+        for _ in range(round(GRACE_S / _LOOK_S)):
+            if ended.done() or asked_again.is_set() or may_leave():
                 break
+            spin_for(executor, ended, _LOOK_S)
     return ExitCode.INTERRUPTED if asked_again.is_set() else ExitCode.OK
 
 

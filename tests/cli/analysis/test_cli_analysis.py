@@ -96,7 +96,7 @@ def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that
      'experiment.json: has no record of the experiment, although near, far have had their runs'),
     (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
      'near: is not there, an arm of the experiment of far'),
-    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track is 0.0, the row has 4.0'),
+    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
     (hide_the_arm, 'far/runs.csv: '),
 ])
 def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(

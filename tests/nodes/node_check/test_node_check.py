@@ -20,6 +20,7 @@ from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from taxinet_msgs.msg import NodeStatus
 
+from taxinet_ros.bag.run.messages import observation_messages
 from taxinet_ros.cli.run.check_node import run_check
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS, Aircraft
 from taxinet_ros.core.scenario import Scenario
@@ -27,7 +28,6 @@ from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.world import Observation
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
-from taxinet_ros.nodes.messages.step import observation_messages
 from taxinet_ros.nodes.node_check.clauses import CLAUSES, Finding, Status, judge
 from taxinet_ros.nodes.node_check.driver import CheckOptions, check_node, command_starter
 from taxinet_ros.nodes.node_check.record import ROLES, SIDES, Answer, End, Question, Record, Run
@@ -323,9 +323,10 @@ def test_given_any_message_of_a_step_then_it_tells_the_step_as_the_docs_say(seq)
     pixels = np.zeros((200, 360, 3), np.uint8)
     now = Observation(seq=seq, stamp_ns=seq * CONTROL_PERIOD_NS, state=state, image=pixels)
     steps = {}
+    types = {topic.name: topic.type for topic in interface.TOPICS}
     for topic, cdr in observation_messages(now, 'r'):
-        message = deserialize_message(cdr, topic.type)
-        stamp = message.clock if topic is interface.CLOCK else message.header.stamp
+        message = deserialize_message(cdr, types[topic.name])
+        stamp = message.clock if topic.name == interface.CLOCK.name else message.header.stamp
         steps[topic.name] = (stamp.sec * 1_000_000_000 + stamp.nanosec) / 100_000_000
     assert steps == {
         topic.name: seq for topic in interface.TOPICS
