@@ -197,7 +197,7 @@ class StoredRuns:
         for _, error in damage:
             text = str(error)
             if isinstance(error, BagTruncated | BagCorrupt):
-                text = f'{text}; {count} sound messages before'
+                text = f'{text}; {count} intact messages before'
             raise type(error)(text, path=error.path, recovered=count, offset=error.offset)
 
     def messages_of_runs(
