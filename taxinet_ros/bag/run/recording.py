@@ -291,7 +291,7 @@ class Recording(Sequence['Recording']):
             whole: whether pictures are not cut short, which takes a pass over the files.
         """
         messages = self.all_messages() if whole else self._contents.messages
-        return messages_of_runs(messages, self._apart.owners, wanted)
+        return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
         """Every sound message, whoever's, in the order of the recording; pictures take a pass.
@@ -316,7 +316,7 @@ class Recording(Sequence['Recording']):
             return stored_messages(self.path, wanted)
         whole, number = self._within.whole, self._within.number
         mine = messages_of_runs(
-            stored_messages(self.path), whole._apart.owners,
+            stored_messages(self.path), whole._apart,
             lambda run, topic: run == number and wanted(f'/{topic}'),
         )
         return (stored for _, stored in mine)
