@@ -120,11 +120,6 @@ class StoredRuns:
         return self._apart.runs
 
     @property
-    def owners(self) -> Sequence[int]:
-        """For each message on a topic of a run, the number of the run it belongs to, or -1."""
-        return self._apart.owners
-
-    @property
     def plain(self) -> bool:
         """Whether it is one run and nothing else, logged as our recorder does."""
         return self._apart.plain
@@ -211,7 +206,7 @@ class StoredRuns:
             whole: whether pictures are not cut short, which takes a pass over the files.
         """
         messages = self.all_messages() if whole else self._contents.messages
-        return messages_of_runs(messages, self._apart.owners, wanted)
+        return messages_of_runs(messages, self._apart, wanted)
 
     def all_messages(self) -> Iterator[StoredMessage]:
         """Every sound message, whoever's, in the order of the recording; pictures take a pass.
@@ -236,7 +231,7 @@ class StoredRuns:
             return stored_messages(self.path, wanted)
         whole, number = self._within.whole, self._within.number
         mine = messages_of_runs(
-            stored_messages(self.path), whole._apart.owners,
+            stored_messages(self.path), whole._apart,
             lambda run, topic: run == number and wanted(f'/{topic}'),
         )
         return (stored for _, stored in mine)
