@@ -6,7 +6,10 @@ taxinet_ros has cross-track error positive to the LEFT, so `cross_track` is minu
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
 A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
-date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s].
+date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s], and what
+pushes the aircraft: wind_speed [m/s], wind_direction [°, true, from which it blows], gust [m/s],
+gust_seed (a whole number), runway_state (dry, wet, icy or auto), slope [%, uphill positive],
+speed [m/s].
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are

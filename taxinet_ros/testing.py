@@ -124,7 +124,7 @@ def check_controller(word: str) -> None:
         found = make_controller(word, SteeringGains())
         told = controller_fingerprint(word)
         complain.unless(found.fingerprint == told, 'its fingerprint is not what is recorded')
-        found.begin()
+        found.begin(Scenario())
         for estimate in (*_TRUTHS, *_UNUSABLE):
             _check_command(complain, estimate, found.command(estimate))
         answers = _steer(word)
@@ -364,7 +364,7 @@ def _perceive(word: str) -> list[Any]:
 
 def _steer(word: str) -> list[Any]:
     found = make_controller(word, SteeringGains())
-    found.begin()
+    found.begin(Scenario())
     answers = [found.command(estimate) for estimate in (*_TRUTHS, *_UNUSABLE, *_TRUTHS)]
     return [list(dataclasses.astuple(answer)) for answer in answers]
 

@@ -25,6 +25,8 @@ RAIN_CLOUDS = ('broken', 'overcast', 'stratus')
 """The cloud kinds that rain may fall from."""
 
 AIRCRAFT = ('caravan', 'c172p')
+RUNWAY_STATES = ('dry', 'wet', 'icy', 'auto')
+"""What the runway's friction is that of; ``auto``: wet where it rains, else dry."""
 
 _SWITCH_WORDS = {
     'true': True, 'on': True, '1': True, 'false': False, 'off': False, '0': False,
@@ -75,7 +77,8 @@ class ScenarioField:
         words: all that there are, in their order.
         plane: property of the Scenic program's aircraft that says it, in ``unit``; '' where a
             parameter of the program does.
-        absent: its value in recordings of before there was such a key; None where there always was.
+        absent: its value in recordings of before there was such a key, in SI units; None where
+            there always was.
     """
 
     key: str
@@ -91,7 +94,7 @@ class ScenarioField:
     form: str = '{:g}'
     words: tuple[str, ...] = ()
     plane: str = ''
-    absent: bool | None = None
+    absent: Any = None
 
     @property
     def column_type(self) -> str:
@@ -154,7 +157,7 @@ class ScenarioField:
             return str(value)
         number = self.form.format(value)
         unit = 'deg' if self.unit == '°' else self.unit
-        return f'{number.removeprefix("+") if value == 0 else number} {unit}'
+        return f'{number.removeprefix("+") if value == 0 else number} {unit}'.rstrip()
 
     def _number(self, value: Any) -> float:
         if isinstance(value, bool):
@@ -221,6 +224,36 @@ AIRCRAFT_MODEL = ScenarioField(
     key='aircraft', attribute='aircraft', column='aircraft', title='aircraft',
     kind=Kind.WORD, words=AIRCRAFT,
 )
+WIND_SPEED = ScenarioField(
+    key='wind_speed', attribute='wind_speed_mps', column='wind_speed_mps', title='wind',
+    unit='m/s', form='{:.1f}', low=0.0, high=30.0, range_unit='m/s', absent=0.0,
+)
+WIND_DIRECTION = ScenarioField(
+    key='wind_direction', attribute='wind_direction_rad', column='wind_direction_deg',
+    title='direction that the wind blows from', unit='°', si=math.pi / 180, form='{:.0f}',
+    low=0.0, high=2 * math.pi, range_unit='rad from true north, clockwise', absent=0.0,
+)
+GUST = ScenarioField(
+    key='gust', attribute='gust_mps', column='gust_mps', title='gusts, standard deviation',
+    unit='m/s', form='{:.1f}', low=0.0, high=10.0, range_unit='m/s', absent=0.0,
+)
+GUST_SEED = ScenarioField(
+    key='gust_seed', attribute='gust_seed', column='gust_seed', title='seed of the gusts',
+    form='{:.0f}', low=0.0, high=2.0**32 - 1, range_unit='as a whole number', absent=0.0,
+)
+RUNWAY_STATE = ScenarioField(
+    key='runway_state', attribute='runway_state', column='runway_state',
+    title='friction of the runway', kind=Kind.WORD, words=RUNWAY_STATES, absent='dry',
+)
+SLOPE = ScenarioField(
+    key='slope', attribute='slope_fraction', column='slope_percent', title='slope, uphill',
+    unit='%', si=0.01, form='{:+.1f}', low=-0.05, high=0.05, range_unit='as a fraction',
+    absent=0.0,
+)
+SPEED = ScenarioField(
+    key='speed', attribute='speed_mps', column='speed_mps', title='taxi speed', unit='m/s',
+    form='{:.1f}', low=1.0, high=10.0, range_unit='m/s', absent=5.0,
+)
 DURATION = ScenarioField(
     key='duration', attribute='duration_s', column='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, range_unit='s',
@@ -228,7 +261,11 @@ DURATION = ScenarioField(
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
-SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
+PUSHING_FIELDS = (WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED, RUNWAY_STATE, SLOPE, SPEED)
+"""What moves the aircraft and is not in the picture."""
+SCENARIO_FIELDS = (
+    *PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, *PUSHING_FIELDS, DURATION,
+)
 BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """Scenario keys as people type them."""
