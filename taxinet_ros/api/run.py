@@ -361,7 +361,7 @@ class _FunctionController(Controller):
     def __init__(self, steer: Steer) -> None:
         self._steer = steer
 
-    def begin(self) -> None:
+    def begin(self, scenario: Scenario) -> None:
         """Have it forget the run before, if it has a ``reset()``."""
         _reset(self._steer)
 

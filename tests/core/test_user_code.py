@@ -97,7 +97,7 @@ COUNTS = 'class make:\n    n = 0\n    def __call__(self, x):\n        self.n += 
 def test_given_a_memory_then_each_run_begins_without_it(file, text):
     controller = steering(file(text))
     for _ in range(2):
-        controller.begin()
+        controller.begin(Scenario())
         assert [controller.command(SEEN).steering_rad for _ in range(3)] == [1, 2, 3]
 
 
@@ -145,7 +145,7 @@ class make:
 def test_given_a_file_that_prints_then_what_we_print_stays_alone(file, capfd):
     controller = steering(file(LOUD))
     controller.command(SEEN)
-    controller.begin()
+    controller.begin(Scenario())
     assert tuple(capfd.readouterr()) == ('', 'loaded\nmade\nasked\nreset\n')
 
 
