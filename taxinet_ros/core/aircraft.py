@@ -240,6 +240,7 @@ class Wind:
 
     def begin(self, fdm: jsbsim.FGFDMExec) -> None:
         """Let it blow."""
+        fdm['aero/at-any-angle'] = 1.0  # of the caravan alone; JSBSim's own models have no such
         fdm['atmosphere/wind-north-fps'] = self._north_mps / M_PER_FT
         fdm['atmosphere/wind-east-fps'] = self._east_mps / M_PER_FT
 
