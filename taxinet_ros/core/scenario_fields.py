@@ -11,6 +11,7 @@ the documentation) is made from these rows, or compared with them by
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Real
@@ -188,6 +189,18 @@ def clock_words(hours: float) -> str:
     """Hours after midnight as ``13:20``."""
     whole, minutes = divmod(round(hours * 60), 60)
     return f'{whole:02d}:{minutes:02d}'
+
+
+def pushing_words(scene: Mapping[str, Any]) -> str:
+    """What pushes the aircraft, where it is other than as ever: ``', wind 8.0 m/s, …'``.
+
+    Args:
+        scene: in human units, by what people type.
+    """
+    return ''.join(
+        f', {field.title} {field.value_words(scene[field.word])}' for field in PUSHING_FIELDS
+        if scene[field.word] not in (None, '', field.to_human(field.absent))
+    )
 
 
 CROSS_TRACK = ScenarioField(
