@@ -107,12 +107,19 @@ ControllerCommandOption = Annotated[
     str | None,
     typer.Option('--controller-cmd', metavar='COMMAND', help='likewise for the controller'),
 ]
+WorldOption = Annotated[
+    str,
+    typer.Option(
+        metavar='NAME',
+        help='where runs take place: kmwh, the simulated airport, or a name that a package adds',
+    ),
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         '--set', metavar='KEY=VALUE',
-        help='fix a scenario value (clouds=clear, time_of_day=9.5, heading=-20, duration=10, …) '
-        'or a gain (steering.heading_gain=1.2); repeatable',
+        help='fix a scenario value (clouds=clear, time_of_day_h=9.5, heading_deg=-20, '
+        'duration_s=10, …) or a gain (steering.heading_gain=1.2); repeatable',
     ),
 ]
 SpecOption = Annotated[
@@ -241,7 +248,7 @@ NominalOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar='KEY=VALUE',
-        help='nominal value of a scenario key (time_of_day=12, shadows=off, …); repeatable',
+        help='nominal value of a scenario key (time_of_day_h=12, shadows=off, …); repeatable',
     ),
 ]
 NeededRunsOption = Annotated[int, typer.Option(help='most runs of the search')]

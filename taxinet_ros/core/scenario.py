@@ -12,7 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from taxinet_ros.core.scenario_fields import BY_KEY, HUMAN_KEYS, RAIN_CLOUDS, SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    HUMAN_KEYS,
+    RAIN_CLOUDS,
+    SCENARIO_FIELDS,
+    by_key,
+)
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
@@ -75,9 +81,9 @@ class Scenario:
             kinds = '/'.join(RAIN_CLOUDS)
             raise UsageError(f'scenario: rain needs clouds {kinds}, got {self.clouds!r}')
         if self.wind_direction_rad and not self.wind_speed_mps:
-            raise UsageError('scenario: wind_direction has no effect without wind_speed')
+            raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
         if self.gust_seed and not self.gust_mps:
-            raise UsageError('scenario: gust_seed has no effect without gust')
+            raise UsageError('scenario: gust_seed has no effect without gust_mps')
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         try:
@@ -100,21 +106,21 @@ class Scenario:
     def to_human(self) -> dict[str, Any]:
         """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""
         return {
-            field.word: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
+            field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
-
-    def to_columns(self) -> dict[str, Any]:
-        """The same by the columns of tables, which have the unit in their names."""
-        human = self.to_human()
-        return {field.key: human[field.word] for field in SCENARIO_FIELDS}
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from the units people type (m, degrees, percent, hours).
 
+    Args:
+        values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
+
     Raises:
-        UsageError: an unknown key (the known ones are listed) or a bad value.
+        UsageError: an unknown key (the known ones are listed), one that is there with its short
+            form too, or a bad value; it is told in the units that were typed.
     """
+    values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]
     if unknown:
         raise UsageError(f'scenario: unknown key {unknown[0]!r}; known: {", ".join(HUMAN_KEYS)}')

@@ -83,7 +83,7 @@ def test_given_json_when_asked_for_info_then_it_is_one_object(taxinet: Taxinet) 
     code, out, _ = taxinet('info', 'run', '--json')
     values = json.loads(out)
     assert (code, values['whole'], values['messages']) == (0, True, 135)
-    assert values['run']['scene']['heading'] == pytest.approx(8)
+    assert values['run']['scene']['heading_deg'] == pytest.approx(8)
     assert values['run']['judged']['on_runway']['lower'] > 12
     code, out, _ = taxinet('info', 'cut', '--json')
     values = json.loads(out)

@@ -25,9 +25,11 @@ from taxinet_ros.campaign.record.facts import (
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
+    WORLD,
     recorded_stacks,
     stack_difference,
     this_stack,
+    with_present_keys,
     write_facts,
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
@@ -42,6 +44,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path
+from taxinet_ros.registry import KMWH
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -346,7 +349,7 @@ _MAY_DIFFER = frozenset({
 may warn of more than another, and another machine or version is warned of."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
-    'controller': STEERING, 'controller_sha256': '', 'timing': '',
+    'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
 }
 """What a fact was before there was a choice, and so was not written down."""
 _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}
@@ -381,7 +384,7 @@ def read_same_campaign(
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
-    before = {**_DEFAULTS_OF_BEFORE, **before}
+    before = {**_DEFAULTS_OF_BEFORE, **with_present_keys(before)}
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')

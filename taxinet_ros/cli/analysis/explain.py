@@ -23,6 +23,7 @@ from taxinet_ros.cli.bag.input import perception_of, readable_bags
 from taxinet_ros.cli.progress import stage_bars
 from taxinet_ros.core.perception.network import shrink
 from taxinet_ros.core.perception.perception import make_perception
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.files.atomic import write_atomically
 from taxinet_ros.training.data.image_folder import ImageFolder, open_folder
@@ -33,7 +34,7 @@ MOST_IMAGES = 4000
 """Of a data set so many images are looked at, evenly spread; reading them takes 4 ms each."""
 
 _THREADS = 2
-_SCENE = ('time_of_day', 'clouds', 'rain')
+_SCENE = ('time_of_day_h', 'clouds', 'rain_percent')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +139,7 @@ def _scenes(folder: ImageFolder, rows: list[int]) -> pd.DataFrame:
         'distance_m': [frame.distance_m for frame in frames],
     })
     if folder.table.suffix == '.parquet':
-        table = pd.read_parquet(folder.table)
+        table = pd.read_parquet(folder.table).rename(columns=SHORT_FORMS)
         for name in _SCENE:
             if name in table:
                 scenes[name] = table[name].to_numpy()[rows]

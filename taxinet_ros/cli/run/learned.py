@@ -108,5 +108,5 @@ def _interval(text: str) -> tuple[str, float, float]:
         ends = (1.0, 0.0)
     if not ends[0] <= ends[1]:
         raise UsageError(f'--within {text!r}: needs to be DIMENSION=LOW:HIGH, as '
-                         'distance=1400:1600')
+                         'distance_m=1400:1600')
     return name, *ends

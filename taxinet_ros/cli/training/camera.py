@@ -32,11 +32,11 @@ from taxinet_ros.core.perception.labelled_frames import read_labelled_frames
 from taxinet_ros.core.perception.perception import Perception, make_perception
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.scenario import scenario_from_human
-from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, clock_words
+from taxinet_ros.core.scenario_fields import CLOUDS, RAIN_CLOUDS, by_key, clock_words
 from taxinet_ros.errors import UsageError
 
 SUFFIX = '.png'
-_AXES = {'time_of_day': '--hours', 'clouds': '--clouds', 'rain': '--rain'}
+_AXES = {'time_of_day_h': '--hours', 'clouds': '--clouds', 'rain_percent': '--rain'}
 
 
 def save_frame(settings: Iterable[str], out: Path | None) -> None:
@@ -79,7 +79,7 @@ def print_shadow(*, hours: str, turbidity: float, settings: Iterable[str]) -> No
         UsageError: bad settings or hours.
     """
     values = read_settings(settings)
-    for key, mend in {'time_of_day': 'use --hours', 'shadows': 'leave it out'}.items():
+    for key, mend in {'time_of_day_h': 'use --hours', 'shadows': 'leave it out'}.items():
         if key in values:
             raise UsageError(f'--set {key}: varies over the table; {mend}')
     columns = _numbers('--hours', hours)
@@ -103,7 +103,7 @@ def read_settings(settings: Iterable[str]) -> dict[str, object]:
     """Scenario values from ``key=value`` words; the last of a key counts.
 
     Raises:
-        UsageError: no ``key=value``.
+        UsageError: no ``key=value``, or a key is there with its short form too.
     """
     values: dict[str, object] = {}
     for setting in settings:
@@ -111,7 +111,7 @@ def read_settings(settings: Iterable[str]) -> dict[str, object]:
         if not (key and equals and value):
             raise UsageError(f'--set {setting!r}: expected key=value')
         values[key] = value
-    return values
+    return by_key(values)
 
 
 def new_picture(out: Path | None, stem: str) -> Path:

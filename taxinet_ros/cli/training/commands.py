@@ -147,8 +147,9 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option(
         '--set', metavar='KEY=VALUE',
-        help='a scenario value (cross_track=-3, heading=10, distance=900, time_of_day=16, '
-        'clouds=broken, rain=50, shadows=off, date=2020-06-21, …); repeatable',
+        help='a scenario value (cross_track_m=-3, heading_deg=10, distance_m=900, '
+        'time_of_day_h=16, clouds=broken, rain_percent=50, shadows=off, date=2020-06-21, …); '
+        'repeatable',
     ),
 ]
 OutOption = Annotated[

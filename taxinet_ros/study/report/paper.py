@@ -201,8 +201,8 @@ def _shadows(results: Results) -> Iterator[Question]:
     pairs = results.experiment_pairs.get('shadows')
     if pairs is None:
         return
-    known = pairs.dropna(subset=['rho_shadows', 'rho_no_shadows']).sort_values('time_of_day')
-    known = known[known['time_of_day'].between(*AFTERNOON_H)]
+    known = pairs.dropna(subset=['rho_shadows', 'rho_no_shadows']).sort_values('time_of_day_h')
+    known = known[known['time_of_day_h'].between(*AFTERNOON_H)]
     rho = known[['rho_shadows', 'rho_no_shadows']].to_numpy(dtype=float)
     if not len(rho):
         return
