@@ -51,7 +51,7 @@ def cell(runs: int, wind_mps: float, state: str, aircraft: str, speed_mps: float
 def main() -> None:
     """Print the table, row by row."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
-    parser.add_argument('--runs', type=int, default=100)
+    parser.add_argument('--runs', type=int, default=1, help='in each cell')
     parser.add_argument('--aircraft', default='caravan')
     parser.add_argument('--speed', type=float, default=5.0, help='taxi speed [m/s]')
     given = parser.parse_args()

@@ -97,6 +97,13 @@ class Scenario:
         return round(self.duration_s * NS_PER_S)
 
     @property
+    def pushed(self) -> bool:
+        """Whether wind, a slope or slippery ground move the aircraft too."""
+        return bool(self.wind_speed_mps or self.gust_mps or self.slope_fraction) or (
+            self.surface != 'dry'
+        )
+
+    @property
     def surface(self) -> str:
         """What the runway's friction is that of: ``runway_state``, with ``auto`` resolved."""
         if self.runway_state == 'auto':

@@ -385,11 +385,12 @@ def accepted_scene(
     )
 
 
-def first_duration_s(source: SceneSource) -> float:
-    """Length of a program's first scene that is accepted [s], the usual one where none is.
+def first_scene(source: SceneSource) -> Scenario:
+    """A program's first scene that is accepted, the usual one where none is.
 
     Raises:
-        UsageError: as :meth:`SceneSource.scene`, or it is no whole number of control periods.
+        UsageError: as :meth:`SceneSource.scene`, or its length is no whole number of
+            control periods.
     """
     first = apply_overrides({}, source.fixed_length, source.program.name)
     for index in range(_FIRST_SCENES):
@@ -399,7 +400,7 @@ def first_duration_s(source: SceneSource) -> float:
         if source.fixed_length:
             break
     last_step(first)
-    return first.duration_s
+    return first
 
 
 def sample_scenarios(

@@ -304,7 +304,7 @@ def test_s5_attack_the_length_is_known_where_the_first_scene_is_rejected(
             try:
                 source.scene(0)
             except Rejected:
-                assert scene_source.first_duration_s(source) == length_s
+                assert scene_source.first_scene(source).duration_s == length_s
                 return
     pytest.fail('no first scene was rejected')
 
