@@ -127,7 +127,7 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'arms': '{a: {}, b: {controller: gone.py:steer}}'}, 'arms.b.controller: controller gone'),
         ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
         ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
-         'arms.a.controller: --set steering.heading_gain: a gain of the steering law'),
+         'arms.a.controller: --set steering.heading_gain: gains apply only'),
         ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
         ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
         ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),
@@ -148,7 +148,7 @@ def test_given_no_such_file_or_a_used_folder_then_one_line_says_so(tmp_path):
     with pytest.raises(UsageError, match='no shipped experiment; known: crossing, light, shadows'):
         find_experiment('shadow')
     one = read_experiment(written(tmp_path))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         arm_searches(one, tmp_path, workers=1, resume=False)
     with pytest.raises(UsageError, match='holds no arm of mine'):
         arm_searches(one, tmp_path, workers=1, resume=True)

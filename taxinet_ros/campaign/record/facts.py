@@ -1,12 +1,13 @@
-"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger.
+"""Facts of a campaign, written to ``campaign.json`` and the ledger before its first run.
 
-When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then vouches for the
-tables, and says where the ledger ended.
+When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then has checksums of
+    the tables and the end of the ledger.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
-from taxinet_ros.registry import KMWH, WORLDS, origins
+from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
 
 FACTS_NAME = 'campaign.json'
@@ -103,6 +104,38 @@ def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
     return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
 
 
+@contextlib.contextmanager
+def missing_packages_named(out: Path | None) -> Iterator[None]:
+    """Within the ``with``, who refuses a name that nobody has any more says whose it was.
+
+    Args:
+        out: folder of the campaign that tells whose, or of several; None for none.
+
+    Raises:
+        UsageError: as within.
+    """
+    try:
+        yield
+    except UsageError as error:
+        for folder in () if out is None else (out, *sorted(out.glob('*/'))):
+            told = read_facts(folder)
+            for kind, one in (told.values.get(EXTENSIONS, {}) if told else {}).items():
+                if repr(one['name']) in str(error) and find(kind, one['name']) is None:
+                    raise UsageError(
+                        f'{error}; in {folder} it was {package_words(kind, one)}, which is not '
+                        'installed any more'
+                    ) from error
+        raise
+
+
+def package_words(kind: str, told: Mapping[str, str]) -> str:
+    """An extension as a campaign tells of it: what it is, whose, and the hash of its package."""
+    return (
+        f'{kind.removesuffix("s")} {told["name"]} of {told["distribution"]} {told["version"]} '
+        f'(sha256 {told["sha256"][:12]}…)'
+    )
+
+
 def this_stack() -> str:
     """Which of a campaign's stacks this process is."""
     return stack_id(provenance())
@@ -147,7 +180,7 @@ def read_facts(folder: Path) -> SealedJson | None:
     """
     path = folder / FACTS_NAME
     if (path.is_symlink() or path.exists()) and not path.is_file():
-        raise UsageError(f'{path}: is no regular file')
+        raise UsageError(f'{path}: is not a regular file')
     try:
         return read_sealed(path)
     except (FileNotFoundError, NotADirectoryError):

@@ -64,8 +64,6 @@ LEARNED_EDGES_M = (0.0, 200.0, 1200.0, 1400.0, 1600.0, 2000.0)
 """Ends of the stretches of runway that the paper tells apart."""
 PAPER_LEARNED = (0.05, None, 0.16, 0.79, None)
 """What cross-entropy learned of the generic network's failures, by stretch (section 3.4)."""
-PAPER_ELSEWHERE = 0.01
-"""What it gave to the stretches without a figure of their own, together."""
 CROSSING_M = (1200.0, 1600.0)
 """Starts that bracket the crossing near 1,450 m (Fig. 8)."""
 START_M = (0.0, 400.0)

@@ -31,7 +31,9 @@ from taxinet_ros.analysis.causes.scan import hoeffding_bound, likelihood_ratio, 
 from taxinet_ros.analysis.runs.campaign import runs_of
 from taxinet_ros.bench.causes import measure
 from taxinet_ros.campaign.record.table import read_table
+from taxinet_ros.campaign.scenes.programs import find_program
 from taxinet_ros.campaign.scenes.source import sample_scenarios
+from taxinet_ros.core.scenario_fields import SHORT_FORMS
 
 SHIPPED = Path(__file__).parents[3] / 'bags' / 's_falsif_original_4000.parquet'
 
@@ -349,9 +351,15 @@ PARTS = (
 )
 
 
-def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path):
+@pytest.mark.parametrize('form', ['keys', 'short forms'])
+def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(tmp_path, form):
     table = planted_table(40, 1, lambda t: 0.5).assign(program='s_falsif.scenic')
     runs = planted_runs(table, tmp_path)
+    if form == 'short forms':  # the recorded program is of before keys had units
+        text = find_program('s_falsif').read_text(encoding='utf-8')
+        for short, key in SHORT_FORMS.items():
+            text = text.replace(f'param {key} ', f'param {short} ')
+        runs.facts['program_text'] = f'# --- s_falsif.scenic ---\n{text}'
     rate = FoundRate(40, 20, 0.5, 0.3, 0.7)
     cause = Cause(region=Region(parts=PARTS), rank=1, inside=rate, outside=rate, whole=rate,
                   share=0.5, added=0.5, attributable=(0.0, 0.0, 0.0), p=0.01, p_is_bound=False)

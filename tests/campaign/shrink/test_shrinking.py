@@ -279,7 +279,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     'impossible': ({'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
     'perception': ({'perception': 'nobody'}, "perception: 'nobody' is unknown"),
     'images': ({'images': 'few'}, '--images few: unknown'),
-    'resume': ({'resume': True, 'out': None}, '--resume: say with --out'),
+    'resume': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
 }
 
 
@@ -335,7 +335,7 @@ def test_given_another_shrinking_in_the_folder_then_resuming_it_is_refused(tmp_p
     drive(options(path, out))
     with pytest.raises(UsageError, match='was begun with nominal'):
         drive(options(path, out, resume=True, nominal=['time_of_day=11']))
-    with pytest.raises(UsageError, match='exists already'):
+    with pytest.raises(UsageError, match='already exists'):
         options(path, out)
 
 

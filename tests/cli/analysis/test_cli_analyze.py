@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = taxinet_apart('analyze', 'c', '--baseline', 'better.parquet', cwd=folder)
     assert done.returncode == 0, done.stderr
     assert done.stderr == (
-        'taxinet: warning: .: its tables are unverified, for campaign.json is not there\n'
+        'taxinet: warning: .: its tables are unverified, since campaign.json is not there\n'
     )
     (folder / 'stdout').write_text(done.stdout)
     return folder
