@@ -22,6 +22,10 @@ from taxinet_ros.core.scenario_fields import (
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
+C172P_WIND_MPS = 5.0
+"""Above, JSBSim's model of it leaves the ground: it is made for flight, and what its tables say of
+air from behind is that of the greatest angle of attack that they have."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
@@ -84,6 +88,12 @@ class Scenario:
             raise UsageError('scenario: wind_direction_deg has no effect without wind_speed_mps')
         if self.gust_seed and not self.gust_mps:
             raise UsageError('scenario: gust_seed has no effect without gust_mps')
+        strongest_mps = self.wind_speed_mps + 3 * self.gust_mps
+        if self.aircraft == 'c172p' and strongest_mps > C172P_WIND_MPS:
+            raise UsageError(
+                f'scenario: aircraft c172p: wind_speed_mps + 3 gust_mps is {strongest_mps:g}, more '
+                f'than {C172P_WIND_MPS:g}: the wind would lift the model'
+            )
         if self.gust_seed % 1:
             raise UsageError(f'scenario: gust_seed is {self.gust_seed:g}, not a whole number')
         try:

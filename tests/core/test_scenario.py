@@ -68,6 +68,8 @@ def test_given_all_human_keys_then_they_cover_every_field_of_a_scenario():
         ({'wind_speed': 31}, 'wind_speed_mps is 31, outside 0..30 m/s'),
         ({'speed': 0}, 'speed_mps is 0, outside 1..10 m/s'),
         ({'slope': 6}, 'slope_percent is 6, outside -5..5 %'),
+        ({'aircraft': 'c172p', 'wind_speed': 3, 'gust': 1},
+         'aircraft c172p: wind_speed_mps + 3 gust_mps is 6, more than 5'),
         ({'runway_state': 'snow'}, "runway_state is 'snow', not one of dry, wet, icy, auto"),
     ],
 )

@@ -12,11 +12,16 @@ from typing import Any
 
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import (
+    AIRCRAFT_MODEL,
+    GUST,
+    GUST_SEED,
     HEADING,
     RAIN,
     RAIN_CLOUDS,
     SKY,
     TIME_OF_DAY,
+    WIND_DIRECTION,
+    WIND_SPEED,
     by_key,
 )
 from taxinet_ros.core.world import last_step
@@ -25,6 +30,10 @@ from taxinet_ros.errors import UsageError
 WEATHER = (SKY.key, RAIN.key)
 """The two keys that bind each other: rain falls from rain clouds only."""
 
+BOUND = (*WEATHER, *(
+    field.key for field in (AIRCRAFT_MODEL, WIND_SPEED, WIND_DIRECTION, GUST, GUST_SEED)
+))
+"""These, and whatever else some scenario cannot have for the value of another key."""
 _DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
@@ -138,7 +147,8 @@ def check_value(key: str, value: Any) -> None:
     Raises:
         UsageError: none could.
     """
-    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
+    others = {SKY.key: RAIN_CLOUDS[0], WIND_SPEED.key: 1.0, GUST.key: 1.0}
+    last_step(scenario_from_human({**others, key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:

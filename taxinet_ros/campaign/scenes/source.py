@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenes.overrides import (
+    BOUND,
     WEATHER,
     Contradiction,
     apply_overrides,
@@ -246,7 +247,7 @@ class SceneSource:
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & set(WEATHER))  # two that contradict each other
+        return bool(drawn & set(BOUND))  # two that contradict each other
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else be rejected for an override that a person can mend.
