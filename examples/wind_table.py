@@ -4,7 +4,7 @@ Each cell has the same random starts, those of S_falsif, with wind from any side
 standard deviation is a fifth of its speed; the steering law is given the true state::
 
     python examples/wind_table.py --runs 100
-    python examples/wind_table.py --runs 100 --aircraft c172p --speed 2
+    python examples/wind_table.py --runs 100 --speed 3
 """
 
 import argparse
@@ -18,7 +18,7 @@ WINDS_MPS = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 STATES = ('dry', 'wet', 'icy')
 
 
-def scene(number: int, wind_mps: float, state: str, aircraft: str, speed_mps: float) -> tx.Scenario:
+def scene(number: int, wind_mps: float, state: str, speed_mps: float) -> tx.Scenario:
     """Start ``number``, in one cell of the table."""
     draw = random.Random(number)
     start = {
@@ -30,15 +30,14 @@ def scene(number: int, wind_mps: float, state: str, aircraft: str, speed_mps: fl
         'gust_mps': wind_mps / 5, 'gust_seed': float(number),
     }
     return tx.Scenario(
-        **start, **(wind if wind_mps else {}), runway_state=state, aircraft=aircraft,
-        speed_mps=speed_mps,
+        **start, **(wind if wind_mps else {}), runway_state=state, speed_mps=speed_mps,
     )
 
 
-def cell(runs: int, wind_mps: float, state: str, aircraft: str, speed_mps: float) -> str:
+def cell(runs: int, wind_mps: float, state: str, speed_mps: float) -> str:
     """Share that satisfies phi_eventually, with its 95 % interval, and that leaves the runway."""
     results = [
-        tx.run(scene(number, wind_mps, state, aircraft, speed_mps), perception='truth')
+        tx.run(scene(number, wind_mps, state, speed_mps), perception='truth')
         for number in range(runs)
     ]
     passed = sum(run.outcome is tx.Outcome.PASS for run in results)
@@ -52,15 +51,12 @@ def main() -> None:
     """Print the table, row by row."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--runs', type=int, default=1, help='in each cell')
-    parser.add_argument('--aircraft', default='caravan')
     parser.add_argument('--speed', type=float, default=5.0, help='taxi speed [m/s]')
     given = parser.parse_args()
     print('| runway | ' + ' | '.join(f'{wind:g} m/s' for wind in WINDS_MPS) + ' |')
     print('| --- |' + ' --- |' * len(WINDS_MPS))
     for state in STATES:
-        cells = [
-            cell(given.runs, wind, state, given.aircraft, given.speed) for wind in WINDS_MPS
-        ]
+        cells = [cell(given.runs, wind, state, given.speed) for wind in WINDS_MPS]
         print(f'| {state} | ' + ' | '.join(cells) + ' |', flush=True)
 
 

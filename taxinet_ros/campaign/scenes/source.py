@@ -16,11 +16,11 @@ from typing import Any, Self
 
 from taxinet_ros.campaign.samplers.space import Point, Space
 from taxinet_ros.campaign.scenes.overrides import (
-    BOUND,
     WEATHER,
     Contradiction,
     apply_overrides,
     check_overrides,
+    contradicting_keys,
     impossible_keys,
 )
 from taxinet_ros.campaign.scenes.program_sampler import ProgramSampler, program_sampler
@@ -247,7 +247,7 @@ class SceneSource:
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)
-        return bool(drawn & set(BOUND))  # two that contradict each other
+        return bool(drawn & contradicting_keys(values))
 
     def _probe_weather(self) -> None:
         # One wet scene in three would else be rejected for an override that a person can mend.
