@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import NS_PER_S
 
 _SCALE = 2.0**-64
@@ -50,7 +50,7 @@ class RunStatistics:
     @property
     def left_runway(self) -> bool:
         """Whether the reference point was beyond the runway's edge at some sample."""
-        return self.max_cross_track_m > HALF_WIDTH_M
+        return self.max_cross_track_m > default_runway().half_width_m
 
 
 class RunStatisticsCollector:

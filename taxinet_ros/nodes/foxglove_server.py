@@ -15,6 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from taxinet_ros.bag.cdr.alignment import stamp_of_cdr
 from taxinet_ros.bag.topics import message_definition
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -75,7 +76,7 @@ class FoxgloveServer(Observer):
         topics = [topic for topic in interface.TOPICS if topic is not interface.PROGRESS]
         topics += interface.TRANSFORMS
         self._channels = {topic.name: self._channel(topic) for topic in (*topics, *interface.SCENE)}
-        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers()), 0)
+        self._say(interface.SCENE_RUNWAY, serialize_message(runway_markers(default_runway())), 0)
         for topic in topics:
             self.watch(topic, functools.partial(self._pass_on, topic), raw=True)
         print(f'listening on ws://{HOST}:{self.port}', flush=True)

@@ -19,7 +19,9 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from taxinet_ros.core.camera.airframe import OUTLINE
-from taxinet_ros.core.place import runway
+from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.markings import markings
+from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.types import quaternion
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -37,17 +39,23 @@ _PATH_WIDTH_M = 0.3
 Triangle = tuple[tuple[float, float, float], ...]
 
 
-def runway_markers() -> MarkerArray:
-    """Pavement, crossing and all paint, in ``map``."""
+def runway_markers(runway: Runway) -> MarkerArray:
+    """Pavement, what crosses it and all paint, in ``map``."""
     pavement = _marker('pavement', Marker.CUBE, _ASPHALT)
-    pavement.pose.position = Point(x=runway.LENGTH_M / 2, z=-_THICKNESS_M / 2)
-    pavement.scale = Vector3(x=runway.LENGTH_M, y=runway.WIDTH_M, z=_THICKNESS_M)
-    crossing = _marker('crossing', Marker.CUBE, _CONCRETE)
-    crossing.pose.position = Point(x=runway.CROSSING_X_M, z=-_THICKNESS_M)
-    crossing.pose.orientation = _quaternion(*quaternion(0.0, 0.0, runway.CROSSING_YAW_RAD))
-    crossing.scale = Vector3(x=_CROSSING_LENGTH_M, y=runway.CROSSING_WIDTH_M, z=_THICKNESS_M)
-    paint = _triangles('paint', _paint_triangles(), _PAINT)
-    return MarkerArray(markers=[pavement, crossing, paint])
+    pavement.pose.position = Point(x=runway.length_m / 2, z=-_THICKNESS_M / 2)
+    pavement.scale = Vector3(x=runway.length_m, y=runway.width_m, z=_THICKNESS_M)
+    crossings = [_crossing(*numbered) for numbered in enumerate(runway.crossings)]
+    paint = _triangles('paint', _paint_triangles(runway), _PAINT)
+    return MarkerArray(markers=[pavement, *crossings, paint])
+
+
+def _crossing(number: int, crossing: Crossing) -> Marker:
+    marker = _marker('crossing', Marker.CUBE, _CONCRETE)
+    marker.id = number
+    marker.pose.position = Point(x=crossing.x_m, z=-_THICKNESS_M)
+    marker.pose.orientation = _quaternion(*quaternion(0.0, 0.0, crossing.yaw_rad))
+    marker.scale = Vector3(x=_CROSSING_LENGTH_M, y=crossing.width_m, z=_THICKNESS_M)
+    return marker
 
 
 class AircraftMarkers:
@@ -90,11 +98,11 @@ def _triangles(
     return marker
 
 
-def _paint_triangles() -> list[Triangle]:
+def _paint_triangles(runway: Runway) -> list[Triangle]:
     """Each painted patch as a fan: the patches are convex, or as good as."""
     return [
         tuple((x, y, _PAINT_LIFT_M) for x, y in (marking.polygon[0], left, right))
-        for marking in runway.markings()
+        for marking in markings(runway)
         for left, right in pairwise(marking.polygon[1:])
     ]
 
@@ -135,7 +143,7 @@ class SceneMarkers(Observer):
             for topic in interface.SCENE
         }
         self._aircraft = AircraftMarkers()
-        self._say(interface.SCENE_RUNWAY, runway_markers())
+        self._say(interface.SCENE_RUNWAY, runway_markers(default_runway()))
         self.watch(interface.ODOMETRY, self._draw)
 
     def _draw(self, odometry: Odometry) -> None:

@@ -20,7 +20,7 @@ from taxinet_ros.bag.run.resimulation import WorldDiffers
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.controller import SteeringGains
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TrackingError
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,8 @@ class Track:
     @property
     def steps_on_runway(self) -> int:
         """Control steps before the aircraft first leaves the runway, or turns away on it."""
-        away = (np.abs(self.cte_m) > HALF_WIDTH_M) | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
+        beyond = np.abs(self.cte_m) > default_runway().half_width_m
+        away = beyond | (np.abs(self.he_rad) > _TURNED_AWAY_RAD)
         return int(away.argmax()) if away.any() else len(away)
 
     @property

@@ -26,7 +26,7 @@ from taxinet_ros.bag.run.facts import RunFacts
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import make_atomically
@@ -299,8 +299,8 @@ def _draw_panel(trace: Mapping[str, Column]) -> _Panel:
 def _draw_errors(plot: Axes, t_s: Column, trace: Mapping[str, Column]) -> list[Any]:
     limit = CENTRELINE_TOLERANCE_M
     plot.axhspan(-limit, limit, color=_BAND, alpha=0.18, linewidth=0)
-    for edge in (-HALF_WIDTH_M, HALF_WIDTH_M):
-        plot.axhline(edge, color='0.25', linewidth=1.4)
+    for side in (-1, 1):
+        plot.axhline(side * default_runway().half_width_m, color='0.25', linewidth=1.4)
     estimate = plot.plot(t_s, trace['est_cte_m'], color=_ESTIMATE, linewidth=1.1)
     truth = plot.plot(t_s, trace['cte_m'], color=_TRUTH, linewidth=2.0)
     seen = np.abs(np.concatenate([trace['cte_m'], trace['est_cte_m']]))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 
 BAND_M = 1.5
 """Half width of the band that the paper's specification asks for (paper, section 3.1)."""
@@ -91,12 +91,13 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
 
 
 def _draw(axes: Axes, own: Sequence[Trajectory], along: Sequence[NDArray[np.float64]]) -> None:
-    limit = HALF_WIDTH_M + _BEYOND_EDGE_M
-    axes.axhspan(-limit, -HALF_WIDTH_M, color='0.88', zorder=0)
-    axes.axhspan(HALF_WIDTH_M, limit, color='0.88', zorder=0)
+    edge = default_runway().half_width_m
+    limit = edge + _BEYOND_EDGE_M
+    axes.axhspan(-limit, -edge, color='0.88', zorder=0)
+    axes.axhspan(edge, limit, color='0.88', zorder=0)
     axes.axhspan(-BAND_M, BAND_M, **_BAND)
-    for edge in (-HALF_WIDTH_M, HALF_WIDTH_M):
-        axes.axhline(edge, **_EDGE)
+    for side in (-edge, edge):
+        axes.axhline(side, **_EDGE)
     # Many passed runs must let one another show through; a failed one must not pale among them.
     alpha = float(np.clip(8 / max(len(own), 1), 0.4, 1.0))
     for one, x in zip(own, along, strict=True):

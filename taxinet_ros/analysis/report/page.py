@@ -22,6 +22,7 @@ from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
 from taxinet_ros.analysis.report.viewer import RunView, ground_name, ground_shapes, read_run_view
 from taxinet_ros.bag.errors import BagError
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -110,7 +111,10 @@ def _section(
 def _grounds(runs: _Runs) -> dict[str, Any]:
     """The runway as each run found it, once for all that found it so."""
     kinds = sorted({view.crossing for view in runs.views.values()})
-    return {ground_name(crossing=kind): ground_shapes(crossing=kind) for kind in kinds}
+    return {
+        ground_name(crossing=kind): ground_shapes(default_runway(), crossing=kind)
+        for kind in kinds
+    }
 
 
 def _joined(names: tuple[str, ...]) -> str:

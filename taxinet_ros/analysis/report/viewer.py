@@ -20,15 +20,8 @@ from taxinet_ros.bag.run.recording import Recording, open_recording
 from taxinet_ros.bag.run.trace import Column
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.mtl.specs import CENTRELINE_TOLERANCE_M
-from taxinet_ros.core.place.runway import (
-    CROSSING_WIDTH_M,
-    CROSSING_X_M,
-    CROSSING_YAW_RAD,
-    HALF_WIDTH_M,
-    LENGTH_M,
-    Polygon,
-    markings,
-)
+from taxinet_ros.core.place.markings import Polygon, markings
+from taxinet_ros.core.place.runway import Crossing, Runway
 from taxinet_ros.core.scenario_fields import BY_KEY
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import InfraError, UsageError
@@ -42,25 +35,27 @@ def ground_name(*, crossing: bool) -> str:
     return 'crossed' if crossing else 'plain'
 
 
-def ground_shapes(*, crossing: bool) -> dict[str, Any]:
+def ground_shapes(runway: Runway, *, crossing: bool) -> dict[str, Any]:
     """Polygons in ``map`` [m] as JSON values: pavement and paint, and the tolerated band's half."""
-    runway = ((0.0, -HALF_WIDTH_M), (LENGTH_M, -HALF_WIDTH_M), (LENGTH_M, HALF_WIDTH_M),
-              (0.0, HALF_WIDTH_M))
-    pavement = (runway, _crossing()) if crossing else (runway,)
+    length, half = runway.length_m, runway.half_width_m
+    crossings = runway.crossings if crossing else ()
+    pavement = (
+        ((0.0, -half), (length, -half), (length, half), (0.0, half)), *map(_crossing, crossings),
+    )
     return {
         'pavement': [_corners(polygon) for polygon in pavement],
-        'paint': [_corners(marking.polygon) for marking in markings(crossing=crossing)],
+        'paint': [_corners(marking.polygon) for marking in markings(runway, crossing=crossing)],
         'tolerance': CENTRELINE_TOLERANCE_M,
-        'length': LENGTH_M,
-        'halfWidth': HALF_WIDTH_M,
+        'length': length,
+        'halfWidth': half,
     }
 
 
-def _crossing() -> Polygon:
-    cos, sin = math.cos(CROSSING_YAW_RAD), math.sin(CROSSING_YAW_RAD)
-    half = CROSSING_WIDTH_M / 2
+def _crossing(crossing: Crossing) -> Polygon:
+    cos, sin = math.cos(crossing.yaw_rad), math.sin(crossing.yaw_rad)
+    half = crossing.width_m / 2
     return tuple(
-        (CROSSING_X_M + along * cos - across * sin, along * sin + across * cos)
+        (crossing.x_m + along * cos - across * sin, along * sin + across * cos)
         for along, across in (
             (-_CROSSING_REACH_M, -half), (_CROSSING_REACH_M, -half),
             (_CROSSING_REACH_M, half), (-_CROSSING_REACH_M, half),

@@ -20,7 +20,7 @@ from taxinet_ros.campaign.scenes.programs import scenario_program
 from taxinet_ros.campaign.shrink.options import ShrinkOptions
 from taxinet_ros.campaign.shrink.shrinking import Report, edge_words, off_nominal
 from taxinet_ros.core.outcome import Outcome
-from taxinet_ros.core.place.runway import HALF_WIDTH_M
+from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.provenance import provenance
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.files.atomic import write_atomically
@@ -68,16 +68,17 @@ def shrink_picture(runs: Sequence[Trajectory], path: Path, title: str) -> None:
 def _limit(runs: Sequence[Trajectory]) -> float:
     """Half the height shown [m]: all that the runs do, but little more grass than runway."""
     farthest = max(float(np.abs(run.cte_m).max()) for run in runs)
-    return float(np.clip(1.1 * farthest, _LEAST_M, HALF_WIDTH_M + _BEYOND_EDGE_M))
+    return float(np.clip(1.1 * farthest, _LEAST_M, default_runway().half_width_m + _BEYOND_EDGE_M))
 
 
 def _background(axes: Axes, limit: float) -> None:
     axes.axhspan(-BAND_M, BAND_M, color='#009E73', alpha=0.18, linewidth=0, zorder=1,
                  label=f'within {BAND_M:g} m of the centreline')
-    if limit > HALF_WIDTH_M:
+    edge = default_runway().half_width_m
+    if limit > edge:
         for side in (-1, 1):
-            axes.axhspan(side * HALF_WIDTH_M, side * limit, color='0.88', zorder=0)
-            axes.axhline(side * HALF_WIDTH_M, color='0.25', linewidth=1.4, zorder=2)
+            axes.axhspan(side * edge, side * limit, color='0.88', zorder=0)
+            axes.axhline(side * edge, color='0.25', linewidth=1.4, zorder=2)
         axes.text(0.01, 0.985, 'off the runway', transform=axes.transAxes, va='top', fontsize=8,
                   color='0.35')
     axes.set_ylim(-limit, limit)
