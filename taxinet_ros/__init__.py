@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from taxinet_ros.core.scenario import Scenario
     from taxinet_ros.core.types import AircraftState, TaxiCommand, TrackingError
     from taxinet_ros.errors import InfraError, UsageError
-
-__version__ = '0.1.0'
+    from taxinet_ros.version import __version__ as __version__
 
 __all__ = [
     'AircraftState',
@@ -65,6 +64,7 @@ _MODULES = {
     'taxinet_ros.core.scenario': ('Scenario',),
     'taxinet_ros.core.types': ('AircraftState', 'TaxiCommand', 'TrackingError'),
     'taxinet_ros.errors': ('InfraError', 'UsageError'),
+    'taxinet_ros.version': ('__version__',),
 }
 
 

@@ -20,13 +20,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from taxinet_ros import __version__
 from taxinet_ros.errors import UsageError, plain_line
 from taxinet_ros.processes.interrupts import refuse_exits
+from taxinet_ros.version import __version__
 
 PERCEPTIONS, CONTROLLERS, SAMPLERS = 'perceptions', 'controllers', 'samplers'
 WORLDS, REQUIREMENTS = 'worlds', 'requirements'
 OURS = 'taxinet_ros'
+
+KMWH = 'kmwh'
+"""The world that is shipped: an aircraft on runway 04 of Grant County airport."""
 
 _NETWORKS = (
     'taxinet', 'broad', 'original', 'generic', 'halton', 'specialised', 'iterative-generic',
@@ -49,7 +52,7 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     },
     CONTROLLERS: {'steering': 'taxinet_ros.core.controller:SteeringLaw'},
     SAMPLERS: _constants('taxinet_ros.campaign.samplers.registry', _SAMPLERS),
-    WORLDS: {'kmwh': 'taxinet_ros.core.world:SimulatedWorld'},
+    WORLDS: {KMWH: 'taxinet_ros.core.world:SimulatedWorld'},
     REQUIREMENTS: _constants(
         'taxinet_ros.core.mtl.specs', ('phi_always', 'phi_eventually', 'on_runway', 'usable')
     ),
@@ -183,6 +186,14 @@ def find(kind: str, name: str) -> Extension | None:
         raise UsageError(f'{found[0].words}: the name cannot be used: letters, digits, _ and - '
                          f'only, and none of {", ".join(sorted(RESERVED))}')
     return found[0]
+
+
+def origin_words(kind: str, name: str) -> str:
+    """``NAME of PACKAGE VERSION`` for what a package adds; '' for all else, whatever its name."""
+    found = None if name in RESERVED else find(kind, name)
+    if found is None or found.shipped:
+        return ''
+    return f'{found.name} of {found.distribution} {found.version}'
 
 
 def names(kind: str) -> list[str]:

@@ -123,6 +123,49 @@ assert (there.steps[1].observation.state.z_m, list(there.rho)) == (1.55, ["gentl
     assert (done.returncode, done.stderr) == (0, '')
 
 
+def test_given_the_world_of_the_sample_when_runs_are_asked_for_then_all_that_follows_is_of_there(
+    site: Path, tmp_path: Path
+) -> None:
+    options = ('falsify', 'nominal', '--world', 'bicycle', '--perception', 'truth', '--spec',
+               'always(abs(cte) <= 0.01 m)', '--sampler', 'random', '--set', 'duration=1',
+               '--set', 'cross_track=2', '--out', 'f')
+    done = taxinet(site, *options, '--runs', '1', cwd=tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert 'world bicycle' in done.stdout
+    facts = json.loads((tmp_path / 'f' / 'campaign.json').read_text())
+    assert facts['world'] == facts['extensions']['worlds']['name'] == 'bicycle'
+    [bag] = [path for path in (tmp_path / 'f').iterdir() if (path / 'metadata.yaml').exists()]
+    info = taxinet(site, 'bag', 'info', str(bag), cwd=tmp_path)
+    assert 'world      bicycle of taxinet-sample 0.1.0, sha256 ' in info.stdout
+    elsewhere = [word for word in options if word not in ('--world', 'bicycle')]
+    other = taxinet(site, *elsewhere, '--runs', '2', '--resume', cwd=tmp_path)
+    assert other.returncode == 2
+    assert 'was begun with world "bicycle", not "kmwh"' in other.stderr
+    more = taxinet(site, *options, '--runs', '2', '--resume', '--workers', '2', cwd=tmp_path)
+    assert more.returncode == 1, more.stdout + more.stderr
+    # Made once more: in its own world, of which the bag tells.
+    again = taxinet(site, 'run', '--from', str(bag), cwd=tmp_path)
+    assert again.returncode == 0, again.stdout + again.stderr
+    shrunk = taxinet(site, 'shrink', str(bag), '--runs', '8', '--out', 's', cwd=tmp_path)
+    assert '--world bicycle' in shrunk.stdout, shrunk.stdout + shrunk.stderr
+    assert json.loads((tmp_path / 's' / 'campaign.json').read_text())['world'] == 'bicycle'
+    why = taxinet(site, 'localize', 'f', '--workers', '1', cwd=tmp_path)
+    assert why.returncode in (0, 1), why.stdout + why.stderr
+    assert 'another one' not in why.stdout
+
+
+def test_given_a_world_where_it_has_no_effect_then_it_is_refused_by_name(
+    site: Path, tmp_path: Path
+) -> None:
+    done = taxinet(site, 'run', '--from', 'bag', '--world', 'bicycle', cwd=tmp_path)
+    assert (done.returncode, 'already says --world' in done.stderr) == (2, True)
+    for command in ('run', 'falsify', 'up'):
+        words = () if command == 'up' else ('nominal',)
+        done = taxinet(site, command, *words, '--world', 'mars', cwd=tmp_path)
+        assert done.returncode == 2
+        assert "world: 'mars' is unknown; known: kmwh, bicycle" in ' '.join(done.stderr.split())
+
+
 def test_given_a_typo_when_the_sample_is_installed_then_its_names_are_among_the_known(
     site: Path, tmp_path: Path
 ) -> None:

@@ -37,8 +37,9 @@ from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.trace import columns_of_steps, trace_signals, trace_table
 from taxinet_ros.core.types import NS_PER_S, AircraftState, TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import IMPLEMENTATION, pair_of_numbers
-from taxinet_ros.core.world import KMWH, SimulatedWorld, WorldMaker, find_world
+from taxinet_ros.core.world import SimulatedWorld, WorldMaker, find_world
 from taxinet_ros.errors import UsageError
+from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
     import pandas as pd

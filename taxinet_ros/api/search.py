@@ -14,6 +14,7 @@ from taxinet_ros.api.run import spec_texts
 from taxinet_ros.campaign.campaign import exit_code
 from taxinet_ros.campaign.loop_worker import loop_worker_command
 from taxinet_ros.campaign.options import DEFAULT_SPECS, make_options
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.search import Search
 from taxinet_ros.campaign.search_options import make_search_options
 from taxinet_ros.campaign.worker_pool import WorkerPool, run_search
@@ -81,7 +82,9 @@ def falsify(
         for line in (*filter(None, [search.book.warning]), *search.check.warnings):
             warnings.warn(line, stacklevel=2)
         sha256 = search.book.facts['controller_sha256']
-        command = loop_worker_command(search.options.campaign, sha256)
+        command = loop_worker_command(
+            search.options.campaign, sha256, recorded_world(search.book.facts)[1]
+        )
         with WorkerPool(command, workers, options.out / 'logs') as pool:
             run_search(search, pool)
         write_learned(search)

@@ -36,9 +36,11 @@ from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import short_word
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import FULL_DISK
 from taxinet_ros.files.plain_values import Section, read_yaml
+from taxinet_ros.registry import KMWH
 
 SUFFIXES = ('.yaml', '.yml')
 _KEYS = ('predicates', 'specs')
@@ -152,6 +154,7 @@ class CampaignOptions:
         timing: when answers take effect.
         arms: of an arm of an experiment: the folders of all arms beside each other, in order.
         bags: whether its runs leave bags; those of closed loops without a graph do not.
+        world: name of the world that they take place in, see :mod:`taxinet_ros.core.world`.
     """
 
     program: str
@@ -169,6 +172,7 @@ class CampaignOptions:
     timing: Timing = AT_ONCE
     arms: tuple[str, ...] = ()
     bags: bool = True
+    world: str = KMWH
 
     def check(self, duration_s: float) -> SpecCheck:
         """Look at the requirements, and the values that were fixed, before the first run.
@@ -196,7 +200,7 @@ def make_options(
     specs: Iterable[str], out: Path | None, processes: bool, images: str = 'all',
     resume: bool = False, stop_on: str = StopOn.NEVER, bounds: Iterable[str] = (),
     rates: Iterable[str] = (), controller: str = STEERING, latency: Iterable[str] = (),
-    free: bool = False, real_time_factor: str | None = None,
+    free: bool = False, real_time_factor: str | None = None, world: str = KMWH,
 ) -> CampaignOptions:
     """Check what a person typed.
 
@@ -218,6 +222,7 @@ def make_options(
         latency: ``NAME=LATENCY`` of perception or controller.
         free: simulated time goes by the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
+        world: as of :class:`CampaignOptions`.
 
     Raises:
         UsageError: one line on the first thing that is wrong.
@@ -225,6 +230,7 @@ def make_options(
     overrides, gains = split_settings(settings)
     check_overrides(overrides)
     check_controller(controller, gains, graph=True)
+    find_world(world)
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
@@ -248,7 +254,7 @@ def make_options(
     return CampaignOptions(
         program=program, runs=runs, seed=seed, perception=perception, out=out,
         overrides=overrides, gains=gains, judging=judging, processes=processes or timing.free,
-        images=images, controller=controller, timing=timing,
+        images=images, controller=controller, timing=timing, world=world,
     )
 
 

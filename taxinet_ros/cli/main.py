@@ -23,7 +23,6 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.errors import BagError
 from taxinet_ros.cli.analysis.commands import (
     analyze,
@@ -62,6 +61,7 @@ from taxinet_ros.processes.interrupts import (
     raise_interrupt,
     signals_handled,
 )
+from taxinet_ros.version import __version__
 
 NODES = (
     'simulator',

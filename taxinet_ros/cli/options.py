@@ -107,6 +107,13 @@ ControllerCommandOption = Annotated[
     str | None,
     typer.Option('--controller-cmd', metavar='COMMAND', help='likewise for the controller'),
 ]
+WorldOption = Annotated[
+    str,
+    typer.Option(
+        metavar='NAME',
+        help='where runs take place: kmwh, the simulated airport, or a name that a package adds',
+    ),
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(

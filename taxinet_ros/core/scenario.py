@@ -71,13 +71,13 @@ class Scenario:
     def to_human(self) -> dict[str, Any]:
         """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""
         return {
-            field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
+            field.word: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
 
     def to_columns(self) -> dict[str, Any]:
         """The same by the columns of tables, which have the unit in their names."""
         human = self.to_human()
-        return {field.column: human[field.key] for field in SCENARIO_FIELDS}
+        return {field.key: human[field.word] for field in SCENARIO_FIELDS}
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:

@@ -61,37 +61,46 @@ class ScenarioField:
     """One key of a scenario.
 
     Attributes:
-        key: as people type it; also in ``scenario.json`` and in rows of the ledger.
+        key: its name among people, with the unit where it has one: typed in Scenic programs, after
+            ``--set`` and in experiments; written in tables, ledgers and JSON.
+        short: the key without its unit, taken in its stead wherever people type, '' where there is
+            none. Messages, files and programs of before the keys had units have this one.
         attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
-            SI units. Messages of before these names had units called it by the key.
-        column: of tables of runs, in the units that people read.
+            SI units.
         title: for people, without the unit.
         kind: of its values.
         unit: in which people type and read it, '' for words.
         si: how much one ``unit`` is in SI units.
+        si_unit: as it follows a number in SI units.
         low, high: least and greatest number in SI units, both allowed.
-        range_unit: of ``low`` and ``high``, with what is counted how.
+        counted: from where and in which direction, as it follows either unit.
         form: format of a number for people.
         words: all that there are, in their order.
-        plane: property of the Scenic program's aircraft that says it, in ``unit``; '' where a
-            parameter of the program does.
+        plane: whether a Scenic program says it by the place of its aircraft, which has a property
+            of this name; else a parameter of the program does.
         absent: its value in recordings of before there was such a key; None where there always was.
     """
 
     key: str
     attribute: str
-    column: str
     title: str
+    short: str = ''
     kind: Kind = Kind.NUMBER
     unit: str = ''
     si: float = 1.0
     low: float = -math.inf
     high: float = math.inf
-    range_unit: str = ''
+    si_unit: str = ''
+    counted: str = ''
     form: str = '{:g}'
     words: tuple[str, ...] = ()
-    plane: str = ''
+    plane: bool = False
     absent: bool | None = None
+
+    @property
+    def word(self) -> str:
+        """What people type as yet: the key, without its unit."""
+        return self.short or self.key
 
     @property
     def column_type(self) -> str:
@@ -138,11 +147,11 @@ class ScenarioField:
         ):
             raise UsageError(
                 f'scenario: {self.attribute} is {value:g}, outside {self.low:g}..{self.high:g} '
-                f'{self.range_unit}'
+                f'{self.si_unit}{self.counted}'
             )
         if self.words and value not in self.words:
             known = ', '.join(self.words)
-            raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
+            raise UsageError(f'scenario: {self.word} is {value!r}, not one of {known}')
 
     def value_words(self, value: Any) -> str:
         """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
@@ -158,17 +167,17 @@ class ScenarioField:
 
     def _number(self, value: Any) -> float:
         if isinstance(value, bool):
-            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
+            raise UsageError(f'scenario: {self.word} needs a number, got {value!r}')
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}') from None
+            raise UsageError(f'scenario: {self.word} needs a number, got {value!r}') from None
 
     def _switch(self, value: Any) -> bool:
         if isinstance(value, bool):
             return value
         if str(value).lower() not in _SWITCH_WORDS:
-            raise UsageError(f'scenario: {self.key} needs on or off, got {value!r}')
+            raise UsageError(f'scenario: {self.word} needs on or off, got {value!r}')
         return _SWITCH_WORDS[str(value).lower()]
 
 
@@ -179,61 +188,61 @@ def clock_words(hours: float) -> str:
 
 
 CROSS_TRACK = ScenarioField(
-    key='cross_track', attribute='cross_track_m', column='cross_track_m',
+    key='cross_track_m', short='cross_track', attribute='cross_track_m',
     title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
-    range_unit='m left of the centreline (on the runway)', plane='cross_track',
+    si_unit='m', counted=' left of the centreline (on the runway)', plane=True,
 )
 DISTANCE = ScenarioField(
-    key='distance', attribute='distance_m', column='distance_m',
+    key='distance_m', short='distance', attribute='distance_m',
     title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
-    range_unit='m past the threshold', plane='distance',
+    si_unit='m', counted=' past the threshold', plane=True,
 )
 HEADING = ScenarioField(
-    key='heading', attribute='heading_rad', column='heading_deg',
+    key='heading_deg', short='heading', attribute='heading_rad',
     title='start heading, nose left', unit='°', si=math.pi / 180, form='{:+.1f}',
-    low=-math.pi / 2, high=math.pi / 2, range_unit='rad, nose left positive', plane='heading_deg',
+    low=-math.pi / 2, high=math.pi / 2, si_unit='rad', counted=', nose left positive',
+    plane=True,
 )
 SKY = ScenarioField(
-    key='clouds', attribute='clouds', column='clouds', title='clouds',
-    kind=Kind.WORD, words=CLOUDS,
+    key='clouds', attribute='clouds', title='clouds', kind=Kind.WORD, words=CLOUDS,
 )
 RAIN = ScenarioField(
-    key='rain', attribute='rain_fraction', column='rain_percent', title='rain', unit='%', si=0.01,
-    form='{:.0f}', low=0.0, high=1.0, range_unit='as a fraction',
+    key='rain_percent', short='rain', attribute='rain_fraction', title='rain', unit='%', si=0.01,
+    form='{:.0f}', low=0.0, high=1.0, si_unit='as a fraction',
 )
 TIME_OF_DAY = ScenarioField(
-    key='time_of_day', attribute='time_of_day_s', column='time_of_day_h',
+    key='time_of_day_h', short='time_of_day', attribute='time_of_day_s',
     title='time of day', unit='h', si=3600.0, low=0.0, high=86400.0,
-    range_unit='s after local midnight',
+    si_unit='s', counted=' after local midnight',
 )
 DATE = ScenarioField(
-    key='date', attribute='date', column='date', title='date', kind=Kind.DATE,
+    key='date', attribute='date', title='date', kind=Kind.DATE,
 )
 SHADOWS = ScenarioField(
-    key='shadows', attribute='shadows', column='shadows',
-    title='shadow of the aircraft', kind=Kind.SWITCH,
+    key='shadows', attribute='shadows', title='shadow of the aircraft', kind=Kind.SWITCH,
 )
 CROSSING = ScenarioField(
-    key='crossing', attribute='crossing', column='crossing',
-    title='crossing runway', kind=Kind.SWITCH, absent=True,
+    key='crossing', attribute='crossing', title='crossing runway', kind=Kind.SWITCH, absent=True,
 )
 AIRCRAFT_MODEL = ScenarioField(
-    key='aircraft', attribute='aircraft', column='aircraft', title='aircraft',
-    kind=Kind.WORD, words=AIRCRAFT,
+    key='aircraft', attribute='aircraft', title='aircraft', kind=Kind.WORD, words=AIRCRAFT,
 )
 DURATION = ScenarioField(
-    key='duration', attribute='duration_s', column='duration_s',
-    title='duration', unit='s', low=0.1, high=600.0, range_unit='s',
+    key='duration_s', short='duration', attribute='duration_s',
+    title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
 SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
-BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
+BY_KEY = {field.word: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """Scenario keys as people type them."""
 
-PLANE_PROPERTIES = {field.key: field.plane for field in SCENARIO_FIELDS if field.plane}
+PLANE_PROPERTIES = {
+    field.word: 'heading_deg' if field is HEADING else field.word
+    for field in SCENARIO_FIELDS if field.plane
+}
 """Keys that a Scenic program says by the place of the aircraft, and its property that says it."""
-PARAMETERS = tuple(field.key for field in SCENARIO_FIELDS if not field.plane)
+PARAMETERS = tuple(field.word for field in SCENARIO_FIELDS if not field.plane)
 """Keys that a Scenic program says as global parameters."""

@@ -20,7 +20,7 @@ from taxinet_ros.core.camera.camera import IMAGE_HEIGHT, IMAGE_WIDTH, Camera
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import AircraftState, TaxiCommand
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
-from taxinet_ros.registry import WORLDS, Extension, find, known
+from taxinet_ros.registry import KMWH, WORLDS, Extension, find, known
 
 _T = TypeVar('_T')
 
@@ -130,10 +130,6 @@ class SimulatedWorld(World):
         self._seq += 1
 
 
-KMWH = 'kmwh'
-"""The name of :class:`SimulatedWorld`: an aircraft on runway 04 of Grant County airport."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChosenWorld:
     """A world that a name chooses.
@@ -149,11 +145,16 @@ class ChosenWorld:
     make: WorldMaker
 
 
-def find_world(name: str) -> ChosenWorld:
+def find_world(name: str, fingerprint: str = '') -> ChosenWorld:
     """The world of a name, ``kmwh`` or one that a package adds.
 
+    Args:
+        name: of it.
+        fingerprint: what the package that brings it has to be; '' where it may be any.
+
     Raises:
-        UsageError: unknown name, or a package that cannot be imported or has nothing to call there.
+        UsageError: unknown name, a package that cannot be imported or has nothing to call there,
+            or one that is not what is on record.
     """
     extension = find(WORLDS, name)
     if extension is None:
@@ -166,11 +167,20 @@ def find_world(name: str) -> ChosenWorld:
             f'{extension.words}: {extension.target} is {type(made).__name__}; expected what makes '
             'a world of a scenario'
         )
+    now = extension.fingerprint
+    if fingerprint and now != fingerprint:
+        raise UsageError(
+            f'{extension.words}: world {name} is {now[:12]} now, it was {fingerprint[:12]}; put '
+            'the package back as it was'
+        )
     return ChosenWorld(
-        name=name, fingerprint=extension.fingerprint, make=functools.partial(
-            _PluginWorld, extension, made
-        ),
+        name=name, fingerprint=now, make=functools.partial(_PluginWorld, extension, made)
     )
+
+
+def world_options(name: str) -> list[str]:
+    """What to type after ``taxinet run`` for the world of a name."""
+    return [] if name == KMWH else ['--world', name]
 
 
 class _PluginWorld(World):

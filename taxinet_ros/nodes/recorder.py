@@ -25,7 +25,6 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from taxinet_msgs.msg import NodeStatus, RunStatus, Scenario, Timing
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.cdr.alignment import Canonical, stamp_of_cdr
 from taxinet_ros.bag.layout import mcap_path, run_folder
 from taxinet_ros.bag.rewrite.frames import restore_in_place
@@ -68,6 +67,7 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
+from taxinet_ros.version import __version__
 
 _PAUSE_S = 0.001
 _FAILURES = (Outcome.FAIL, Outcome.INFRA_ERROR)

@@ -26,7 +26,7 @@ from taxinet_ros.core.outcome import Outcome, outcome_of
 from taxinet_ros.core.pacing.free_run import FreeRun
 from taxinet_ros.core.pacing.timing import LAWS, MOST_FACTOR, parse_latency
 from taxinet_ros.core.types import TaxiCommand
-from taxinet_ros.core.world import KMWH, find_world
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, InfraKind
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.interface import Topic
@@ -76,7 +76,7 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.registry import WORLDS, names
+from taxinet_ros.registry import KMWH, WORLDS, names, origin_words
 
 _WATCH_PERIOD_S = 0.1
 _LAST_STEP_S = 1.0
@@ -120,6 +120,10 @@ _OPTIONS = (
         name='world', default=KMWH, takes=', '.join(names(WORLDS)),
         description='the world that runs take place in',
     ),
+    Parameter(
+        name='world_sha256', default='',
+        description='what the package that brings the world has to be; empty: it may be any',
+    ),
 )
 
 USAGE = Usage(
@@ -146,7 +150,7 @@ class Simulator(Node):
             parse_latency([given['latency']]), lockstep=given['lockstep'],
             factor=given['real_time_factor'],
         )
-        self._world = find_world(given['world'])
+        self._world = find_world(given['world'], given['world_sha256'])
         self._health = RunHealth()
         self._diagnostics = Diagnostics(self, self._diagnose)
         refuse_unknown(self)
@@ -275,7 +279,7 @@ class Simulator(Node):
             header=header(0, ''), run_id=run.run_id, node=interface.SIMULATOR,
             state=NodeStatus.READY, implementation=self._timing.words,
             fingerprint=self._world.fingerprint,
-            detail='' if self._world.name == KMWH else self._world.name,
+            detail=origin_words(WORLDS, self._world.name),
         )
 
     # What the graph says -----------------------------------------------------------------------

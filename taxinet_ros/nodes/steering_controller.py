@@ -29,7 +29,7 @@ from taxinet_ros.nodes.running.parameters import (
     refuse_unknown,
     subscribed_topics,
 )
-from taxinet_ros.registry import CONTROLLERS, names
+from taxinet_ros.registry import CONTROLLERS, names, origin_words
 
 _OPTIONS = (
     Parameter(
@@ -84,6 +84,7 @@ class SteeringController(Participant):
             )
         self.implementation = gains_text(tuned) if word == STEERING else self._controller.word
         self.fingerprint = self._controller.fingerprint
+        self.origin = origin_words(CONTROLLERS, self._controller.word)
         self._commands = self.speak(interface.COMMAND)
         self.listen(interface.ESTIMATE, self._answer, newest=True)
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taxinet_ros import __version__
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from taxinet_ros.core.perception.weights import (
     Model,
@@ -35,6 +34,7 @@ from taxinet_ros.training.data.dataset import (
 from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import portion_seed, program_source
 from taxinet_ros.training.options import TrainOptions
+from taxinet_ros.version import __version__
 
 if TYPE_CHECKING:
     from taxinet_ros.training.fit import Fitted

@@ -40,10 +40,10 @@ def keys(field: ScenarioField) -> str:
 
 
 def test_given_the_rows_then_no_name_stands_for_two_keys():
-    for name in ('key', 'attribute', 'column', 'title'):
+    for name in ('key', 'attribute', 'title', 'word'):
         names = [getattr(field, name) for field in SCENARIO_FIELDS]
         assert len(set(names)) == len(names), name
-    assert tuple(field.key for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
+    assert tuple(field.word for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
 
 
 def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_no_other():
@@ -74,14 +74,14 @@ def test_given_the_rows_then_a_run_and_its_table_have_a_column_of_each_of_its_ty
     empty = {Kind.WORD: 'str', Kind.DATE: 'str'}
     for field in SCENARIO_FIELDS:
         wanted = empty.get(field.kind, f'{TYPES[field.kind]} | None')
-        assert columns[field.column] == wanted, field.key
+        assert columns[field.key] == wanted, field.key
     frame = table([])
-    start = list(frame.columns).index(SCENARIO_FIELDS[0].column)
+    start = list(frame.columns).index(SCENARIO_FIELDS[0].key)
     assert list(frame.columns)[start:start + len(SCENARIO_FIELDS)] == [
-        field.column for field in SCENARIO_FIELDS
+        field.key for field in SCENARIO_FIELDS
     ]
     for field in SCENARIO_FIELDS:
-        assert frame[field.column].dtype == field.column_type, field.key
+        assert frame[field.key].dtype == field.column_type, field.key
 
 
 def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_properties():
@@ -93,7 +93,7 @@ def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_prope
     said = re.search(r'may set these parameters: (.*?)\.\n', text, re.DOTALL)[1]
     assert sorted(set(re.findall(r'\w+', said)) & set(BY_KEY)) == sorted(PARAMETERS)
     for field in NUMBERS:
-        assert field.plane or re.search(rf'\b{field.key} \[{field.unit}[],]', said), field.key
+        assert field.plane or re.search(rf'\b{field.word} \[{field.unit}[],]', said), field.key
 
 
 def test_given_the_rows_then_the_pages_list_them_all():
@@ -109,7 +109,7 @@ def test_given_the_rows_then_the_pages_list_them_all():
         assert all(word in said for word in field.words), field.key
     columns = (ROOT / 'docs/falsification.md').read_text(encoding='utf-8')
     said = re.search(r'^\| (.*?) \| the scene \|$', columns, re.MULTILINE)[1]
-    assert re.findall(r'`(\w+)`', said) == [field.column for field in SCENARIO_FIELDS]
+    assert re.findall(r'`(\w+)`', said) == [field.key for field in SCENARIO_FIELDS]
 
 
 @pytest.mark.parametrize('field', SCENARIO_FIELDS, ids=keys)
@@ -117,7 +117,7 @@ def test_given_a_key_when_its_value_goes_out_and_in_again_then_it_is_the_same(fi
     value = getattr(Scenario(), field.attribute)
     typed = field.to_human(value)
     assert field.from_human(str(typed) if not isinstance(typed, bool) else typed) == value
-    assert getattr(scenario_from_human({field.key: typed}), field.attribute) == value
+    assert getattr(scenario_from_human({field.word: typed}), field.attribute) == value
 
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)

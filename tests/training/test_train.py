@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from training_samples import foreign_folder
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest
 from taxinet_ros.core.perception.network import ARCHITECTURES, DEFAULT_ARCHITECTURE, TaxiNet
 from taxinet_ros.core.perception.perception import make_perception
@@ -20,6 +19,7 @@ from taxinet_ros.training.data.image_folder import load_folders
 from taxinet_ros.training.data.portions import parse_portion
 from taxinet_ros.training.options import TrainOptions
 from taxinet_ros.training.train import get_training_data, train
+from taxinet_ros.version import __version__
 
 
 def options(out: Path, **changes: object) -> TrainOptions:

@@ -18,13 +18,13 @@ from taxinet_ros.analysis.runs.features import BY_NAME
 from taxinet_ros.campaign.scenes.programs import SUFFIX, find_program, known_programs
 from taxinet_ros.core.controller import STEERING, controller_options
 from taxinet_ros.core.pacing.timing import parse_timing
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import PLANE_PROPERTIES, SCENARIO_FIELDS
 
 RUNS = 100
 _ANOTHER_SEED = 1_000_003
 _FILE = re.compile(r'^# --- (.+) ---$', re.MULTILINE)
 _VALUES = {
-    field.column: f'ego.{field.plane}' if field.plane else f'scene_{field.key}'
+    field.key: f'ego.{PLANE_PROPERTIES[field.word]}' if field.plane else f'scene_{field.word}'
     for field in SCENARIO_FIELDS
 }
 """How a requirement of a program names what is in a column of the table."""

@@ -36,6 +36,7 @@ from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording
 from taxinet_ros.core.perception.perception import Perception
 from taxinet_ros.core.types import TrackingError
+from taxinet_ros.errors import UsageError
 
 Progress = Callable[[str, int, int], None]
 """Is told stage, done and total."""
@@ -122,6 +123,10 @@ def explain(
         return perception.estimate(image, None)
 
     bag, run = recording.path, recording.run
+    if run.world:
+        raise UsageError(
+            f'{bag}: took place in world {run.world}; changed scenes of it cannot be rendered'
+        )
     track = read_track(recording, look, lambda done, all_: on_progress('frames', done, all_))
     chosen = tuple(moments(recording, track, choose_rows(track, frames)))
     if not chosen:

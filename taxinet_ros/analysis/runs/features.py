@@ -94,8 +94,8 @@ def _feature(
 ) -> Feature:
     """The feature that stands in a column of the table."""
     return Feature(
-        name=field.column, title=field.title, unit='' if form is Form.CLOCK else field.unit,
-        form=form, step=step, words=words, source=field.column, widths=widths,
+        name=field.key, title=field.title, unit='' if form is Form.CLOCK else field.unit,
+        form=form, step=step, words=words, source=field.key, widths=widths,
         kinds=('off', 'on') if field.kind is Kind.SWITCH else field.words,
     )
 

@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from taxinet_ros.bag.errors import BagCorrupt, BagForeign
 from taxinet_ros.bag.topics import TopicInfo, is_type_name
-from taxinet_ros.core.scenario_fields import BY_KEY
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 
 MAX_DEFINITION_CHARS = 2**17
 """Longer than any of ROS's own; reading more would take seconds."""
@@ -29,7 +29,8 @@ MAX_PARTS = 10_000
 """Fields of a type with all within it; nested types could multiply without end."""
 
 _SCENARIO_TYPE = 'taxinet_msgs/msg/Scenario'
-_BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(BY_KEY)})\b', re.MULTILINE)
+_RENAMED = {field.short: field.attribute for field in SCENARIO_FIELDS if field.short}
+_BEFORE_UNITS = re.compile(rf'^(float64[ \t]+)({"|".join(_RENAMED)})\b', re.MULTILINE)
 
 
 def decode(topic: TopicInfo, cdr: bytes) -> Any:
@@ -98,7 +99,7 @@ def with_present_names(topic: TopicInfo) -> TopicInfo:
 
 
 def _present_name(field: re.Match[str]) -> str:
-    return f'{field[1]}{BY_KEY[field[2]].attribute}'
+    return f'{field[1]}{_RENAMED[field[2]]}'
 
 
 @lru_cache(maxsize=64)

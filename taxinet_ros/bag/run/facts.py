@@ -97,7 +97,7 @@ def recorded_run(recording: Recording) -> RecordedRun:
             controller='' if ours else words,
             controller_fingerprint=law.fingerprint if law else '',
             timing=parse_timing(world.implementation) if world else AT_ONCE,
-            world=world.detail if world and world.fingerprint else '',
+            world=world.detail.partition(' ')[0] if world and world.fingerprint else '',
             world_fingerprint=world.fingerprint if world else '',
         )
     except (AttributeError, TypeError, ValueError) as error:
@@ -152,11 +152,14 @@ class NodeFacts:
 
     Attributes:
         implementation: which of the exchangeable kinds it was, e.g. ``taxinet``; gains in words.
-        fingerprint: sha256 of its weights, or ''.
+        fingerprint: sha256 of its weights or package, or ''.
+        origin: ``NAME of PACKAGE VERSION`` where a package brought it (of the simulator: its
+            world); of earlier versions the world's name alone, or ''.
     """
 
     implementation: str
     fingerprint: str
+    origin: str = ''
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +275,7 @@ class _FactsReader:
             if message.state == NODE_READY:
                 self.nodes[str(message.node)] = NodeFacts(
                     implementation=str(message.implementation),
-                    fingerprint=str(message.fingerprint),
+                    fingerprint=str(message.fingerprint), origin=str(message.detail),
                 )
         elif relative == RUN_STATUS:
             if message.state == RUN_ENDED:

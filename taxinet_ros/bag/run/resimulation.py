@@ -19,8 +19,9 @@ from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.loop import ROLLING_ON, LateCommands
 from taxinet_ros.core.types import AircraftState, TaxiCommand, quaternion
-from taxinet_ros.core.world import KMWH, Observation, World, find_world
+from taxinet_ros.core.world import ChosenWorld, Observation, find_world
 from taxinet_ros.errors import InfraError, UsageError
+from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
     from taxinet_ros.bag.run.recording import Recording
@@ -33,7 +34,7 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
     recorded, commands = _states_and_commands(recording)
-    world = _world(recording)
+    world = recorded_world(recording).make(recording.run.request.scenario)
     held = _held(recording, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
@@ -50,23 +51,17 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
             return
 
 
-def _world(recording: Recording) -> World:
-    """The run's world at its beginning.
+def recorded_world(recording: Recording) -> ChosenWorld:
+    """The world that the run took place in.
 
     Raises:
         UsageError: a package brought it that is not installed, or is another one now.
     """
     path, run = recording.path, recording.run
     try:
-        chosen = find_world(run.world or KMWH)
+        return find_world(run.world or KMWH, run.world_fingerprint)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
-    if chosen.fingerprint != run.world_fingerprint:
-        raise UsageError(
-            f'{path}: world {run.world} is {chosen.fingerprint[:12]} now, it was '
-            f'{run.world_fingerprint[:12]}'
-        )
-    return chosen.make(run.request.scenario)
 
 
 def _held(

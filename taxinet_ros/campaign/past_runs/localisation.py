@@ -26,6 +26,7 @@ from taxinet_ros.campaign.past_runs.recorded_campaign import (
     open_failed_campaign,
     spread_evenly,
 )
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.controller import (
     STEERING,
@@ -52,10 +53,12 @@ from taxinet_ros.core.perception.substituted import (
 from taxinet_ros.core.provenance import Provenance, known, provenance
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.user_code import UserCodeError, is_node_elsewhere
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import sync_folder
 from taxinet_ros.files.journal import Journal, damaged_line
 from taxinet_ros.processes.pool import process_pool
+from taxinet_ros.registry import KMWH
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,6 +71,8 @@ class TrialSetup:
         gains: steering gains that differ from the defaults.
         controller: word of what steers.
         timing: when answers take effect, in words.
+        world: name of the world that they take place in.
+        world_sha256: what the package that brings it has to be, or ''.
     """
 
     perception: str
@@ -75,6 +80,8 @@ class TrialSetup:
     gains: Mapping[str, float]
     controller: str = STEERING
     timing: str = ''
+    world: str = KMWH
+    world_sha256: str = ''
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -186,6 +193,7 @@ def make_trial(
             task.scenario, perception, specs=bench.judging.parsed_specs, controller=controller,
             stop_on=bench.judging.stop_on, assumptions=bench.judging.assumptions,
             timing=parse_timing(bench.timing), draws=task.seed,
+            make_world=find_world(bench.world, bench.world_sha256).make,
         )
     except (InfraError, UserCodeError) as error:
         return _unjudged(task, str(error))
@@ -277,6 +285,7 @@ def make_localize_options(
             f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
             'failure is; localize a campaign with --latency'
         )
+    find_world(*recorded_world(found.facts))  # or it says which package is missing, or another one
     if not found.judging.specs:
         raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
     return LocalizeOptions(
@@ -311,10 +320,11 @@ def localize(
         kept = {key: trial for key, trial in done.items() if key in wanted}
         on_trial(len(kept))
         tasks = _tasks(options, kept, interrupted)
+        world, package = recorded_world(options.campaign.facts)
         bench = TrialSetup(
             perception=options.perception, judging=options.campaign.judging,
             gains=dict(options.campaign.gains), controller=options.controller,
-            timing=options.campaign.timing,
+            timing=options.campaign.timing, world=world, world_sha256=package,
         )
         for trial in run_trials(tasks, bench, options.workers):
             _append(journal, {'event': 'trial', 'trial': trial.to_json()})
@@ -384,6 +394,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
     """What trials depend on besides run and substitution."""
     campaign = options.campaign
     names = ('taxinet_ros_version', 'program', 'program_sha256', 'seed', 'specs', 'gains')
+    world = recorded_world(campaign.facts)
     facts = {
         **{name: campaign.facts.get(name) for name in names},
         **{name: campaign.facts.get(name, []) for name in ('bounds', 'rates')},
@@ -392,6 +403,7 @@ def _facts(options: LocalizeOptions) -> dict[str, Any]:
         **({} if options.controller == STEERING else {
             'controller_sha256': campaign.facts.get('controller_sha256')
         }),
+        **({} if world[0] == KMWH else {'world': world}),
         'perception_sha256': campaign.counterexamples[0].fingerprint,
     }
     return dict(json.loads(json.dumps(facts)))

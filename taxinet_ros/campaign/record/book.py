@@ -25,6 +25,7 @@ from taxinet_ros.campaign.record.facts import (
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
+    WORLD,
     recorded_stacks,
     stack_difference,
     this_stack,
@@ -42,6 +43,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.core.user_code import is_node_elsewhere
 from taxinet_ros.errors import RecordError, UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path
+from taxinet_ros.registry import KMWH
 
 _UNFIT = re.compile(r'^[.-]|[^A-Za-z0-9_.-]')
 
@@ -346,7 +348,7 @@ _MAY_DIFFER = frozenset({
 may warn of more than another, and another machine or version is warned of."""
 _DEFAULTS_OF_BEFORE: Mapping[str, Any] = {
     'stop_on': StopOn.NEVER.value, 'bounds': [], 'rates': [], 'laid_over': {},
-    'controller': STEERING, 'controller_sha256': '', 'timing': '',
+    'controller': STEERING, 'controller_sha256': '', 'timing': '', WORLD: KMWH,
 }
 """What a fact was before there was a choice, and so was not written down."""
 _WRITTEN_BY = {'sampler': 'taxinet falsify', 'shrinks': 'taxinet shrink'}

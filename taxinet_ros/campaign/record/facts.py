@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
@@ -18,7 +17,8 @@ from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stac
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
-from taxinet_ros.registry import origins
+from taxinet_ros.registry import KMWH, WORLDS, origins
+from taxinet_ros.version import __version__
 
 FACTS_NAME = 'campaign.json'
 LEDGER_NAME = 'ledger.jsonl'
@@ -28,6 +28,9 @@ ARMS = 'experiment_arms'
 
 EXTENSIONS = 'extensions'
 """The fact that names the packages of what is not shipped, with their versions and hashes."""
+
+WORLD = 'world'
+"""The fact that names the world that the runs take place in; versions without a choice had none."""
 
 STACKS = 'stacks'
 """The fact that names every machine, with its libraries and code, on which runs were made."""
@@ -67,12 +70,16 @@ def facts_of_runs(options: CampaignOptions, scenes: Mapping[str, Any]) -> dict[s
         'images': options.images,
         **({ARMS: list(options.arms)} if options.arms else {}),
         **({} if options.bags else {'bags': False}),
-        **extension_facts(perceptions=options.perception, controllers=options.controller),
+        # A graph that was there before has a world of its own, of which the bags tell.
+        **({} if options.standing_graph else {WORLD: options.world}),
+        **extension_facts(
+            perceptions=options.perception, controllers=options.controller, worlds=options.world
+        ),
     }
 
 
 def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, Any]:
-    """Where perception, controller or sampler come from, of those that a package has added.
+    """Where perception, controller, world or sampler come from, of those that a package added.
 
     Args:
         before: facts that may tell of others already.
@@ -80,6 +87,16 @@ def extension_facts(before: Mapping[str, Any] = {}, **chosen: str) -> dict[str, 
     """
     found = {**before.get(EXTENSIONS, {}), **origins(**chosen)}
     return {EXTENSIONS: found} if found else {}
+
+
+def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
+    """Name of the world that a campaign's runs take place in, and SHA-256 of who brings it, or ''.
+
+    Args:
+        facts: of the campaign.
+    """
+    package = facts.get(EXTENSIONS, {}).get(WORLDS, {})
+    return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
 
 
 def this_stack() -> str:

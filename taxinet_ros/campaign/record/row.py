@@ -134,10 +134,10 @@ class RunRow:
         if self.bag and not is_run_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
         for known in SCENARIO_FIELDS:
-            value = getattr(self, known.column)
+            value = getattr(self, known.key)
             if known.words and value and value not in known.words:
                 raise ValueError(
-                    f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
+                    f'{known.word} is {value!r:.40}, not one of {", ".join(known.words)}'
                 )
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
@@ -166,7 +166,7 @@ class RunRow:
     @property
     def scene(self) -> dict[str, Any]:
         """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
-        return {known.key: getattr(self, known.column) for known in SCENARIO_FIELDS}
+        return {known.word: getattr(self, known.key) for known in SCENARIO_FIELDS}
 
     @property
     def unusable_share(self) -> float:
@@ -281,7 +281,7 @@ class RunRow:
         # Rows from before there was a key have its value of then, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
-            known.column: known.absent if drawn else None for known in SCENARIO_FIELDS
+            known.key: known.absent if drawn else None for known in SCENARIO_FIELDS
             if known.absent is not None
         }
         try:
@@ -308,7 +308,7 @@ ON_DISK = {'fingerprint': 'perception_fingerprint'}
 """Columns of ledgers and tables that have a longer name than a row's attribute."""
 _BOUNDS = ('rho', 'rho_lower', 'rho_upper')
 _KEYS = {
-    **{known.column: known.key for known in SCENARIO_FIELDS if known.column != known.key},
+    **{known.key: known.short for known in SCENARIO_FIELDS if known.short},
     **ON_DISK,
 }
 """The ledger has a scene by its keys, a row by the columns of the table."""

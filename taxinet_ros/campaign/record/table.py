@@ -48,7 +48,7 @@ _BEFORE_POINT = {
 }
 _BEFORE_RHO = {
     'perception': 'string', 'perception_fingerprint': 'string', 'timing': 'string',
-    **{field.column: field.column_type for field in SCENARIO_FIELDS},
+    **{field.key: field.column_type for field in SCENARIO_FIELDS},
     'outcome': 'string', 'kind': 'string', 'who': 'string', 'detail': 'string', 'rho': 'float64',
 }
 _AFTER_RHO = {
@@ -222,7 +222,7 @@ def _check_rows(path: Path, frame: pd.DataFrame, own: Sequence[str]) -> None:
     """
     if not {'run_id', 'index', 'outcome'} <= set(frame.columns):
         return
-    known = {field.column: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
+    known = {field.key: ['', *field.words] for field in SCENARIO_FIELDS if field.words}
     known['outcome'] = [*Outcome]
     for name, words in known.items():
         if name in frame.columns:

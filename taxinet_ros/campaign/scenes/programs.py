@@ -168,7 +168,10 @@ def _exact(scenario: Scenario) -> dict[str, Any]:
         field: (getattr(scenario, field.attribute), getattr(read, field.attribute))
         for field in SCENARIO_FIELDS
     }
-    return {field.key: value / field.si for field, (value, back) in values.items() if value != back}
+    return {
+        field.word: value / field.si
+        for field, (value, back) in values.items() if value != back
+    }
 
 
 def _literal(value: float | str | bool) -> str:

@@ -28,6 +28,7 @@ from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 from taxinet_ros.core.user_code import is_node_elsewhere
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 
 DISTANCES_M = (1000.0, 1800.0)
@@ -243,7 +244,7 @@ def make_shrink_options(
     campaign = make_options(
         program=PROGRAM, runs=runs, seed=run.seed, perception=_perception(run, perception),
         controller=controller or _controller(run), settings=(), specs=specs or run.specs, out=out,
-        processes=False, images=images, resume=resume,
+        processes=False, images=images, resume=resume, world=_world(run),
     )
     gains = dict(run.gains) if campaign.controller == STEERING else {}
     return ShrinkOptions(
@@ -299,3 +300,11 @@ def _controller(run: JudgedRun) -> str:
             f'{run.controller_fingerprint[:12]}; --controller {run.controller} takes it as it is'
         )
     return run.controller
+
+
+def _world(run: JudgedRun) -> str:
+    """Where it failed."""
+    try:
+        return find_world(run.world, run.world_fingerprint).name
+    except UsageError as error:
+        raise UsageError(f'{run.run_id}: {error}') from error

@@ -22,6 +22,7 @@ from taxinet_ros.core.provenance import words as stack_words
 from taxinet_ros.core.scenario_fields import clock_words
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode
+from taxinet_ros.registry import KMWH
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
@@ -72,14 +73,7 @@ def _run_lines(
     for name, judged in facts.judged.items():
         yield '', f'{name}: {judged.interval.words()}, of {judged.formula}'
     yield 'scene', scene_words(facts.scene)
-    perception = facts.nodes.get('perception')
-    if perception is not None:
-        yield 'perception', _who(perception)
-    law = facts.nodes.get('steering_controller')
-    if law is not None and is_steering_law(law.implementation):
-        yield 'gains', law.implementation or 'as shipped'
-    elif law is not None:
-        yield 'controller', _who(law)
+    yield from _node_lines(facts.nodes)
     world = facts.nodes.get('simulator')
     if world is not None and world.implementation:
         yield 'timing', world.implementation
@@ -92,9 +86,26 @@ def _run_lines(
         yield 'made on', stack_words(made_on(info)) or 'not told'
 
 
+def _node_lines(nodes: Mapping[str, NodeFacts]) -> Iterator[tuple[str, str]]:
+    """Who saw, who steered, and where."""
+    perception, law = nodes.get('perception'), nodes.get('steering_controller')
+    if perception is not None:
+        yield 'perception', _who(perception)
+    if law is not None and is_steering_law(law.implementation):
+        yield 'gains', law.implementation or 'as shipped'
+    elif law is not None:
+        yield 'controller', _who(law)
+    world = nodes.get('simulator')
+    if world is not None and world.origin:
+        yield 'world', _who(world)
+    elif nodes:  # ours says nothing of itself
+        yield 'world', KMWH
+
+
 def _who(node: NodeFacts) -> str:
-    hashed = f', weights {node.fingerprint}' if node.fingerprint else ''
-    return (node.implementation or 'unnamed') + hashed
+    hashed = f', {"sha256" if node.origin else "weights"} {node.fingerprint}'
+    who = node.origin or node.implementation or 'unnamed'
+    return who + (hashed if node.fingerprint else '')
 
 
 def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]:

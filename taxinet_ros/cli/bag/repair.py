@@ -8,7 +8,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.check.lockstep import run_record, run_records, whole_steps
 from taxinet_ros.bag.errors import BagError, BagForeign
 from taxinet_ros.bag.layout import run_folder
@@ -23,6 +22,7 @@ from taxinet_ros.cli.bag.input import exit_code_of, one_run
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import ExitCode, UsageError
+from taxinet_ros.version import __version__
 
 
 def run_recover(bag: Path, out: Path) -> int:

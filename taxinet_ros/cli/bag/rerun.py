@@ -22,6 +22,7 @@ from taxinet_ros.bag.reader import read_info
 from taxinet_ros.bag.rewrite.frames import IMAGE
 from taxinet_ros.bag.run.facts import RecordedRun
 from taxinet_ros.bag.run.recording import Recording, open_recording
+from taxinet_ros.bag.run.resimulation import recorded_world
 from taxinet_ros.campaign.options import DEFAULT_ROOT, IMAGES, check_new, new_folder
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import row_line
@@ -86,11 +87,7 @@ def run_again(
     """
     with readable_bags():
         run, info = recording.run, recording.info
-        if run.world:
-            raise UsageError(
-                f'--from: {run.request.run_id} took place in world {run.world}, in which a run '
-                'cannot be made once more'
-            )
+        recorded_world(recording)
         word, fingerprint = perception_of(run, perception, graph=True)
         steers = controller_of(run, controller, graph=True)
     images = images or ('all' if info.counts.get(IMAGE) else 'none')

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Self
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from taxinet_ros.campaign.campaign import Campaign, exit_code
 from taxinet_ros.campaign.options import CampaignOptions
+from taxinet_ros.campaign.record.facts import recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.summary import (
     campaign_heading,
@@ -24,6 +25,7 @@ from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import GroundTruth
 from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
 from taxinet_ros.processes.interrupts import interrupts
 
@@ -70,7 +72,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
             print_rows_if_lost(progress.console, campaign.rows, shown=True),
             graphs, campaign, interrupts(at_hand.interrupt, at_hand.abort),
         ):
-            graphs.check(campaign.book.facts['controller_sha256'])
+            graphs.check(campaign.book.facts)
             lines = [campaign_heading(options), *campaign.notes]
             progress.console.print('\n'.join(lines), soft_wrap=True, markup=False)
             for line in requirement_lines(campaign.check):
@@ -115,7 +117,10 @@ class _Graphs:
         self._options = options
         self._ahead = contextlib.ExitStack()
         self._made: Graph | None = None
-        self._controller_sha256 = check_controller(options.controller, options.gains, graph=True)
+        self._sha256 = {
+            'controller': check_controller(options.controller, options.gains, graph=True),
+            'world': find_world(options.world).fingerprint,
+        }
 
     def __enter__(self) -> Self:
         return self
@@ -142,15 +147,19 @@ class _Graphs:
             camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
-    def check(self, controller_sha256: str) -> None:
-        """See that the controller is the one that is on record.
+    def check(self, facts: Mapping[str, Any]) -> None:
+        """See that controller and world are those that are on record.
 
         Raises:
-            UsageError: its file has changed between.
+            UsageError: a file of them has changed between.
         """
-        if controller_sha256 != self._controller_sha256:
-            word = self._options.controller
-            raise UsageError(f'controller {word} has changed while the campaign began')
+        recorded = {
+            'controller': facts['controller_sha256'], 'world': recorded_world(facts)[1],
+        }
+        for role, sha256 in recorded.items():
+            if sha256 != self._sha256[role]:
+                word = getattr(self._options, role)
+                raise UsageError(f'{role} {word} has changed while the campaign began')
 
     @contextlib.contextmanager
     def next(self) -> Iterator[Graph]:
@@ -167,7 +176,7 @@ class _Graphs:
         from taxinet_ros.nodes.graph.runner import campaign_graph, composed_graph, process_graph
 
         options = self._options
-        graph = campaign_graph(options, self._controller_sha256)
+        graph = campaign_graph(options, self._sha256['controller'], self._sha256['world'])
         if options.processes:
             return process_graph(graph, options.out / 'logs')
         return composed_graph(graph)

@@ -46,6 +46,7 @@ from taxinet_ros.cli.options import (
     StopOnOption,
     UntilOption,
     WorkersOption,
+    WorldOption,
     given_options,
     word_of,
 )
@@ -62,6 +63,7 @@ def run(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     settings: SetOption = None,
     spec: SpecOption = None,
     out: OutOption = None,
@@ -98,7 +100,7 @@ def run(
         settings=settings or (), specs=spec or (), out=out, processes=processes,
         images=images, stop_on=stop_on, bounds=bound or (), rates=rate or (),
         controller=word_of(context, 'controller'), latency=latency or (), free=free,
-        real_time_factor=real_time_factor,
+        real_time_factor=real_time_factor, world=world,
     )
     raise typer.Exit(run_campaign(options, foxglove))
 
@@ -135,6 +137,7 @@ def falsify(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     settings: SetOption = None,
     spec: SpecOption = None,
     until: UntilOption = None,
@@ -168,7 +171,7 @@ def falsify(
         program=scenario, runs=runs, seed=seed, perception=word_of(context, 'perception'),
         settings=settings or (), specs=spec or (), out=out, processes=False, images=images,
         resume=resume, stop_on=stop_on, bounds=bound or (), rates=rate or (),
-        controller=word_of(context, 'controller'), latency=latency or (),
+        controller=word_of(context, 'controller'), latency=latency or (), world=world,
     )
     options = make_search_options(
         campaign, sampler=sampler, sampler_options=sampler_option or (), workers=workers,
@@ -242,6 +245,7 @@ def up(
     perception_cmd: PerceptionCommandOption = None,
     controller: ControllerOption = 'steering',
     controller_cmd: ControllerCommandOption = None,
+    world: WorldOption = 'kmwh',
     out: Annotated[Path | None, typer.Option(help='folder for bags and logs; must be new')] = None,
     record: Annotated[
         bool, typer.Option('--record/--no-record', help='a bag for every run, or no recorder')
@@ -301,7 +305,7 @@ def up(
         perception=word_of(context, 'perception'), controller=word_of(context, 'controller'),
         out=out, record=record, images=images, settings=settings or (), restart=restart,
         domain=domain, silent_s=silent_after, latency=latency or (),
-        free=free, real_time_factor=real_time_factor, namespace=namespace,
+        free=free, real_time_factor=real_time_factor, namespace=namespace, world=world,
     )
     raise typer.Exit(run_up(options))
 

@@ -36,7 +36,7 @@ from taxinet_ros.campaign.experiment import (
     check_paired,
 )
 from taxinet_ros.campaign.rates import failure_rate
-from taxinet_ros.campaign.record.facts import LEDGER_NAME
+from taxinet_ros.campaign.record.facts import LEDGER_NAME, recorded_world
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.campaign.search import Search, search_heading, search_summary, space_lines
 from taxinet_ros.campaign.search_options import SearchOptions
@@ -167,7 +167,10 @@ def _print_row(row: RunRow, console: Console, *, quiet: bool) -> None:
 def _run_on_workers(search: Search | Shrinking) -> None:
     """Have worker processes make the runs that an open search asks for; Ctrl-C ends it in order."""
     options = search.options
-    graph = campaign_graph(options.campaign, search.book.facts['controller_sha256'])
+    facts = search.book.facts
+    graph = campaign_graph(
+        options.campaign, facts['controller_sha256'], recorded_world(facts)[1]
+    )
     with (
         interrupts(search.interrupt),
         WorkerPool(

@@ -29,6 +29,7 @@ from taxinet_ros.campaign.options import (
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.user_code import EXTERNAL
+from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.graph.launch_plan import absolute_namespace
 from taxinet_ros.nodes.graph.runner import GraphOptions
@@ -44,6 +45,7 @@ from taxinet_ros.nodes.graph.supervisor import (
 )
 from taxinet_ros.nodes.running.domain import BY_HAND, DISCOVERY_RANGE, LOCALHOST, domain_number
 from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.registry import KMWH
 
 _REFRESH_PER_S = 2.0
 _STYLES = {
@@ -82,8 +84,10 @@ class UpView:
         what = 'bags and logs' if self._options.record else 'nothing recorded; logs'
         if self._options.remaps:
             where += f'; namespace {self._options.namespace}'
+        graph = self._options.graph
+        there = '' if graph.world == KMWH else f'; world {graph.world}'
         return [
-            f'ROS domain {domain}, {where}; perception {self._options.graph.perception}; '
+            f'ROS domain {domain}, {where}; perception {graph.perception}{there}; '
             f'{what} in {self._options.graph.out}',
             *(
                 f'for you to start, in ROS domain {domain}: a node named {name}'
@@ -155,7 +159,7 @@ def make_up_options(
     *, perception: str, controller: str, out: Path | None, record: bool, images: str,
     settings: Iterable[str], restart: str, domain: int | None, silent_s: float,
     latency: Iterable[str] = (), free: bool = False, real_time_factor: str | None = None,
-    namespace: str = '',
+    namespace: str = '', world: str = KMWH,
 ) -> UpOptions:
     """Check what a person typed.
 
@@ -173,6 +177,7 @@ def make_up_options(
         free: simulated time goes by the wall clock.
         real_time_factor: simulated seconds per second then, or ``max``.
         namespace: of every name of the graph; '' for none.
+        world: name of the world that runs take place in.
 
     Raises:
         UsageError: one line on the first that is wrong.
@@ -189,6 +194,7 @@ def make_up_options(
             'steering.<gain>=value'
         )
     check_controller(controller, gains, graph=True)
+    find_world(world)
     if domain is None and not os.environ.get(BY_HAND) and os.environ.get('ROS_DOMAIN_ID'):
         domain = domain_number(os.environ['ROS_DOMAIN_ID'], 'ROS_DOMAIN_ID')
     out = out or new_folder(DEFAULT_ROOT / 'up')
@@ -202,6 +208,7 @@ def make_up_options(
             controller=controller,
             alone=False,
             timing=check_timing(latency, free=free, factor=real_time_factor),
+            world=world,
         ),
         record=record,
         domain=domain,

@@ -30,6 +30,7 @@ from taxinet_ros.core.user_code import (
 from taxinet_ros.errors import ExitCode, UsageError
 from taxinet_ros.nodes.names import perception_executable
 from taxinet_ros.nodes.running.domain import domain_number
+from taxinet_ros.registry import KMWH
 
 ARGUMENTS = {
     'perception': ('taxinet', 'who sees: truth, taxinet, original, …; a .safetensors or .onnx '
@@ -37,6 +38,8 @@ ARGUMENTS = {
     'perception_cmd': ('', 'command of a perception of your own: short for perception:=cmd:…'),
     'controller': (STEERING, 'who steers: steering; FILE.py:NAME; external; or cmd:COMMAND'),
     'controller_cmd': ('', 'command of a controller of your own: short for controller:=cmd:…'),
+    'world': (KMWH, 'where runs take place: kmwh, the simulated airport, or a name that a package '
+              'adds'),
     'scenario': ('s_falsif', 'Scenic program to draw scenes from: a shipped name or a file'),
     'program': ('', 'the same, by its older name'),
     'runs': ('10', 'number of runs'),
@@ -127,9 +130,10 @@ def plan(words: Mapping[str, str]) -> list[NodePlan]:
     perception = _word_or_command(words, 'perception')
     controller = _word_or_command(words, 'controller')
     seeing, weights = perception_executable(perception)
+    there = {} if words['world'] == KMWH else {'world': words['world']}
     own_law = {} if controller == STEERING else {'controller': controller}
     every = (
-        _ours(topics.SIMULATOR, **_timing(words)),
+        _ours(topics.SIMULATOR, **_timing(words), **there),
         _elsewhere(topics.PERCEPTION, perception, words) if is_node_elsewhere(perception)
         else NodePlan(name=topics.PERCEPTION, executable=seeing, parameters=weights),
         _elsewhere(topics.STEERING_CONTROLLER, controller, words) if is_node_elsewhere(controller)

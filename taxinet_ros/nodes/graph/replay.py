@@ -40,6 +40,7 @@ from taxinet_ros.nodes.recorder import bag_name
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.running.executor import NodeExecutor
 from taxinet_ros.nodes.running.node_main import spin_until
+from taxinet_ros.registry import KMWH
 
 Step = tuple[int, Mapping[str, Sequence[bytes]]]
 """Number of a control step, and its serialised messages by topic of the table."""
@@ -296,14 +297,15 @@ def rerun(
         results[request.run_id] = result
         return result.outcome.judged
 
-    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, str, str, str]:
-        return run[1], run[2], gains_text(run[0].gains), run[0].timing.words
+    def kind(run: tuple[RecordedRun, str, str]) -> tuple[str, ...]:
+        return run[1], run[2], gains_text(run[0].gains), run[0].timing.words, run[0].world
 
     for (perception, controller, *_), group in groupby(sorted(runs, key=kind), kind):
         alike = [run for run, *_ in group]
         options = GraphOptions(
             perception=perception, out=out, images=images, controller=controller,
             gains=alike[0].gains if controller == STEERING else {}, timing=alike[0].timing,
+            world=alike[0].world or KMWH, world_sha256=alike[0].world_fingerprint,
         )
         requests = [
             dataclasses.replace(run.request, participants=PARTICIPANTS) for run in alike

@@ -38,6 +38,7 @@ from taxinet_ros.nodes.simulator import Simulator
 from taxinet_ros.nodes.steering_controller import SteeringController
 from taxinet_ros.nodes.taxinet_perception import TaxinetPerception
 from taxinet_ros.processes.child import end_all
+from taxinet_ros.registry import KMWH
 
 NodeClass = type[Any]
 OnResult = Callable[[RunRequest, RunResult], bool]
@@ -66,6 +67,8 @@ class GraphOptions:
             one that changes amid a campaign is not mixed in; '' where it may be any.
         alone: whether runs are asked for by this process alone, so that no other is recorded.
         timing: when answers take effect.
+        world: name of the world that runs take place in.
+        world_sha256: what the package that brings it has to be; '' where it may be any.
     """
 
     perception: str
@@ -79,6 +82,8 @@ class GraphOptions:
     controller_sha256: str = ''
     alone: bool = True
     timing: Timing = AT_ONCE
+    world: str = KMWH
+    world_sha256: str = ''
 
     def nodes(self) -> dict[str, tuple[NodeClass, dict[str, Any]]]:
         """Class and parameters of every node of ours but the sampler, by node name."""
@@ -100,9 +105,12 @@ class GraphOptions:
         return {name: node for name, node in every.items() if name not in self.elsewhere}
 
     def _simulator(self) -> dict[str, Any]:
+        there = {} if self.world == KMWH else {
+            'world': self.world, 'world_sha256': self.world_sha256,
+        }
         if self.timing.free:
-            return {'lockstep': False, 'real_time_factor': self.timing.factor}
-        return {'latency': self.timing.latency} if self.timing.laws else {}
+            return {**there, 'lockstep': False, 'real_time_factor': self.timing.factor}
+        return {**there, 'latency': self.timing.latency} if self.timing.laws else there
 
     @property
     def elsewhere(self) -> dict[str, str]:
@@ -121,17 +129,20 @@ class GraphOptions:
         return {name: words for name, words in found.items() if words}
 
 
-def campaign_graph(campaign: CampaignOptions, controller_sha256: str) -> GraphOptions:
+def campaign_graph(
+    campaign: CampaignOptions, controller_sha256: str, world_sha256: str = ''
+) -> GraphOptions:
     """What the graphs of a campaign are made of.
 
     Args:
         campaign: whose folder is there.
         controller_sha256: of its controller, as it is on record.
+        world_sha256: likewise of the package that brings its world, or ''.
     """
     return GraphOptions(
         perception=campaign.perception, out=campaign.out, make_out=False, images=campaign.images,
         gains=campaign.gains, controller=campaign.controller, controller_sha256=controller_sha256,
-        timing=campaign.timing,
+        timing=campaign.timing, world=campaign.world, world_sha256=world_sha256,
     )
 
 

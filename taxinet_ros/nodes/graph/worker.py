@@ -34,7 +34,8 @@ def worker_command(options: GraphOptions) -> list[str]:
         f'--perception={options.perception}', f'--out={options.out}',
         f'--images={options.images}', f'--gains={json.dumps(dict(options.gains))}',
         f'--controller={options.controller}', f'--controller-sha256={options.controller_sha256}',
-        f'--timing={options.timing.words}',
+        f'--timing={options.timing.words}', f'--world={options.world}',
+        f'--world-sha256={options.world_sha256}',
     )
 
 
@@ -115,7 +116,8 @@ def main(words: Sequence[str] | None = None) -> int:
         perception=arguments.perception, out=arguments.out, make_out=False,
         images=arguments.images, gains=json.loads(arguments.gains),
         controller=arguments.controller, controller_sha256=arguments.controller_sha256,
-        timing=parse_timing(arguments.timing),
+        timing=parse_timing(arguments.timing), world=arguments.world,
+        world_sha256=arguments.world_sha256,
     )
     outbox = _Outbox(arguments.answers)
     try:
@@ -155,6 +157,8 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--controller', required=True)
     parser.add_argument('--controller-sha256', default='')
     parser.add_argument('--timing', default='')
+    parser.add_argument('--world', required=True)
+    parser.add_argument('--world-sha256', default='')
     return parser.parse_args(words)
 
 

@@ -39,6 +39,7 @@ class Participant(Node):
         run_id: the run that the node is set up for, or ''.
         implementation: which of the exchangeable kinds it is; goes into every bag.
         fingerprint: sha256 of the weights that decide its behaviour, or ''.
+        origin: what of which package it is (:func:`.registry.origin_words`), or ''.
         silent_looks: how often :meth:`may_leave` was asked since the last message.
     """
 
@@ -48,6 +49,7 @@ class Participant(Node):
         self.run_id = ''
         self.implementation = ''
         self.fingerprint = ''
+        self.origin = ''
         self._scenario: Scenario | None = None
         self.silent_looks = 0
         self._speakers: list[tuple[Topic, Publisher]] = []
@@ -241,7 +243,7 @@ class Participant(Node):
         self.clear()
         self._begun = False
         self._poll.cancel()
-        self.report(NodeStatus.READY)
+        self.report(NodeStatus.READY, detail=self.origin)
 
     def _unsettled(self) -> Iterator[str]:
         """Topics on which not every end of this run has found this node's, or is alone."""

@@ -16,6 +16,7 @@ from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.participant import Participant
 from taxinet_ros.nodes.messages.step import StepMessage, error_cdr
 from taxinet_ros.nodes.running.parameters import refuse_unknown
+from taxinet_ros.registry import PERCEPTIONS, origin_words
 
 
 class PerceptionNode(Participant, abc.ABC):
@@ -28,6 +29,7 @@ class PerceptionNode(Participant, abc.ABC):
         refuse_unknown(self)
         self.implementation = self._perception.word
         self.fingerprint = self._perception.fingerprint
+        self.origin = origin_words(PERCEPTIONS, self.implementation)
         self._estimates = self.speak(interface.ESTIMATE)
         if self._perception.needs_image:
             self.listen(interface.IMAGE, self._see, raw=True, newest=True)

@@ -37,7 +37,7 @@ from taxinet_ros.study.stages.plan import (
 SETTLED_RUNS = 400
 """Bags that are opened for a median: reading all of 4,000 would take minutes for each network."""
 
-_SCENE = tuple(field.column for field in PAPER_FIELDS)
+_SCENE = tuple(field.key for field in PAPER_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from taxinet_ros import __version__
 from taxinet_ros.campaign.scenes.programs import find_program, program_digest, program_text
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
@@ -38,6 +37,7 @@ from taxinet_ros.files.plain_values import check_kind
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 from taxinet_ros.training.data.dataset import SAMPLERS, Progress, draw_scenes, no_progress
 from taxinet_ros.training.data.photographs import photographs
+from taxinet_ros.version import __version__
 
 IMAGES = 'images'
 LABELS = 'labels.parquet'

@@ -20,9 +20,7 @@ from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, Kind
 
 SCENARIO = 'taxinet_msgs/msg/Scenario'
 BEFORE = ROOT / 'bags' / 'golden' / 'taxinet-midday'
-RENAMED = {
-    field.attribute: field.key for field in SCENARIO_FIELDS if field.attribute != field.key
-}
+RENAMED = {field.attribute: field.short for field in SCENARIO_FIELDS if field.short}
 
 
 def scenario_message(bag: Path) -> StoredMessage:

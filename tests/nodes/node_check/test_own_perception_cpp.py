@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,11 @@ def test_given_rclcpp_then_the_package_builds_and_its_node_keeps_the_contract(tm
     build = tmp_path / 'build'
     prefixes = os.pathsep.join(prefix for prefix in PREFIXES if prefix)
     environment = {**os.environ, 'CMAKE_PREFIX_PATH': prefixes, 'AMENT_PREFIX_PATH': prefixes}
-    # The libraries of the wheels find each other beside themselves, not on the linker's path.
-    lenient = '-DCMAKE_EXE_LINKER_FLAGS=-Wl,--allow-shlib-undefined'
+    # The wheels' libraries find each other beside themselves, not on the linker's path; their
+    # librcl needs messages for Python, which leave it to the process to bring Python's library.
+    folder, library = map(sysconfig.get_config_var, ('LIBDIR', 'LDLIBRARY'))
+    bring = f'-Wl,--no-as-needed,-rpath,{folder} {folder}/{library}'
+    lenient = f'-DCMAKE_EXE_LINKER_FLAGS=-Wl,--allow-shlib-undefined {bring}'
     for words in (
         ['-S', str(PACKAGE), '-B', str(build), lenient, f'-DPython3_EXECUTABLE={sys.executable}'],
         ['--build', str(build)],
