@@ -5,8 +5,9 @@ looks along the runway and grows counter-clockwise, that is with the nose to the
 taxinet_ros has cross-track error positive to the LEFT, so `cross_track` is minus x. Distance and
 heading keep their sign. A plane 3 m left of the centreline is therefore written `at (-3, 400)`.
 
-A program may set these parameters: time_of_day [h, local standard time], clouds (a word), rain [%],
-date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s].
+A program may set these parameters: time_of_day [h, by the clocks there], clouds (a word), rain [%],
+date ('YYYY-MM-DD'), shadows and crossing (True or False), aircraft (a word), duration [s], place (a
+shipped one by its name, such as 'bikf_10', or the path of a YAML file).
 
 A search varies every random choice of a program. To let it vary some only, write these with
 Scenic's words for it, VerifaiRange(low, high, buckets=10) and VerifaiOptions({...}); the others are

@@ -35,6 +35,8 @@ from taxinet_ros.core.mtl import (
 from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
+from taxinet_ros.core.place.catalogue import typed_place
+from taxinet_ros.core.scenario_fields import PLACE
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -354,7 +356,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither.
+        UsageError: one is neither, or a place is none.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
@@ -363,7 +365,8 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
         if not (key and equals and value):
             raise UsageError(f'--set {setting!r}: expected key=value')
         if not key.startswith(_GAIN_PREFIX):
-            overrides[key] = value
+            # A file may change: what the campaign is, and whether it goes on, has its digest.
+            overrides[key] = typed_place(value).reference if key == PLACE.word else value
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import jsbsim
 
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.place.runway_frame import GeodeticPose, MapPose, runway_frame
 from taxinet_ros.core.scenario import Scenario
@@ -203,7 +202,7 @@ class Aircraft:
             raise ValueError(f'period {period_ns} ns is no whole number of {PHYSICS_HZ} Hz steps')
         self._period_s = period_ns / NS_PER_S
         self._step = -1
-        self._frame = runway_frame(runway or default_runway())
+        self._frame = runway_frame(runway or scenario.runway)
         self._model = model or MODELS[scenario.aircraft]
         self.max_steering_rad = self._model.max_steering_rad
         self._hold = SpeedHold(self._model.speed_gains)

@@ -16,6 +16,8 @@ from enum import Enum
 from numbers import Real
 from typing import Any
 
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, typed_place
+from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
 from taxinet_ros.errors import UsageError
 
 CLOUDS = ('clear', 'cirrus', 'scattered', 'broken', 'overcast', 'stratus')
@@ -40,19 +42,23 @@ class Kind(Enum):
     WORD = 'word'
     DATE = 'date'
     SWITCH = 'switch'
+    PLACE = 'place'
 
 
 _VALUES: dict[Kind, tuple[type, str]] = {
     Kind.NUMBER: (Real, 'a number'), Kind.WORD: (str, 'a word'),
     Kind.DATE: (str, 'a date, YYYY-MM-DD'), Kind.SWITCH: (bool, 'True or False'),
+    Kind.PLACE: (str, 'a place'),
 }
 
 
 _COLUMN_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'boolean',
+    Kind.PLACE: 'string',
 }
 _MESSAGE_TYPES = {
     Kind.NUMBER: 'float64', Kind.WORD: 'string', Kind.DATE: 'string', Kind.SWITCH: 'bool',
+    Kind.PLACE: 'string',
 }
 
 
@@ -72,7 +78,9 @@ class ScenarioField:
         unit: in which people type and read it, '' for words.
         si: how much one ``unit`` is in SI units.
         si_unit: as it follows a number in SI units.
-        low, high: least and greatest number in SI units, both allowed.
+        low, high: least and greatest number in SI units, both allowed; of what depends on the
+            place, at the paper's.
+        anywhere: the same at some place at least, where it depends on the place.
         counted: from where and in which direction, as it follows either unit.
         form: format of a number for people.
         words: all that there are, in their order.
@@ -90,12 +98,13 @@ class ScenarioField:
     si: float = 1.0
     low: float = -math.inf
     high: float = math.inf
+    anywhere: tuple[float, float] | None = None
     si_unit: str = ''
     counted: str = ''
     form: str = '{:g}'
     words: tuple[str, ...] = ()
     plane: bool = False
-    absent: bool | None = None
+    absent: bool | str | None = None
 
     @property
     def word(self) -> str:
@@ -121,18 +130,26 @@ class ScenarioField:
         """A value that a person typed, in SI units.
 
         Raises:
-            UsageError: it is no number, or no switch, where there should be one.
+            UsageError: it is no number, no switch or no place, where there should be one.
         """
         if self.kind is Kind.NUMBER:
             return self._number(value) * self.si
+        if self.kind is Kind.PLACE:
+            return typed_place(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
 
     def to_human(self, value: Any) -> Any:
         """The inverse of :meth:`from_human`."""
+        if self.kind is Kind.PLACE:
+            return find_place(value).reference
         return round(value / self.si, _DECIMALS) if self.kind is Kind.NUMBER else value
 
-    def check(self, value: Any) -> None:
+    def check(self, value: Any, limits: tuple[float, float] | None = None) -> None:
         """See that a value in SI units is of its kind, and within the range or one of the words.
+
+        Args:
+            value: to be checked.
+            limits: least and greatest number in place of the row's own.
 
         Raises:
             UsageError: it is not.
@@ -142,13 +159,14 @@ class ScenarioField:
         switch = type(value).__name__ in ('bool', 'bool_')
         if switch is not (self.kind is Kind.SWITCH) or not (switch or isinstance(value, expected)):
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not {what}')
-        if self.kind is Kind.NUMBER and not (
-            math.isfinite(value) and self.low <= value <= self.high
-        ):
+        low, high = limits or (self.low, self.high)
+        if self.kind is Kind.NUMBER and not (math.isfinite(value) and low <= value <= high):
             raise UsageError(
-                f'scenario: {self.attribute} is {value:g}, outside {self.low:g}..{self.high:g} '
+                f'scenario: {self.attribute} is {value:g}, outside {low:g}..{high:g} '
                 f'{self.si_unit}{self.counted}'
             )
+        if self.kind is Kind.PLACE and find_place(value).text != value:
+            raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
         if self.words and value not in self.words:
             known = ', '.join(self.words)
             raise UsageError(f'scenario: {self.word} is {value!r}, not one of {known}')
@@ -191,11 +209,12 @@ CROSS_TRACK = ScenarioField(
     key='cross_track_m', short='cross_track', attribute='cross_track_m',
     title='start offset, left of the centreline', unit='m', form='{:+.1f}', low=-15.0, high=15.0,
     si_unit='m', counted=' left of the centreline (on the runway)', plane=True,
+    anywhere=(-MOST_WIDTH_M / 2, MOST_WIDTH_M / 2),
 )
 DISTANCE = ScenarioField(
     key='distance_m', short='distance', attribute='distance_m',
     title='start distance along the runway', unit='m', form='{:.0f}', low=0.0, high=2600.0,
-    si_unit='m', counted=' past the threshold', plane=True,
+    si_unit='m', counted=' past the threshold', plane=True, anywhere=(0.0, MOST_LENGTH_M),
 )
 HEADING = ScenarioField(
     key='heading_deg', short='heading', attribute='heading_rad',
@@ -231,13 +250,19 @@ DURATION = ScenarioField(
     key='duration_s', short='duration', attribute='duration_s',
     title='duration', unit='s', low=0.1, high=600.0, si_unit='s',
 )
+PLACE = ScenarioField(
+    key='place', attribute='place', title='place', kind=Kind.PLACE, absent=DEFAULT_PLACE,
+)
 
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
-SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION)
+SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION, PLACE)
 BY_KEY = {field.word: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
 """Scenario keys as people type them."""
+
+BY_PLACE = frozenset(field.word for field in (CROSS_TRACK, DISTANCE, CROSSING))
+"""Keys whose values depend on what there is at the place."""
 
 PLANE_PROPERTIES = {
     field.word: 'heading_deg' if field is HEADING else field.word

@@ -20,9 +20,8 @@ from taxinet_ros.analysis.report.parts import Report, Section
 from taxinet_ros.analysis.report.pictures import DARK, LIGHT, view_picture
 from taxinet_ros.analysis.report.table import run_link, view_table
 from taxinet_ros.analysis.report.values import clean, cleaned, data_block
-from taxinet_ros.analysis.report.viewer import RunView, ground_name, ground_shapes, read_run_view
+from taxinet_ros.analysis.report.viewer import RunView, ground_shapes, read_run_view
 from taxinet_ros.bag.errors import BagError
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.provenance import provenance, words
 from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.files.atomic import write_atomically
@@ -110,10 +109,10 @@ def _section(
 
 def _grounds(runs: _Runs) -> dict[str, Any]:
     """The runway as each run found it, once for all that found it so."""
-    kinds = sorted({view.crossing for view in runs.views.values()})
+    views = {view.ground_name: view for view in runs.views.values()}
     return {
-        ground_name(crossing=kind): ground_shapes(default_runway(), crossing=kind)
-        for kind in kinds
+        name: ground_shapes(views[name].place.runway, crossing=views[name].crossing)
+        for name in sorted(views)
     }
 
 

@@ -14,6 +14,7 @@ from taxinet_ros.core.mtl import RobustnessInterval, exact_intervals, exact_rho
 from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
+from taxinet_ros.core.place.catalogue import is_reference
 from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
@@ -43,7 +44,7 @@ class RunRow:
         free: of a free run how it went, by name, see
             :meth:`taxinet_ros.core.pacing.free_run.FreeRunAccount.figures`.
         cross_track_m, distance_m, heading_deg, clouds, rain_percent, time_of_day_h, date, shadows,
-            crossing, aircraft, duration_s: the scenario, see
+            crossing, aircraft, duration_s, place: the scenario, see
             :mod:`taxinet_ros.core.scenario_fields`; None, or '', if no scene could be drawn.
         outcome, kind, who, detail: how it ended; the next three explain an unjudged run.
         robustness: by the formula's name, the headline first; judged runs only. Rho is known but of
@@ -91,6 +92,7 @@ class RunRow:
     crossing: bool | None = None
     aircraft: str = ''
     duration_s: float | None = None
+    place: str = ''
     kind: str = ''
     who: str = ''
     detail: str = ''
@@ -133,12 +135,7 @@ class RunRow:
             raise ValueError(f'index is {self.index}')
         if self.bag and not is_run_name(self.bag):
             raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
-        for known in SCENARIO_FIELDS:
-            value = getattr(self, known.key)
-            if known.words and value and value not in known.words:
-                raise ValueError(
-                    f'{known.word} is {value!r:.40}, not one of {", ".join(known.words)}'
-                )
+        self._check_words()
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
@@ -150,6 +147,16 @@ class RunRow:
         if not all(map(math.isfinite, self.free.values())):
             raise ValueError(f'a figure of the free run is no number: {dict(self.free)}')
         self._check_robustness()
+
+    def _check_words(self) -> None:
+        for known in SCENARIO_FIELDS:
+            value = getattr(self, known.key)
+            if known.words and value and value not in known.words:
+                raise ValueError(
+                    f'{known.word} is {value!r:.40}, not one of {", ".join(known.words)}'
+                )
+        if self.place and not is_reference(self.place):
+            raise ValueError(f'place is {self.place!r:.80}, no reference of one')
 
     def _check_robustness(self) -> None:
         """PASS: every formula is above zero. FAIL: one of them is not."""
@@ -281,8 +288,8 @@ class RunRow:
         # Rows from before there was a key have its value of then, if they have a scene.
         drawn = values.get('shadows') is not None
         before = {
-            known.key: known.absent if drawn else None for known in SCENARIO_FIELDS
-            if known.absent is not None
+            known.key: known.absent if drawn else None if known.absent is True else ''
+            for known in SCENARIO_FIELDS if known.absent is not None
         }
         try:
             if stray := values.keys() & _KEYS.keys():

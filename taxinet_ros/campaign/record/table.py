@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -199,9 +200,25 @@ def read_any_table(path: Path) -> pd.DataFrame:
     kinds = _kinds(_specs_of(frame), dimensions, figures)
     # A table from before a column was thought of is still a table.
     try:
-        return frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+        frame = frame.astype({name: kind for name, kind in kinds.items() if name in frame.columns})
+        return _with_later_keys(frame)
     except (ValueError, TypeError, OverflowError) as error:
         raise _damaged(path, error) from error
+
+
+def _with_later_keys(frame: pd.DataFrame) -> pd.DataFrame:
+    """A table with the scenario's keys of after it, which had their value of then in all scenes."""
+    if not {'shadows', SCENARIO_FIELDS[0].key} <= set(frame.columns):
+        return frame
+    drawn = frame['shadows'].notna()
+    for before, field in pairwise(SCENARIO_FIELDS):
+        if field.absent is None or field.key in frame.columns or before.key not in frame.columns:
+            continue
+        nothing = None if field.absent is True else ''
+        kind: Any = field.column_type
+        column = drawn.map({True: field.absent, False: nothing}).astype(kind)
+        frame.insert(list(frame.columns).index(before.key) + 1, field.key, column)
+    return frame
 
 
 def _specs_of(frame: pd.DataFrame) -> list[str]:

@@ -10,8 +10,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import BY_KEY, PLACE, RAIN_CLOUDS
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
@@ -32,9 +33,12 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     Raises:
         UsageError: unknown key, bad value, or rain and clouds that contradict each other.
     """
+    place = {PLACE.word: overrides[PLACE.word]} if PLACE.word in overrides else {}
     for key, value in overrides.items():
-        # Rain is checked under a sky that allows it; the pair follows below.
-        _build({'clouds': RAIN_CLOUDS[0], key: value}, f'override {key}={value}')
+        try:
+            check_value(key, value, place)
+        except UsageError as error:
+            raise _headed(error, f'override {key}={value}') from error
     if all(key in overrides for key in WEATHER):
         _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
 
@@ -86,7 +90,7 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     try:
         last_step(scenario)
     except UsageError as error:
-        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+        raise _headed(error, where) from error
     return scenario
 
 
@@ -110,27 +114,46 @@ def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> 
 
 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:
-    """Keys of values that no scenario could have, whatever the others were."""
+    """Keys of values that no scenario at their place could have, whatever the others were."""
     found = set()
+    place = {PLACE.word: values.get(PLACE.word, DEFAULT_PLACE)}
+    try:
+        scenario_from_human(place)
+    except UsageError:
+        return {PLACE.word}
     for key, value in values.items():
         try:
-            check_value(key, value)
+            check_value(key, value, place)
         except UsageError:
             found.add(key)
     return found
 
 
-def check_value(key: str, value: Any) -> None:
+def check_value(key: str, value: Any, place: Mapping[str, Any] | None = None) -> None:
     """See that a scenario could have this value, whatever the others were.
+
+    Args:
+        key: of the scenario.
+        value: that is fixed there.
+        place: the key and value that say where; where they do not, anywhere will do.
 
     Raises:
         UsageError: none could.
     """
-    last_step(scenario_from_human({'clouds': RAIN_CLOUDS[0], key: value}))
+    field = BY_KEY.get(key)
+    if not place and field is not None and field.anywhere is not None:
+        field.check(field.from_human(value), field.anywhere)
+        return
+    # Rain is checked under a sky that allows it, and what crosses where something does.
+    last_step(scenario_from_human({**(place or {}), 'clouds': RAIN_CLOUDS[0], key: value}))
 
 
 def _build(values: Mapping[str, Any], where: str) -> Scenario:
     try:
         return scenario_from_human(values)
     except UsageError as error:
-        raise UsageError(f'{where}: {str(error).removeprefix("scenario: ")}') from error
+        raise _headed(error, where) from error
+
+
+def _headed(error: UsageError, where: str) -> UsageError:
+    return UsageError(f'{where}: {str(error).removeprefix("scenario: ")}')

@@ -27,7 +27,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS
+from taxinet_ros.core.scenario_fields import BY_PLACE, HUMAN_KEYS, PLACE
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -242,6 +242,8 @@ class SceneSource:
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program, which says what is no scenario, would not say so in every scene."""
         drawn = self.search_space().drawn - set(self._values)
+        if PLACE.word in drawn:  # by which some others are possible or not
+            drawn |= BY_PLACE
         impossible = impossible_keys(values)
         if impossible:
             return impossible <= drawn & set(HUMAN_KEYS)

@@ -24,7 +24,6 @@ from taxinet_ros.campaign.shrink.algorithm import LEAST_ASKED, Axis, Point
 from taxinet_ros.core.controller import STEERING, check_controller
 from taxinet_ros.core.pacing.timing import NOT_REPRODUCIBLE
 from taxinet_ros.core.perception.perception import check_perception
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
 from taxinet_ros.core.scenario_fields import BY_KEY, RAIN_CLOUDS
 from taxinet_ros.core.user_code import is_node_elsewhere
@@ -125,7 +124,7 @@ def make_shrink_space(original: Scenario, settings: Iterable[str] = ()) -> Shrin
     """
     chosen = _chosen(settings)
     drawn = original.to_human()
-    crossings = default_runway().crossings
+    crossings = original.runway.crossings
     beyond = bool(crossings) and original.distance_m > crossings[0].x_m
     usual = {
         'cross_track': 0.0, 'heading': 0.0, 'clouds': 'clear', 'rain': 0.0,

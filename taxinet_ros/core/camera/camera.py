@@ -193,7 +193,7 @@ class Camera:
             runway: that takes the place of the scenario's: its sun, its surface and its paint.
         """
         self._mount = mount
-        runway = runway or default_runway()
+        runway = runway or scenario.runway
         self._light = scenario_light(scenario, runway)
         self._intrinsics = intrinsics()
         self._to_ray = np.linalg.inv(self._intrinsics)

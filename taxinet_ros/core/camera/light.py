@@ -163,7 +163,8 @@ def air_mass(elevation_rad: float) -> float:
 
 
 def scenario_light(scenario: Scenario, runway: Runway | None = None) -> Light:
-    """The light of a place, and of a scenario's date, hour, clouds and rain."""
+    """The light of a scenario's place, or another runway's, date, hour, clouds and rain."""
+    runway = runway or scenario.runway
     azimuth, elevation = sun_position(scenario.date, scenario.time_of_day_s, runway)
     direct, diffuse = _weathered(scenario, elevation)
     reference = sum(_clear(_REFERENCE_ELEVATION_RAD))

@@ -2,7 +2,7 @@
 
 A scenario says where it takes place by a shipped name, or carries the whole place as JSON, so that
 messages, bags and other processes need no file. Tables have the short reference ``NAME@DIGEST``;
-what it stands for lies beside them (``places/`` of a campaign's folder) and is made known here.
+what it stands for is in the campaign's ledger, once, and known here to whoever has read that.
 """
 
 from __future__ import annotations
@@ -57,11 +57,16 @@ def typed_place(text: str) -> Place:
     if _REFERENCE.fullmatch(text):
         if text not in _known:
             raise UsageError(
-                f'scenario: place {text} is known by its digest only; its document is in places/ '
-                'of the folder of its campaign, and in the bags of its runs'
+                f'scenario: place {text} is known by its digest only; the whole of it is in the '
+                'ledger of its campaign, and in the bags of its runs'
             )
         return _known[text]
     return find_place(text)
+
+
+def is_reference(text: str) -> bool:
+    """Whether a text is what tables have of a place."""
+    return text in SHIPPED_PLACES or _REFERENCE.fullmatch(text) is not None
 
 
 def default_runway() -> Runway:

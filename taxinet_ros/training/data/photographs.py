@@ -22,7 +22,6 @@ from taxinet_ros.core.aircraft import Aircraft
 from taxinet_ros.core.camera.camera import Camera
 from taxinet_ros.core.camera.ground.atlas import make_ground_atlas
 from taxinet_ros.core.camera.ground.pavement import varied_style
-from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.runway import Runway
 from taxinet_ros.core.scenario import Scenario
 from taxinet_ros.core.types import TrackingError
@@ -54,7 +53,7 @@ def photograph(
     if not varied or block % _VARIED_EVERY != 1:
         return Camera(scene).render(state, 0), truth
     variation = draw_variation(np.random.default_rng((seed, index, 1)))
-    ground = _varied_ground(seed, block, default_runway(), crossing=scene.crossing)
+    ground = _varied_ground(seed, block, scene.runway, crossing=scene.crossing)
     camera = Camera(scene, ground)
     return variation.develop(camera.render(variation.misplaced(state), 0)), truth
 

@@ -200,7 +200,7 @@ def test_given_both_halves_of_the_weather_when_overridden_then_all_scenes_have_t
 @pytest.mark.parametrize(('overrides', 'message'), [
     ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track"),
     ({'heading': 'left'}, "override heading=left: heading needs a number, got 'left'"),
-    ({'cross_track': '99'}, 'override cross_track=99: cross_track_m is 99, outside -15..15'),
+    ({'cross_track': '99'}, 'override cross_track=99: cross_track_m is 99, outside -40..40'),
     ({'rain': '120'}, 'override rain=120: rain_fraction is 1.2, outside 0..1'),
     ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain=50: rain needs clouds'),
     ({'distance': 'nan'}, 'override distance=nan: distance_m is nan'),
