@@ -187,7 +187,9 @@ class CampaignOptions:
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
-        found = check_specs(self.judging.parsed_specs, duration_s, gains)
+        place = self.overrides.get(PLACE.word)
+        runway = typed_place(place).runway if place else None
+        found = check_specs(self.judging.parsed_specs, duration_s, gains, runway)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
         return dataclasses.replace(found, warnings=(*found.warnings, *doubts))
 

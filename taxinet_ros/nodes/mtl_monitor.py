@@ -71,11 +71,12 @@ class MtlMonitor(Participant):
         """Build a fresh monitor for every formula of the run."""
         judging = Judging.from_message(scenario)
         self._specs = judging.parsed_specs
-        self._last_seq = last_step(scenario_of(scenario))
+        wanted = scenario_of(scenario)
+        self._last_seq = last_step(wanted)
         self._stop_on = judging.stop_on
         self._judge = Judge(
             self._specs, self._last_seq * CONTROL_PERIOD_NS, MAX_GAP_NS, self._stop_on,
-            judging.assumptions,
+            judging.assumptions, wanted.runway.half_width_m,
         )
         self._steps = StepCollector({topic.name: 1 for topic in _INPUTS})
         self._free = False

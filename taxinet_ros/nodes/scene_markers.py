@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from taxinet_ros.bag.run.message_values import scenario_of
 from taxinet_ros.core.camera.airframe import OUTLINE
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import markings
@@ -47,6 +48,11 @@ def runway_markers(runway: Runway) -> MarkerArray:
     crossings = [_crossing(*numbered) for numbered in enumerate(runway.crossings)]
     paint = _triangles('paint', _paint_triangles(runway), _PAINT)
     return MarkerArray(markers=[pavement, *crossings, paint])
+
+
+def other_runway_markers(runway: Runway) -> MarkerArray:
+    """The same, in place of those of another runway."""
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL), *runway_markers(runway).markers])
 
 
 def _crossing(number: int, crossing: Crossing) -> Marker:
@@ -127,7 +133,7 @@ USAGE = Usage(
     does='Draws runway, aircraft and path as markers for RViz and other viewers, beside any graph '
     'or bag_player.',
     publishes=published_topics(interface.SCENE_MARKERS),
-    subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name),
+    subscribes=(interface.RUN_STATUS.name, interface.ODOMETRY.name, interface.SCENARIO.name),
 )
 
 
@@ -143,8 +149,16 @@ class SceneMarkers(Observer):
             for topic in interface.SCENE
         }
         self._aircraft = AircraftMarkers()
-        self._say(interface.SCENE_RUNWAY, runway_markers(default_runway()))
+        self._runway = default_runway()
+        self._say(interface.SCENE_RUNWAY, runway_markers(self._runway))
         self.watch(interface.ODOMETRY, self._draw)
+        self.watch(interface.SCENARIO, self._change_place)
+
+    def _change_place(self, scenario: Any) -> None:
+        runway = scenario_of(scenario).runway
+        if runway != self._runway:
+            self._runway = runway
+            self._say(interface.SCENE_RUNWAY, other_runway_markers(runway))
 
     def _draw(self, odometry: Odometry) -> None:
         self._say(interface.SCENE_AIRCRAFT, self._aircraft.markers(odometry))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 
 BAND_M = 1.5
 """Half width of the band that the paper's specification asks for (paper, section 3.1)."""
@@ -41,6 +41,7 @@ class Trajectory:
         x_m: position past the threshold [m], (N,).
         cte_m: cross-track error [m], left positive, (N,).
         ok: whether the run satisfied its specification; None if it was not judged.
+        half_width_m: of its runway [m].
     """
 
     label: str
@@ -48,6 +49,7 @@ class Trajectory:
     x_m: NDArray[np.float64]
     cte_m: NDArray[np.float64]
     ok: bool | None
+    half_width_m: float = KMWH_HALF_WIDTH_M
 
     def __post_init__(self) -> None:
         if not self.t_s.shape == self.x_m.shape == self.cte_m.shape or self.t_s.ndim != 1:
@@ -91,7 +93,7 @@ def plot_trajectories(trajectories: Sequence[Trajectory], path: Path, title: str
 
 
 def _draw(axes: Axes, own: Sequence[Trajectory], along: Sequence[NDArray[np.float64]]) -> None:
-    edge = default_runway().half_width_m
+    edge = max(one.half_width_m for one in own)
     limit = edge + _BEYOND_EDGE_M
     axes.axhspan(-limit, -edge, color='0.88', zorder=0)
     axes.axhspan(edge, limit, color='0.88', zorder=0)

@@ -13,7 +13,7 @@ from taxinet_ros.core.mtl import ast
 from taxinet_ros.core.mtl.lexer import RESERVED
 from taxinet_ros.core.mtl.lower_bounds.builder import check_parts
 from taxinet_ros.core.mtl.parser import parse
-from taxinet_ros.core.place.catalogue import default_runway
+from taxinet_ros.core.place.runway import KMWH_HALF_WIDTH_M
 from taxinet_ros.errors import UsageError
 
 SIGNALS: Mapping[str, str] = MappingProxyType(
@@ -80,7 +80,7 @@ def _spec(name: str, formula: ast.Formula) -> Spec:
 
 PHI_ALWAYS = f'always(abs(cte) <= {CENTRELINE_TOLERANCE_M})'
 PHI_EVENTUALLY = f'eventually[0:{SETTLING_TIME_S}]({PHI_ALWAYS})'
-ON_RUNWAY = f'always(abs(cte) <= {default_runway().half_width_m})'
+ON_RUNWAY = f'always(abs(cte) <= {KMWH_HALF_WIDTH_M})'
 USABLE = (
     f'always(estimate_gap <= {LONGEST_BLIND_S} and unusable_share <= {MOST_UNUSABLE_SHARE})'
 )

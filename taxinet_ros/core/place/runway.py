@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 FOOT_M = 0.3048
+KMWH_HALF_WIDTH_M = 50 * FOOT_M
+"""Of the paper's runway, for what is judged without a place."""
 
 CATEGORIES = ('visual', 'nonprecision', 'precision')
 """How much is painted (FAA AC 150/5340-1): the better the instrument approach, the more."""

@@ -120,7 +120,7 @@ class ActiveRun:
         judging = Judging.from_message(message)
         _ = judging.assumptions  # refused if they are none
         scenario = scenario_of(message)
-        check_specs(judging.parsed_specs, scenario.duration_s)
+        check_specs(judging.parsed_specs, scenario.duration_s, runway=scenario.runway)
         self.world = make_world(scenario)
         self.commands = LateCommands(timing, message.seed, message.index)
         may_stop = judging.stop_on is not StopOn.NEVER

@@ -70,7 +70,7 @@ _SURFACE_LOOKS: dict[str, dict[str, Any]] = {
 }
 _SURROUNDINGS_LOOKS: dict[str, dict[str, Any]] = {
     'dry': {},
-    'grass': {'near_tint': (104.0, 122.0, 68.0), 'far_tint': (92.0, 114.0, 62.0)},
+    'grass': {'near_tint': (112.0, 119.0, 80.0), 'far_tint': (98.0, 112.0, 70.0)},
 }
 
 
@@ -280,10 +280,10 @@ def _lay_rubber(
     rng = np.random.default_rng(style.seed + 31)
     shift = style.rubber_shift_m
     for _ in range(round(640 * style.rubber_amount)):
-        start = 40 + rng.beta(1.2, 2.6) * 800
+        start = runway.displaced_m[0] + 40 + rng.beta(1.2, 2.6) * 800
         _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
     for _ in range(round(460 * style.rubber_amount)):
-        start = runway.length_m - 60 - rng.beta(1.2, 2.6) * 800
+        start = runway.length_m - runway.displaced_m[1] - 60 - rng.beta(1.2, 2.6) * 800
         _streak(density, grid, rng, shift, start=start, length=rng.uniform(15, 120))
     for _ in range(round(90 * style.rubber_amount)):
         start = rng.uniform(500, max(runway.length_m - 642, 600))
