@@ -175,7 +175,7 @@ def find(kind: str, name: str) -> Extension | None:
     Raises:
         UsageError: two packages provide it, or it is a name that nobody can be meant by.
     """
-    found = [one for one in _all(kind) if one.name == name]
+    found = [one for one in installed(kind) if one.name == name]
     if not found:
         return None
     if len(found) > 1:
@@ -196,9 +196,18 @@ def origin_words(kind: str, name: str) -> str:
     return f'{found.name} of {found.distribution} {found.version}'
 
 
+def installed(kind: str) -> list[Extension]:
+    """All that have a name in an extension point, what is shipped first, whether usable or not."""
+    ours = [
+        Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
+        for name, target in SHIPPED[kind].items()
+    ]
+    return [*ours, *_foreign(kind)]
+
+
 def names(kind: str) -> list[str]:
     """The names that :func:`find` knows, what is shipped first."""
-    return list(dict.fromkeys(one.name for one in _all(kind)))
+    return list(dict.fromkeys(one.name for one in installed(kind)))
 
 
 def known(kind: str, *more: str) -> str:
@@ -260,14 +269,6 @@ class Extensions(Mapping[str, _T], Generic[_T]):
 
     def __len__(self) -> int:
         return len(names(self._kind))
-
-
-def _all(kind: str) -> list[Extension]:
-    ours = [
-        Extension(kind=kind, name=name, target=target, distribution=OURS, version=__version__)
-        for name, target in SHIPPED[kind].items()
-    ]
-    return [*ours, *_foreign(kind)]
 
 
 def _foreign(kind: str) -> tuple[Extension, ...]:

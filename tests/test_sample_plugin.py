@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -96,15 +98,28 @@ def test_given_the_sample_when_its_sampler_is_named_then_it_chooses_the_runs(
     assert facts['extensions']['samplers']['name'] == 'corners'
     more = taxinet(site, *options, '--runs', '4', '--resume', cwd=tmp_path)
     assert more.returncode in (0, 1), more.stderr
-    with (site / 'taxinet_sample.py').open('a') as file:
-        file.write('\n# changed\n')
-    try:
+    with changed_text(site / 'taxinet_sample.py', lambda text: f'{text}\n# changed\n'):
         changed = taxinet(site, *options, '--runs', '5', '--resume', cwd=tmp_path)
-    finally:
-        text = (site / 'taxinet_sample.py').read_text()
-        (site / 'taxinet_sample.py').write_text(text.removesuffix('\n# changed\n'))
     assert changed.returncode == 2
-    assert 'was begun with extensions' in changed.stderr
+    told = facts['extensions']['samplers']['sha256'][:12]
+    assert (f'f was begun with sampler corners of taxinet-sample 0.1.0 (sha256 {told}…), which is '
+            'now of taxinet-sample 0.1.0 (sha256 ') in changed.stderr
+    assert changed.stderr.count(told) == 1
+    gone = taxinet(tmp_path, *options, '--runs', '5', '--resume', cwd=tmp_path)
+    assert gone.returncode == 2
+    assert (f'in f it was sampler corners of taxinet-sample 0.1.0 (sha256 {told}…), which is not '
+            'installed any more') in gone.stderr
+
+
+@contextlib.contextmanager
+def changed_text(path: Path, change: Callable[[str], str]) -> Iterator[None]:
+    """A file of the package as it is not meant to be; afterwards it is as before."""
+    before = path.read_text()
+    path.write_text(change(before))
+    try:
+        yield
+    finally:
+        path.write_text(before)
 
 
 def test_given_the_sample_when_a_run_is_made_in_its_world_then_its_frames_are_of_there(

@@ -464,7 +464,7 @@ def _case_values(case: Case, words: tuple[str, ...]) -> dict[str, Any]:
     row, control = case.row, case.trials.get(AS_RECORDED)
     values: dict[str, Any] = {
         'run_id': row.run_id, 'index': row.index,
-        **{field.key: row.scene[field.word] for field in PAPER_FIELDS},
+        **{field.key: row.scene[field.key] for field in PAPER_FIELDS},
         'rho': row.headline[0] if row.headline else None, 'blame': case.blame.value,
         'suffices': case.suffices.value, 'counted': case.counted,
         'scene_exact': None if control is None else control.exact,

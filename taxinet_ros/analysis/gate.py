@@ -73,10 +73,10 @@ class GateOptions:
     """What is asked of a campaign.
 
     Attributes:
-        min_satisfaction: least share of runs that satisfy their formulas, or None.
+        min_satisfaction: minimum share of runs that satisfy their formulas, or None.
         max_off_runway: largest share of runs that leave the runway, or None.
         max_infra: most runs that the bench broke.
-        confidence: of each one-sided bound.
+        confidence: confidence of each one-sided bound.
     """
 
     min_satisfaction: float | None = None

@@ -220,7 +220,7 @@ def _check_words(name: str, values: Mapping[str, str]) -> None:
 
 def _make_folder(folder: Path, min_free_bytes: int, make_parents: bool) -> None:
     if folder.exists() or folder.is_symlink():
-        text = 'exists already; nothing recorded is overwritten, name another folder'
+        text = 'already exists; nothing recorded is overwritten, name another folder'
         raise UsageError(f'{folder}: {text}')
     try:
         if make_parents:

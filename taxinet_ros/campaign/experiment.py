@@ -11,7 +11,7 @@ aircraft's shadow). A file says that in YAML::
     controller: my_file.py:steer    # steering, the handwritten law, where left out
     specs: [phi_eventually]         # the first is the headline
     set: {clouds: clear}            # for all arms, as --set of taxinet run
-    over: time_of_day               # what the picture is drawn over; found out where left out
+    over: time_of_day_h             # what the picture is drawn over; found out where left out
     arms:                           # two or more; each has its own set, perception or controller
       shadows: {}
       no_shadows: {set: {shadows: off}}
@@ -44,7 +44,7 @@ from taxinet_ros.core.controller import STEERING, SteeringGains, check_controlle
 from taxinet_ros.core.judging import Judging
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.catalogue import typed_place
-from taxinet_ros.core.scenario_fields import HUMAN_KEYS, PLACE
+from taxinet_ros.core.scenario_fields import HUMAN_KEYS, PLACE, SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import Section, expected, read_yaml
 
@@ -155,6 +155,7 @@ def read_experiment(path: Path) -> Experiment:
         raise top.wrong(f'expected one of the arms ({names}), got {compare_to}', 'compare_to')
     sampler, options = _sampler(top)
     over = top.text('over', '', empty=True)
+    over = SHORT_FORMS.get(over, over)
     if over and over not in HUMAN_KEYS:
         raise top.wrong(f'expected one of {", ".join(HUMAN_KEYS)}, got {over}', 'over')
     return Experiment(
@@ -192,8 +193,8 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
     texts = {key: _setting(settings, key) for key in settings}
     overrides = {key: text for key, text in texts.items() if not key.startswith(_GAIN)}
     given.check('set', lambda: check_overrides(overrides))
-    if PLACE.word in overrides:
-        overrides[PLACE.word] = typed_place(overrides[PLACE.word]).reference
+    if PLACE.key in overrides:
+        overrides[PLACE.key] = typed_place(overrides[PLACE.key]).reference
     gains: dict[str, float] = {}
     for key in texts.keys() - overrides.keys():
         name = key.removeprefix(_GAIN)
@@ -205,7 +206,7 @@ def _settings(given: Section) -> tuple[dict[str, str], dict[str, float]]:
         except ValueError:
             raise settings.wrong(f'expected a number, got {texts[key]}', key) from None
     given.check('set', lambda: SteeringGains(**gains))
-    return overrides, gains
+    return by_key(overrides), gains
 
 
 def _setting(given: Section, key: str) -> str:

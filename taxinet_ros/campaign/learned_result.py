@@ -20,8 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from taxinet_ros.campaign.rates import CONFIDENCE, share_bounds
+from taxinet_ros.campaign.record.facts import with_present_keys
 from taxinet_ros.campaign.samplers.sampler import Probabilities
 from taxinet_ros.campaign.scenes.search_space import Choice
+from taxinet_ros.core.scenario_fields import other_form
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.sealed_json import read_sealed, sealed_text
 
@@ -132,10 +134,10 @@ class LearnedTogether:
         Raises:
             UsageError: they are not alike, or one is named twice.
         """
-        first = results[0]
-        for result, folder in zip(results, folders, strict=True):
+        first, *_ = told = [with_present_keys(result.facts) for result in results]
+        for facts, folder in zip(told, folders, strict=True):
             for name in _SAME:
-                if result.facts.get(name) != first.facts.get(name):
+                if facts.get(name) != first.get(name):
                     raise UsageError(
                         f'{folder}: has another {name.replace("_", " ")} than {folders[0]}; only '
                         'searches that differ in their seed can be put together'
@@ -152,7 +154,7 @@ class LearnedTogether:
                     '(require[p]), with which the weights of the runs are not known'
                 )
         self.results = tuple(results)
-        self.choices = first.choices
+        self.choices = results[0].choices
 
     def bins(self, choice: Choice) -> list[Share]:
         """The share of each of a choice's bins in the failures in which it is made."""
@@ -172,16 +174,17 @@ class LearnedTogether:
         }
 
     def choice(self, name: str) -> Choice:
-        """The choice of this name.
+        """The choice of this name, or of the other form of it, where that is a scenario key's.
 
         Raises:
             UsageError: nothing was learned of any such.
         """
         choices = {choice.dimension.name: choice for choice in self.choices}
-        if name not in choices:
+        found = choices.get(name) or choices.get(other_form(name))
+        if found is None:
             raise UsageError(f'--within {name}: nothing was learned of it; known: '
                              f'{", ".join(choices)}')
-        return choices[name]
+        return found
 
     def within(self, name: str, low: float, high: float) -> Share:
         """The share of values in [low, high], in a bin as likely as under the program.
@@ -192,7 +195,7 @@ class LearnedTogether:
         choice = self.choice(name)
         ones = np.eye(len(choice.dimension.prior))
         inside = [choice.probability_within(low, high, tuple(one)) for one in ones.tolist()]
-        return self._share(name, np.array(inside))
+        return self._share(choice.dimension.name, np.array(inside))
 
     def _share(self, name: str, inside: npt.NDArray[np.float64]) -> Share:
         """Share of the failures, ``inside`` being what part of each bin counts.

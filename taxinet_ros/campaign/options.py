@@ -36,7 +36,7 @@ from taxinet_ros.core.mtl.parser import parse
 from taxinet_ros.core.pacing.timing import AT_ONCE, Timing, free_timing, parse_latency
 from taxinet_ros.core.perception.perception import check_perception
 from taxinet_ros.core.place.catalogue import typed_place
-from taxinet_ros.core.scenario_fields import PLACE
+from taxinet_ros.core.scenario_fields import PLACE, by_key
 from taxinet_ros.core.user_code import short_word
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
@@ -187,7 +187,7 @@ class CampaignOptions:
         """
         known = self.controller == STEERING and not self.standing_graph
         gains = SteeringGains(**self.gains) if known else None
-        place = self.overrides.get(PLACE.word)
+        place = self.overrides.get(PLACE.key)
         runway = typed_place(place).runway if place else None
         found = check_specs(self.judging.parsed_specs, duration_s, gains, runway)
         doubts = doubtful_values({**self.overrides, **self.laid_over})
@@ -335,7 +335,7 @@ def check_new(out: Path) -> None:
         return
     if out.exists() or out.is_symlink():
         raise UsageError(
-            f'--out {out}: exists already; nothing recorded is overwritten, name a new folder'
+            f'--out {out}: already exists; nothing recorded is overwritten, name a new folder'
         )
 
 
@@ -358,7 +358,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     """Tell ``key=value`` of the scenario from ``steering.<gain>=value``.
 
     Raises:
-        UsageError: one is neither, or a place is none.
+        UsageError: one is neither, a key is there with its short form too, or a place is none.
     """
     overrides: dict[str, str] = {}
     gains: dict[str, float] = {}
@@ -368,7 +368,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
             raise UsageError(f'--set {setting!r}: expected key=value')
         if not key.startswith(_GAIN_PREFIX):
             # A file may change: what the campaign is, and whether it goes on, has its digest.
-            overrides[key] = typed_place(value).reference if key == PLACE.word else value
+            overrides[key] = typed_place(value).reference if key == PLACE.key else value
             continue
         try:
             gains[key.removeprefix(_GAIN_PREFIX)] = float(value)
@@ -378,4 +378,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, f
     for name in gains:
         if name not in known:
             raise UsageError(f'--set steering.{name}: unknown gain; known: {", ".join(known)}')
-    return overrides, gains
+    try:
+        return by_key(overrides), gains
+    except UsageError as error:
+        raise UsageError(f'--set: {str(error).removeprefix("scenario: ")}') from None

@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final, Protocol
 
+from taxinet_ros.arguments import a, check_fields, takes
 from taxinet_ros.core.types import TaxiCommand, TrackingError
 from taxinet_ros.core.user_code import (
     NO_NODE_HERE,
@@ -96,6 +97,7 @@ class SteeringGains:
     speed_mps: float = 5.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for field in fields(self):
             value, valid = getattr(self, field.name), GAIN_RANGES[field.name]
             # A NaN fails the comparison too.
@@ -170,6 +172,7 @@ class SteeringLaw(Controller):
     word = STEERING
     fingerprint = ''
 
+    @takes(gains=a('a tx.SteeringGains', SteeringGains))
     def __init__(self, gains: SteeringGains) -> None:
         """``gains``: tuning of the law."""
         self.gains = gains

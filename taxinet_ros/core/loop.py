@@ -34,6 +34,16 @@ class Step:
     command: TaxiCommand
     readings: tuple[Reading, ...]
 
+    @property
+    def sample(self) -> dict[str, float]:
+        """The monitored signals."""
+        state = self.observation.state
+        truth = state.tracking_error
+        return signals(
+            cte_m=truth.cte_m, he_rad=truth.he_rad, x_m=state.x_m, speed_mps=state.speed_mps,
+            estimate=self.estimate, command=self.command,
+        )
+
 
 ROLLING_ON = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
 """What holds before the first answer: how the aircraft rolls when a run starts."""

@@ -24,6 +24,7 @@ from taxinet_ros.core.scenario_fields import (
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
     ScenarioField,
+    by_key,
 )
 from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
@@ -107,28 +108,28 @@ class Scenario:
     def to_human(self) -> dict[str, Any]:
         """The scenario in the units people read; the inverse of :func:`scenario_from_human`."""
         return {
-            field.word: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
+            field.key: field.to_human(getattr(self, field.attribute)) for field in SCENARIO_FIELDS
         }
-
-    def to_columns(self) -> dict[str, Any]:
-        """The same by the columns of tables, which have the unit in their names."""
-        human = self.to_human()
-        return {field.key: human[field.word] for field in SCENARIO_FIELDS}
 
 
 def scenario_from_human(values: Mapping[str, Any]) -> Scenario:
     """Build a scenario from the units people type (m, degrees, percent, hours).
 
+    Args:
+        values: by key or its short form (:mod:`taxinet_ros.core.scenario_fields`).
+
     Raises:
-        UsageError: an unknown key (the known ones are listed) or a bad value.
+        UsageError: an unknown key (the known ones are listed), one that is there with its short
+            form too, or a bad value; it is told in the units that were typed.
     """
+    values = by_key(values)
     unknown = [key for key in values if key not in BY_KEY]
     if unknown:
         raise UsageError(f'scenario: unknown key {unknown[0]!r}; known: {", ".join(HUMAN_KEYS)}')
     scenario = Scenario(**{
         BY_KEY[key].attribute: BY_KEY[key].from_human(value) for key, value in values.items()
     })
-    wanted = CROSSING.from_human(values.get(CROSSING.word, False))
+    wanted = CROSSING.from_human(values.get(CROSSING.key, False))
     if wanted and not scenario.crossing:
         place = find_place(scenario.place).reference
         raise UsageError(f'scenario: crossing has no effect at {place}: no runway crosses it')

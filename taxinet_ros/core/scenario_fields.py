@@ -1,20 +1,26 @@
 """The keys of a scenario, one row each: names, units, range, words, and what people call them.
 
-A key is what people type, in Scenic programs, after ``--set`` and in experiments. The attribute of
-:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units, the
-column of tables in the units that people read. Whatever else has a line for each key (scenario
-message, rows and tables of runs, features of an analysis, world model of the programs, pages of
-the documentation) is made from these rows, or compared with them by
-``tests/core/test_scenario_fields.py``.
+A key is the one name outside, with its unit in it: people type it in Scenic programs, after
+``--set`` and in experiments, and read it in tables, ledgers, labels and JSON. The attribute of
+:class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, is in SI units.
+
+Where people type, a key without its unit (its short form: ``rain`` for ``rain_percent``) means the
+same; :func:`by_key` spells it out. Only short forms were there before keys had units, so they are
+in files of then, which are read likewise.
+
+Whatever else has a line for each key (scenario message, rows and tables of runs, features of an
+analysis, world model of the programs, pages of the documentation) is made from these rows, or
+compared with them by ``tests/core/test_scenario_fields.py``.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Real
-from typing import Any
+from typing import Any, TypeVar
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE, find_place, typed_place
 from taxinet_ros.core.place.place_file import MOST_LENGTH_M, MOST_WIDTH_M
@@ -67,10 +73,8 @@ class ScenarioField:
     """One key of a scenario.
 
     Attributes:
-        key: its name among people, with the unit where it has one: typed in Scenic programs, after
-            ``--set`` and in experiments; written in tables, ledgers and JSON.
-        short: the key without its unit, taken in its stead wherever people type, '' where there is
-            none. Messages, files and programs of before the keys had units have this one.
+        key: its name outside, with the unit where it has one.
+        short: the key without its unit, '' where that is the key itself.
         attribute: of :class:`~taxinet_ros.core.scenario.Scenario`, and the field of its message, in
             SI units.
         title: for people, without the unit.
@@ -107,9 +111,9 @@ class ScenarioField:
     absent: bool | str | None = None
 
     @property
-    def word(self) -> str:
-        """What people type as yet: the key, without its unit."""
-        return self.short or self.key
+    def label(self) -> str:
+        """The key for people, without its unit: ``time of day``."""
+        return (self.short or self.key).replace('_', ' ')
 
     @property
     def column_type(self) -> str:
@@ -130,10 +134,16 @@ class ScenarioField:
         """A value that a person typed, in SI units.
 
         Raises:
-            UsageError: it is no number, no switch or no place, where there should be one.
+            UsageError: it is no number within the range, no switch or no place, where there should
+                be one.
         """
         if self.kind is Kind.NUMBER:
-            return self._number(value) * self.si
+            number = self._number(value)
+            low, high = self.anywhere or (self.low, self.high)
+            if not _within(number * self.si, low, high):
+                unit = f'{self.unit_mark}{self.counted}'
+                raise _outside(self.key, number, low / self.si, high / self.si, unit)
+            return number * self.si
         if self.kind is Kind.PLACE:
             return typed_place(str(value)).text
         return self._switch(value) if self.kind is Kind.SWITCH else str(value)
@@ -160,16 +170,13 @@ class ScenarioField:
         if switch is not (self.kind is Kind.SWITCH) or not (switch or isinstance(value, expected)):
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not {what}')
         low, high = limits or (self.low, self.high)
-        if self.kind is Kind.NUMBER and not (math.isfinite(value) and low <= value <= high):
-            raise UsageError(
-                f'scenario: {self.attribute} is {value:g}, outside {low:g}..{high:g} '
-                f'{self.si_unit}{self.counted}'
-            )
+        if self.kind is Kind.NUMBER and not _within(value, low, high):
+            raise _outside(self.attribute, value, low, high, f' {self.si_unit}{self.counted}')
         if self.kind is Kind.PLACE and find_place(value).text != value:
             raise UsageError(f'scenario: {self.attribute} is {value!r:.60}, not the whole of it')
         if self.words and value not in self.words:
             known = ', '.join(self.words)
-            raise UsageError(f'scenario: {self.word} is {value!r}, not one of {known}')
+            raise UsageError(f'scenario: {self.key} is {value!r}, not one of {known}')
 
     def value_words(self, value: Any) -> str:
         """A value in human units for people, with its unit: ``10:30``, ``+2.5 deg``, ``on``."""
@@ -185,18 +192,26 @@ class ScenarioField:
 
     def _number(self, value: Any) -> float:
         if isinstance(value, bool):
-            raise UsageError(f'scenario: {self.word} needs a number, got {value!r}')
+            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}')
         try:
             return float(value)
         except (TypeError, ValueError):
-            raise UsageError(f'scenario: {self.word} needs a number, got {value!r}') from None
+            raise UsageError(f'scenario: {self.key} needs a number, got {value!r}') from None
 
     def _switch(self, value: Any) -> bool:
         if isinstance(value, bool):
             return value
         if str(value).lower() not in _SWITCH_WORDS:
-            raise UsageError(f'scenario: {self.word} needs on or off, got {value!r}')
+            raise UsageError(f'scenario: {self.key} needs on or off, got {value!r}')
         return _SWITCH_WORDS[str(value).lower()]
+
+
+def _within(value: float, low: float, high: float) -> bool:
+    return math.isfinite(value) and low <= value <= high
+
+
+def _outside(name: str, value: float, low: float, high: float, unit: str) -> UsageError:
+    return UsageError(f'scenario: {name} is {value:g}, outside {low:g}..{high:g}{unit}')
 
 
 def clock_words(hours: float) -> str:
@@ -257,17 +272,35 @@ PLACE = ScenarioField(
 PAPER_FIELDS = (CROSS_TRACK, DISTANCE, HEADING, SKY, RAIN, TIME_OF_DAY)
 """The six dimensions of the paper's feature space."""
 SCENARIO_FIELDS = (*PAPER_FIELDS, DATE, SHADOWS, CROSSING, AIRCRAFT_MODEL, DURATION, PLACE)
-BY_KEY = {field.word: field for field in SCENARIO_FIELDS}
+BY_KEY = {field.key: field for field in SCENARIO_FIELDS}
 HUMAN_KEYS = tuple(BY_KEY)
-"""Scenario keys as people type them."""
+"""Scenario keys as people type and read them."""
+SHORT_FORMS = {field.short: field.key for field in SCENARIO_FIELDS if field.short}
+"""What may be typed for a key, and was all that there was in files of before: the key by it."""
 
-BY_PLACE = frozenset(field.word for field in (CROSS_TRACK, DISTANCE, CROSSING))
+BY_PLACE = frozenset(field.key for field in (CROSS_TRACK, DISTANCE, CROSSING))
 """Keys whose values depend on what there is at the place."""
 
-PLANE_PROPERTIES = {
-    field.word: 'heading_deg' if field is HEADING else field.word
-    for field in SCENARIO_FIELDS if field.plane
-}
-"""Keys that a Scenic program says by the place of the aircraft, and its property that says it."""
-PARAMETERS = tuple(field.word for field in SCENARIO_FIELDS if not field.plane)
+PLANE_KEYS = tuple(field.key for field in SCENARIO_FIELDS if field.plane)
+"""Keys that a Scenic program says by the place of its aircraft, which has these properties."""
+PARAMETERS = tuple(field.key for field in SCENARIO_FIELDS if not field.plane)
 """Keys that a Scenic program says as global parameters."""
+
+_Value = TypeVar('_Value')
+
+
+def by_key(values: Mapping[str, _Value]) -> dict[str, _Value]:
+    """The same values with short forms spelled out; names that are no keys stay as they are.
+
+    Raises:
+        UsageError: a key is there with its short form too.
+    """
+    for short, key in SHORT_FORMS.items():
+        if short in values and key in values:
+            raise UsageError(f'scenario: {short} and {key} are the same; leave one out')
+    return {SHORT_FORMS.get(name, name): value for name, value in values.items()}
+
+
+def other_form(name: str) -> str:
+    """A key's short form, or the key of a short form; '' where there is none."""
+    return BY_KEY[name].short if name in BY_KEY else SHORT_FORMS.get(name, '')

@@ -302,10 +302,12 @@ class RunCode:
 
 
 def pair_of_numbers(answer: Any) -> tuple[float, float] | None:
-    """Two numbers out of a tuple, a list or an array; None where it is none."""
+    """Two numbers out of a tuple, a list or an array; None where it is none, texts too."""
     heard = len(RECEIVED_STOPS)
     try:
         first, second = answer
+        if any(isinstance(one, str | bytes) for one in (answer, first, second)):
+            return None
         return float(first), float(second)
     except BaseException as error:  # somebody's answer may have an __iter__ or __float__ of his
         _let_pass(error, heard)

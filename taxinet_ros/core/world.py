@@ -192,14 +192,23 @@ class _PluginWorld(World):
         self._extension, self._seq = extension, -1
         self.last_seq = last_step(scenario)
         self._world = self._call(lambda: make(scenario, pictures=pictures))
+        told = self._call(lambda: self._world.last_seq)
+        if told != self.last_seq:
+            raise self._broken(f'last_seq is {told!r}; the scenario ends at step {self.last_seq}')
         self._seq = 0
 
     def observe(self, *, picture: bool = True) -> Observation:
         now = self._call(lambda: self._world.observe(picture=picture))
+        if not isinstance(now, Observation):
+            raise self._broken(f'observed {type(now).__name__}, expected an Observation')
         if now.seq != self._seq:
             raise self._broken(f'observed step {now.seq}, expected {self._seq}')
         image, frame = now.image, (IMAGE_HEIGHT, IMAGE_WIDTH, 3)
-        if image is not None and (image.shape != frame or image.dtype != np.uint8):
+        if image is None:
+            return now
+        if not isinstance(image, np.ndarray):
+            raise self._broken(f'the picture is {type(image).__name__}, no array')
+        if image.shape != frame or image.dtype != np.uint8:
             # A network would make an estimate up from anything.
             got = f'{image.shape} {image.dtype}'
             raise self._broken(f'the picture is {got}, not {frame} uint8')

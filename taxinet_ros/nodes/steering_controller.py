@@ -8,6 +8,7 @@ from typing import Any
 from taxinet_msgs.msg import Scenario
 
 from taxinet_ros.bag.run.facts import gains_text
+from taxinet_ros.bag.run.messages import command_cdr
 from taxinet_ros.core.controller import (
     GAIN_RANGES,
     STEERING,
@@ -19,7 +20,7 @@ from taxinet_ros.errors import UsageError
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.lockstep.diagnostics import PARAMETER as DIAGNOSTICS
 from taxinet_ros.nodes.lockstep.participant import Participant
-from taxinet_ros.nodes.messages.step import StepMessage, command_cdr
+from taxinet_ros.nodes.messages.step import StepMessage
 from taxinet_ros.nodes.running.node_main import run_node
 from taxinet_ros.nodes.running.parameters import (
     Parameter,

@@ -31,6 +31,10 @@ _AGAIN_S = 0.01
 _kept_by = 0
 
 
+class ToldInterrupt(KeyboardInterrupt):
+    """An interrupt that ends a command which has said what has become of its work."""
+
+
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
     """Handle a signal as Python does Ctrl-C, so that whatever is begun is cleared away.
 

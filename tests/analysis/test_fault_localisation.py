@@ -33,7 +33,7 @@ def row(index: int, rho: float = -2.0) -> RunRow:
         run_id=f'run-{index}', index=index, program='p', seed=1, perception='original',
         outcome=Outcome.FAIL, robustness=exact_intervals({'phi_eventually': rho}),
         stopped_early=False,
-        **Scenario().to_columns(),
+        **Scenario().to_human(),
     )
 
 

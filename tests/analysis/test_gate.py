@@ -38,7 +38,7 @@ def row(index: int, outcome: Outcome, *, left: bool | None = False, **changes) -
     rho = {Outcome.PASS: {'phi': 0.5}, Outcome.FAIL: {'phi': -2.25}}.get(outcome, {})
     values = {
         'run_id': f'run-{index}', 'index': index, 'program': 's_falsif', 'seed': 1,
-        'perception': 'original', 'wall_s': 2.0, **Scenario(heading_rad=0.1).to_columns(),
+        'perception': 'original', 'wall_s': 2.0, **Scenario(heading_rad=0.1).to_human(),
         'robustness': exact_intervals(rho), 'left_runway': left if rho else None, **changes,
     }
     return RunRow(outcome=outcome, **values)
@@ -282,11 +282,13 @@ def test_given_an_open_criterion_then_it_is_skipped_only_where_that_passes():
 
 def test_given_a_run_without_a_bag_then_what_to_type_holds_its_scene():
     scene = Scenario(heading_rad=0.25, clouds='broken', rain_fraction=0.5, crossing=False)
-    one = row(0, Outcome.FAIL, **scene.to_columns())
+    one = row(0, Outcome.FAIL, **scene.to_human())
     words = rerun_command(one, Path('c'), {'specs': {'phi': 'always(abs(cte) <= 1)'}})
     assert words.startswith('taxinet run nominal --perception original --spec ')
     assert "'phi=always(abs(cte) <= 1)'" in words
-    for setting in ('rain=50.0', 'clouds=broken', 'crossing=off', 'heading=14.323944878'):
+    for setting in (
+        'rain_percent=50.0', 'clouds=broken', 'crossing=off', 'heading_deg=14.323944878',
+    ):
         assert f'--set {setting}' in words
     assert '--controller' not in words
     assert '--controller mine.py:steer' in rerun_command(

@@ -81,7 +81,7 @@ def test_given_a_name_that_is_not_there_then_it_is_an_attribute_error():
 
 def test_given_the_page_then_every_example_on_it_runs(campaign_folder, monkeypatch, tmp_path):
     blocks = re.findall(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     (tmp_path / 'bags').mkdir()
     campaign_folder.rename(tmp_path / 'bags' / 'light')
     (tmp_path / 'bags' / 'golden').symlink_to(GOLDEN)

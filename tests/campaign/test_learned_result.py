@@ -25,7 +25,7 @@ from taxinet_ros.errors import UsageError
 
 # Half of the starts lie in the first tenth of the runway.
 DISTANCE = Choice(
-    dimension=Dimension(name='distance', buckets=4), feeds=frozenset({'distance'}),
+    dimension=Dimension(name='distance', buckets=4), feeds=frozenset({'distance_m'}),
     pieces=(Piece(start=0.0, end=0.5, low=0.0, high=200.0),
             Piece(start=0.5, end=1.0, low=200.0, high=2000.0)),
 )

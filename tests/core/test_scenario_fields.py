@@ -16,12 +16,15 @@ from taxinet_ros.core.scenario_fields import (
     HUMAN_KEYS,
     PAPER_FIELDS,
     PARAMETERS,
-    PLANE_PROPERTIES,
+    PLANE_KEYS,
     RAIN_CLOUDS,
     SCENARIO_FIELDS,
+    SHORT_FORMS,
     Kind,
     ScenarioField,
+    by_key,
     clock_words,
+    other_form,
 )
 from taxinet_ros.errors import UsageError
 
@@ -43,10 +46,10 @@ def keys(field: ScenarioField) -> str:
 
 
 def test_given_the_rows_then_no_name_stands_for_two_keys():
-    for name in ('key', 'attribute', 'title', 'word'):
+    for name in ('key', 'attribute', 'title', 'label'):
         names = [getattr(field, name) for field in SCENARIO_FIELDS]
         assert len(set(names)) == len(names), name
-    assert tuple(field.word for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
+    assert tuple(field.key for field in PAPER_FIELDS) == HUMAN_KEYS[:6]
 
 
 def test_given_the_rows_then_a_scenario_has_these_attributes_in_this_order_and_no_other():
@@ -92,11 +95,12 @@ def test_given_the_rows_then_the_world_of_the_programs_has_these_words_and_prope
     assert f'\nCLOUDS = {CLOUDS!r}\n' in text
     assert f'\nRAIN_CLOUDS = {RAIN_CLOUDS!r}\n' in text
     properties = re.findall(r'^    (\w+)\[dynamic, final\]:', text, re.MULTILINE)
-    assert properties == list(PLANE_PROPERTIES.values())
+    short = [key for key in SHORT_FORMS if SHORT_FORMS[key] in PLANE_KEYS]
+    assert properties == [*PLANE_KEYS, *(name for name in short if name != 'heading')]
     said = re.search(r'may set these parameters: (.*?)\.\n', text, re.DOTALL)[1]
     assert sorted(set(re.findall(r'\w+', said)) & set(BY_KEY)) == sorted(PARAMETERS)
     for field in NUMBERS:
-        assert field.plane or re.search(rf'\b{field.word} \[{field.unit}[],]', said), field.key
+        assert field.plane or re.search(rf'\b{field.key} \[{field.unit}[],]', said), field.key
 
 
 def test_given_the_rows_then_the_pages_list_them_all():
@@ -104,7 +108,7 @@ def test_given_the_rows_then_the_pages_list_them_all():
     said = re.search(r'^\| `param` of the scenario: (.*?) \|', scenic, re.MULTILINE)[1]
     assert sorted(re.findall(r'`(\w+)`', said)) == sorted(PARAMETERS)
     said = re.search(r'^\| `with (.*?) \| refused: they follow', scenic, re.MULTILINE)[1]
-    assert re.findall(r'\w+', said) == list(PLANE_PROPERTIES.values())
+    assert re.findall(r'\w+', said) == list(PLANE_KEYS)
     tour = (ROOT / 'docs/tour.md').read_text(encoding='utf-8')
     said = re.search(r'People write\n?(.*?)`--set` fixes', tour, re.DOTALL)[1]
     assert re.findall(r'`(\w+)`', said) == list(HUMAN_KEYS)
@@ -120,7 +124,17 @@ def test_given_a_key_when_its_value_goes_out_and_in_again_then_it_is_the_same(fi
     value = getattr(Scenario(), field.attribute)
     typed = field.to_human(value)
     assert field.from_human(str(typed) if not isinstance(typed, bool) else typed) == value
-    assert getattr(scenario_from_human({field.word: typed}), field.attribute) == value
+    assert getattr(scenario_from_human({field.key: typed}), field.attribute) == value
+
+
+def test_given_a_short_form_then_it_is_the_key_without_its_unit_and_means_the_same():
+    for short, key in SHORT_FORMS.items():
+        assert re.fullmatch(rf'{short}_[a-z]+', key)
+        assert (other_form(short), other_form(key)) == (key, short)
+        assert by_key({short: 1, 'clouds': 2, 'fog': 3}) == {key: 1, 'clouds': 2, 'fog': 3}
+        with pytest.raises(UsageError, match=f'{short} and {key} are the same; leave one out'):
+            by_key({key: 1, short: 1})
+    assert other_form('clouds') == other_form('fog') == ''
 
 
 @pytest.mark.parametrize('field', NUMBERS, ids=keys)
@@ -135,9 +149,10 @@ def test_given_a_number_then_both_ends_of_its_range_are_allowed_and_nothing_beyo
 @pytest.mark.parametrize(
     ('key', 'value', 'words'),
     [
-        ('cross_track', 2.55, '+2.5 m'), ('cross_track', 0.0, '0.0 m'), ('distance', 400, '400 m'),
-        ('heading', -20.0, '-20.0 deg'), ('rain', 30.0, '30 %'), ('time_of_day', 10.55, '10:33'),
-        ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration', 30.0, '30 s'),
+        ('cross_track_m', 2.55, '+2.5 m'), ('cross_track_m', 0.0, '0.0 m'),
+        ('distance_m', 400, '400 m'), ('heading_deg', -20.0, '-20.0 deg'),
+        ('rain_percent', 30.0, '30 %'), ('time_of_day_h', 10.55, '10:33'),
+        ('clouds', 'clear', 'clear'), ('shadows', False, 'off'), ('duration_s', 30.0, '30 s'),
     ],
 )
 def test_given_a_value_in_human_units_when_said_then_with_its_unit(key, value, words):

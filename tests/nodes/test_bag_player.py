@@ -123,7 +123,7 @@ def test_given_nobody_to_listen_when_the_time_is_up_then_that_is_said(bag, capfd
     ):
         assert player.play(executor) == 4
     (line,) = capfd.readouterr().err.splitlines()[-1:]
-    assert 'error: bag_player: nobody subscribed to /taxi_command within 0.1 s' in line
+    assert 'error: bag_player: no subscriber on /taxi_command within 0.1 s' in line
 
 
 def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_ends_with_130(bag):
@@ -144,7 +144,7 @@ def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_en
 @pytest.mark.parametrize(
     ('parameters', 'words'),
     [
-        ({'bag': ''}, 'which one'),
+        ({'bag': ''}, 'is required'),
         ({'bag': 'nowhere'}, 'nowhere'),
         ({'rate': 0.0}, 'allowed: 0.01..1000.0'),
         ({'start_offset': 9.0}, 'is 2 s long'),

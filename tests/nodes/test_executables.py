@@ -64,6 +64,7 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         ('steering_controller', 'heading_gain:=100.0', 'allowed: 0.0..10.0'),
         ('steering_controller', 'heading_gain:=fast', 'expecting type'),
         ('simulator', 'answer_timeout:=-1.0', 'answer_timeout'),
+        ('simulator', 'answer_timeout:=5000', 'value: 5000.0: answer_timeout; allowed: 0.1..3600'),
         ('simulator', 'use_sim_time:=perhaps', 'use_sim_time'),
         ('mtl_monitor', 'formula:=x', "unknown parameter 'formula'"),
         ('taxinet_perception', 'weights:=gone.safetensors', 'no such file'),

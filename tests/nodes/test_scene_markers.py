@@ -15,13 +15,13 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from taxinet_msgs.msg import RunStatus
 
+from taxinet_ros.bag.run.messages import odometry_cdr
 from taxinet_ros.bag.run.recording import open_recording
 from taxinet_ros.core.place.catalogue import default_runway
 from taxinet_ros.core.place.markings import EDGE_STRIPE_WIDTH_M, edge_stripe_y_m
 from taxinet_ros.core.types import AircraftState
 from taxinet_ros.nodes import interface
 from taxinet_ros.nodes.bag_player import BagPlayer
-from taxinet_ros.nodes.messages.step import odometry_cdr
 from taxinet_ros.nodes.running.domain import own_domain
 from taxinet_ros.nodes.scene_markers import AircraftMarkers, SceneMarkers, runway_markers
 

@@ -21,7 +21,7 @@ from taxinet_ros.core.types import TrackingError
 from taxinet_ros.errors import UsageError
 
 PAIRS = 8
-LIGHT: Mapping[str, object] = {'time_of_day': 9 + 4 / 60, 'clouds': 'clear'}
+LIGHT: Mapping[str, object] = {'time_of_day_h': 9 + 4 / 60, 'clouds': 'clear'}
 """Light of our pictures where none is named: that of the published X-Plane frames."""
 
 _RESOLUTION = 1e-9
@@ -195,8 +195,8 @@ def comparison_scenes(
     scenes, reason = {}, ''
     for frame in frames:
         pose = {
-            'cross_track': frame.truth.cte_m, 'heading': math.degrees(frame.truth.he_rad),
-            'distance': frame.distance_m + distance_offset_m,
+            'cross_track_m': frame.truth.cte_m, 'heading_deg': math.degrees(frame.truth.he_rad),
+            'distance_m': frame.distance_m + distance_offset_m,
         }
         try:
             scenes[frame] = scenario_from_human({**base, **pose})

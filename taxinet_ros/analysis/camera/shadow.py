@@ -112,7 +112,7 @@ def shadow_appearances(
         UsageError: a value that no scenario may have.
     """
     return [
-        _look({'clouds': 'clear', **settings, 'time_of_day': hour}, turbidity) for hour in hours
+        _look({'clouds': 'clear', **settings, 'time_of_day_h': hour}, turbidity) for hour in hours
     ]
 
 

@@ -81,7 +81,7 @@ class Effect:
     Attributes:
         factor: the factor.
         outcomes: one for each moment.
-        removed: share of the moments' error that goes with it; negative where it grows.
+        removed: share of the moments' error removed by the edit; negative if the error grows.
         changed: whether it changes any of the pictures.
     """
 

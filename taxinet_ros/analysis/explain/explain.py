@@ -167,7 +167,7 @@ def _scene(moment: Moment, run: RecordedRun) -> dict[str, float | str]:
     return {
         'cte_m': moment.truth.cte_m,
         'heading_error_deg': float(np.degrees(moment.truth.he_rad)),
-        **{name: human[name] for name in ('time_of_day', 'rain', 'clouds')},
+        **{name: human[name] for name in ('time_of_day_h', 'rain_percent', 'clouds')},
     }
 
 

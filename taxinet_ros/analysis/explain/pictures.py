@@ -255,10 +255,10 @@ def _neighbour(axes: Axes, near: Neighbour, images: TrainingImages, unit: str) -
     row = images.scenes.iloc[near.row]
     axes.set_title(f'{near.distance:.2g} {unit} away', fontsize=8, loc='left')
     label = f'{row["cte_m"]:.1f} m, {row["heading_error_deg"]:.0f}°'.replace('-', '−')
-    if 'time_of_day' in row and 'clouds' in row:
-        label += f'; {clock_words(float(row["time_of_day"]))}, {row["clouds"]}'
-        if float(row.get('rain', 0)) > 0:
-            label += f', rain {float(row["rain"]):.0f} %'
+    if 'time_of_day_h' in row and 'clouds' in row:
+        label += f'; {clock_words(float(row["time_of_day_h"]))}, {row["clouds"]}'
+        if float(row.get('rain_percent', 0)) > 0:
+            label += f', rain {float(row["rain_percent"]):.0f} %'
     axes.set_xlabel(label, fontsize=7)
 
 

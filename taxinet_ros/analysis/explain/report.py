@@ -141,8 +141,9 @@ def _facts(found: Explanation) -> dict[str, str]:
     return {
         'network': network if found.own else f'{network}; the run was driven by {recorded}',
         'scene': (
-            f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}, rain {scene["rain"]:.0f} %, '
-            f'start {scene["distance"]:,.0f} m past the threshold'
+            f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}, '
+            f'rain {scene["rain_percent"]:.0f} %, '
+            f'start {scene["distance_m"]:,.0f} m past the threshold'
         ),
         'frames': f'{len(found.track.seq)}, of which {len(found.insights)} were examined',
     }

@@ -10,6 +10,6 @@ Everywhere else a message is an object. Here it is bytes, for two reasons:
   :mod:`.fields` numbers into a message that was: 0.2 ms of a control step on the truth of 0.7 ms.
 
 :mod:`.decode` is the way back, by rosbags' generated code, whose objects cost a third of rclpy's.
-Nodes see none of this: they call ``nodes/messages/step.py``, one function for each message. What
+Nodes see none of this: they call ``bag/run/messages.py``, one function for each message. What
 was measured is in ``docs/performance.md``, entries 3, 5, 27 and 31.
 """

@@ -37,7 +37,7 @@ from taxinet_ros.core.provenance import NAMES, Provenance
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRun:
@@ -66,7 +66,7 @@ class RecordedRun:
     timing: Timing = AT_ONCE
 
 
-def recorded_run(recording: Recording) -> RecordedRun:
+def recorded_run(recording: StoredRuns) -> RecordedRun:
     """See :attr:`.recording.Recording.run`."""
     path = recording.path
     scenario: Any = None
@@ -209,7 +209,7 @@ class RunFacts:
     figures: Mapping[str, float | bool]
 
 
-def run_facts(recording: Recording) -> RunFacts | None:
+def run_facts(recording: StoredRuns) -> RunFacts | None:
     """See :attr:`.recording.Recording.facts`."""
     told = _FactsReader(recording.path)
     for relative, stored in recording.messages(_FACT_TOPICS):

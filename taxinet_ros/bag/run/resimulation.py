@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from taxinet_ros.bag.errors import BagEmpty, BagError, BagForeign
 from taxinet_ros.bag.reader import decode_of
+from taxinet_ros.bag.run.facts import RecordedRun, free_account
 from taxinet_ros.bag.run.message_values import command_of, stamp_of
 from taxinet_ros.bag.run.topics import COMMAND, ODOMETRY
 from taxinet_ros.core.aircraft import CONTROL_PERIOD_NS
@@ -24,18 +25,20 @@ from taxinet_ros.errors import InfraError, UsageError
 from taxinet_ros.registry import KMWH
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 class WorldDiffers(BagError):  # noqa: N818 - the state of the bag
     """Driven again, the aircraft is elsewhere: another version or machine has recorded the bag."""
 
 
-def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterator[Observation]:
+def observations(
+    recording: StoredRuns, run: RecordedRun, wanted: Callable[[int], bool]
+) -> Iterator[Observation]:
     """See :meth:`.recording.Recording.observations`."""
     path = recording.path
     recorded, commands = _states_and_commands(recording)
-    world = recorded_world(recording).make(recording.run.request.scenario)
-    held = _held(recording, commands)
+    world = recorded_world(path, run).make(run.request.scenario)
+    held = _held(recording, run, commands)
     for seq in range(world.last_seq + 1):
         if seq not in recorded:
             return
@@ -51,13 +54,12 @@ def observations(recording: Recording, wanted: Callable[[int], bool]) -> Iterato
             return
 
 
-def recorded_world(recording: Recording) -> ChosenWorld:
-    """The world that the run took place in.
+def recorded_world(path: Path, run: RecordedRun) -> ChosenWorld:
+    """The world that the run of the bag at ``path`` took place in.
 
     Raises:
         UsageError: a package brought it that is not installed, or is another one now.
     """
-    path, run = recording.path, recording.run
     try:
         return find_world(run.world or KMWH, run.world_fingerprint)
     except UsageError as error:
@@ -65,14 +67,14 @@ def recorded_world(recording: Recording) -> ChosenWorld:
 
 
 def _held(
-    recording: Recording, commands: dict[int, TaxiCommand]
+    recording: StoredRuns, run: RecordedRun, commands: dict[int, TaxiCommand]
 ) -> Callable[[int], TaxiCommand | None]:
     """Which command held from each step to the next; None where the bag does not tell."""
-    path, run = recording.path, recording.run
+    path = recording.path
     if not run.timing.free:
         late = LateCommands(run.timing, run.request.seed, run.request.index)
         return lambda seq: late.at(seq, commands[seq]) if seq in commands else None
-    account = recording.free_account
+    account = free_account(recording.info)
     if account is None:
         raise BagEmpty(
             f'{path}: a free run that does not tell which command held when, for it was not ended '
@@ -88,7 +90,7 @@ def _held(
 
 
 def _states_and_commands(
-    recording: Recording,
+    recording: StoredRuns,
 ) -> tuple[dict[int, dict[str, float]], dict[int, TaxiCommand]]:
     states: dict[int, dict[str, float]] = {}
     commands: dict[int, TaxiCommand] = {}

@@ -40,7 +40,7 @@ from taxinet_ros.core.types import NS_PER_S
 from taxinet_ros.errors import UsageError
 
 if TYPE_CHECKING:
-    from taxinet_ros.bag.run.recording import Recording
+    from taxinet_ros.bag.run.stored_runs import StoredRuns
 
 _TOPIC_OF_SIGNAL = {
     'cte': TRUTH, 'he': TRUTH, 'x': ODOMETRY, 'speed': ODOMETRY, 'steering': COMMAND,
@@ -121,7 +121,7 @@ def same_bits(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def run_samples(
-    recording: Recording, names: Collection[str] | None = None
+    recording: StoredRuns, names: Collection[str] | None = None
 ) -> list[RunSamples]:
     """The samples of every run in a recording; damage is told in the result, not raised.
 
@@ -151,7 +151,7 @@ class _NotPlainError(Exception):
     """The bag is not one run as our recorder logs it."""
 
 
-def _read_plain(recording: Recording, names: Collection[str] | None) -> _SamplesReader | None:
+def _read_plain(recording: StoredRuns, names: Collection[str] | None) -> _SamplesReader | None:
     """The quick way, for recordings as they should be: runs need not be told apart."""
     if not recording.checked:
         return None
@@ -165,7 +165,7 @@ def _read_plain(recording: Recording, names: Collection[str] | None) -> _Samples
     return reader
 
 
-def _read_runs(recording: Recording, names: Collection[str] | None) -> list[RunSamples]:
+def _read_runs(recording: StoredRuns, names: Collection[str] | None) -> list[RunSamples]:
     """The slow way, which tells runs apart, and says what is wrong."""
     path = recording.path
     trouble = [str(error) for error in recording.damage]

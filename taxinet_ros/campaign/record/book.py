@@ -22,13 +22,16 @@ from typing import Any, Self
 from taxinet_ros.campaign.options import CampaignOptions, check_new, make_out
 from taxinet_ros.campaign.record.facts import (
     ARMS,
+    EXTENSIONS,
     FACTS_NAME,
     LEDGER_NAME,
     STACKS,
     WORLD,
+    package_words,
     recorded_stacks,
     stack_difference,
     this_stack,
+    with_present_keys,
     write_facts,
 )
 from taxinet_ros.campaign.record.ledger import EMPTY_LEDGER, Ledger, LedgerContent, read_ledger
@@ -394,15 +397,29 @@ def read_same_campaign(
 
 def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(now))
-    before = {**_DEFAULTS_OF_BEFORE, **before}
+    before = {**_DEFAULTS_OF_BEFORE, **with_present_keys(before)}
     for name, command in _WRITTEN_BY.items():
         if name in now and name not in before:
             raise UsageError(f'--resume: {out / FACTS_NAME}: not written by {command}')
+    _check_same_packages(out, before.get(EXTENSIONS, {}), now.get(EXTENSIONS, {}))
     for name in now:
         if name not in _MAY_DIFFER and before.get(name) != now[name]:
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
                 f'{short_json(now[name])}; repeat its options, or name another --out'
+            )
+
+
+def _check_same_packages(
+    out: Path, before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]
+) -> None:
+    for kind in before.keys() & now.keys():
+        one, other = before[kind], now[kind]
+        if one != other and one['name'] == other['name']:
+            raise UsageError(
+                f'--resume: {out} was begun with {package_words(kind, one)}, which is now of '
+                f'{other["distribution"]} {other["version"]} (sha256 {other["sha256"][:12]}…); put '
+                'the package back as it was, or name another --out'
             )
 
 

@@ -6,7 +6,8 @@ tables, and says where the ledger ended.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from taxinet_ros.campaign.options import CampaignOptions
 from taxinet_ros.campaign.scenes.programs import program_digest, program_text
 from taxinet_ros.core.controller import check_controller
 from taxinet_ros.core.provenance import begun_elsewhere, known, provenance, stack_id
+from taxinet_ros.core.scenario_fields import SHORT_FORMS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_error, write_atomically
 from taxinet_ros.files.sealed_json import SealedJson, read_sealed, sealed_text, write_sealed
-from taxinet_ros.registry import KMWH, WORLDS, origins
+from taxinet_ros.registry import KMWH, WORLDS, find, origins
 from taxinet_ros.version import __version__
 
 FACTS_NAME = 'campaign.json'
@@ -28,6 +30,9 @@ ARMS = 'experiment_arms'
 
 EXTENSIONS = 'extensions'
 """The fact that names the packages of what is not shipped, with their versions and hashes."""
+
+_BY_KEY = ('overrides', 'laid_over', 'original', 'nominal', 'steps')
+"""Facts that have values by scenario key; ``parameters``, of a shrinking, lists keys."""
 
 WORLD = 'world'
 """The fact that names the world that the runs take place in; versions without a choice had none."""
@@ -99,6 +104,38 @@ def recorded_world(facts: Mapping[str, Any]) -> tuple[str, str]:
     return str(facts.get(WORLD, KMWH)), str(package.get('sha256', ''))
 
 
+@contextlib.contextmanager
+def missing_packages_named(out: Path | None) -> Iterator[None]:
+    """Within the ``with``, who refuses a name that nobody has any more says whose it was.
+
+    Args:
+        out: folder of the campaign that tells whose, or of several; None for none.
+
+    Raises:
+        UsageError: as within.
+    """
+    try:
+        yield
+    except UsageError as error:
+        for folder in () if out is None else (out, *sorted(out.glob('*/'))):
+            told = read_facts(folder)
+            for kind, one in (told.values.get(EXTENSIONS, {}) if told else {}).items():
+                if repr(one['name']) in str(error) and find(kind, one['name']) is None:
+                    raise UsageError(
+                        f'{error}; in {folder} it was {package_words(kind, one)}, which is not '
+                        'installed any more'
+                    ) from error
+        raise
+
+
+def package_words(kind: str, told: Mapping[str, str]) -> str:
+    """An extension as a campaign tells of it: what it is, whose, and the hash of its package."""
+    return (
+        f'{kind.removesuffix("s")} {told["name"]} of {told["distribution"]} {told["version"]} '
+        f'(sha256 {told["sha256"][:12]}…)'
+    )
+
+
 def this_stack() -> str:
     """Which of a campaign's stacks this process is."""
     return stack_id(provenance())
@@ -107,6 +144,14 @@ def this_stack() -> str:
 def this_stack_record() -> dict[str, dict[str, str]]:
     """The record of this process under its name, to be added to those of earlier sittings."""
     return {this_stack(): dict(provenance())}
+
+
+def with_present_keys(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Facts with scenario keys as they are written now: before, they had no units."""
+    present: dict[str, Any] = {name: by_key(facts[name]) for name in _BY_KEY if name in facts}
+    if 'parameters' in facts:
+        present['parameters'] = [SHORT_FORMS.get(key, key) for key in facts['parameters']]
+    return {**facts, **present}
 
 
 def recorded_stacks(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:

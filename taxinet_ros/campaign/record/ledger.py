@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from taxinet_ros.bag.layout import is_run_name
-from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts
+from taxinet_ros.campaign.record.facts import FACTS_NAME, read_facts, with_present_keys
 from taxinet_ros.campaign.record.row import RunRow
 from taxinet_ros.core.mtl import RobustnessInterval
 from taxinet_ros.core.outcome import Outcome
@@ -223,6 +223,7 @@ def _may_be_of(facts: Mapping[str, Any], event: Mapping[str, Any]) -> bool:
 
 def other_campaign(before: Mapping[str, Any], facts: Mapping[str, Any]) -> str:
     """Name of the first fact by which two are of different campaigns, or ''."""
+    before, facts = with_present_keys(before), with_present_keys(facts)
     for name in _IDENTITY:
         one, other = before.get(name), facts.get(name)
         told = name in before and name in facts and (name != 'perception' or (one and other))

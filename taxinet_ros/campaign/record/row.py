@@ -15,7 +15,7 @@ from taxinet_ros.core.mtl.specs import MOST_UNUSABLE_SHARE
 from taxinet_ros.core.outcome import Outcome, RunRequest, RunResult
 from taxinet_ros.core.pacing.timing import parse_timing
 from taxinet_ros.core.place.catalogue import is_reference
-from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS
+from taxinet_ros.core.scenario_fields import SCENARIO_FIELDS, by_key
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import check_kind
 
@@ -139,7 +139,7 @@ class RunRow:
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f'{_KEYS.get(column.name, column.name)} is {value}')
+                raise ValueError(f'{ON_DISK.get(column.name, column.name)} is {value}')
         try:
             parse_timing(self.timing)
         except UsageError as error:
@@ -153,7 +153,7 @@ class RunRow:
             value = getattr(self, known.key)
             if known.words and value and value not in known.words:
                 raise ValueError(
-                    f'{known.word} is {value!r:.40}, not one of {", ".join(known.words)}'
+                    f'{known.key} is {value!r:.40}, not one of {", ".join(known.words)}'
                 )
         if self.place and not is_reference(self.place):
             raise ValueError(f'place is {self.place!r:.80}, no reference of one')
@@ -173,7 +173,7 @@ class RunRow:
     @property
     def scene(self) -> dict[str, Any]:
         """The scenario by key, in human units; None, or '' for words, if none could be drawn."""
-        return {known.word: getattr(self, known.key) for known in SCENARIO_FIELDS}
+        return {known.key: getattr(self, known.key) for known in SCENARIO_FIELDS}
 
     @property
     def unusable_share(self) -> float:
@@ -247,7 +247,7 @@ class RunRow:
             run_id=request.run_id, index=request.index, program=request.program, seed=request.seed,
             perception=perception, fingerprint=result.fingerprint,
             timing=result.timing, free=dict(result.free),
-            **request.scenario.to_columns(),
+            **request.scenario.to_human(),
             outcome=result.outcome, kind=result.kind, who=result.who, detail=result.detail,
             robustness=dict(result.robustness), **_figures(result, sim_s),
             steps=result.last_seq + 1, sim_s=sim_s, bag=bag, stack=stack,
@@ -274,12 +274,12 @@ class RunRow:
                 values['rho_lower'] = {spec: interval.lower for spec, interval in ends.items()}
                 values['rho_upper'] = {spec: interval.upper for spec, interval in ends.items()}
             else:
-                values[_KEYS.get(name, name)] = value
+                values[ON_DISK.get(name, name)] = value
         return {**values, 'outcome': self.outcome.value}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Read back what :meth:`to_json` gave.
+        """Read back what :meth:`to_json` gave, now or before scenario keys had units.
 
         Raises:
             UsageError: a column is missing, unknown or of another kind, the outcome is none of the
@@ -292,10 +292,10 @@ class RunRow:
             for known in SCENARIO_FIELDS if known.absent is not None
         }
         try:
-            if stray := values.keys() & _KEYS.keys():
+            if stray := values.keys() & ON_DISK.keys():
                 raise ValueError(f'unexpected {min(stray)}')
             columns = {
-                _COLUMNS.get(name, name): value for name, value in values.items()
+                _ATTRIBUTES.get(name, name): value for name, value in by_key(values).items()
                 if name not in _BOUNDS
             }
             row = cls(**{
@@ -303,7 +303,7 @@ class RunRow:
                 'robustness': _robustness(values),
             })
             for column in dataclasses.fields(cls):
-                name = _KEYS.get(column.name, column.name)
+                name = ON_DISK.get(column.name, column.name)
                 check_kind(name, str(column.type), getattr(row, column.name))
             row.check()
             return row
@@ -314,12 +314,7 @@ class RunRow:
 ON_DISK = {'fingerprint': 'perception_fingerprint'}
 """Columns of ledgers and tables that have a longer name than a row's attribute."""
 _BOUNDS = ('rho', 'rho_lower', 'rho_upper')
-_KEYS = {
-    **{known.key: known.short for known in SCENARIO_FIELDS if known.short},
-    **ON_DISK,
-}
-"""The ledger has a scene by its keys, a row by the columns of the table."""
-_COLUMNS = {key: column for column, key in _KEYS.items()}
+_ATTRIBUTES = {name: attribute for attribute, name in ON_DISK.items()}
 
 
 def _robustness(values: Mapping[str, Any]) -> dict[str, RobustnessInterval]:

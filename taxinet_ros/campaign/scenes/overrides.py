@@ -12,14 +12,23 @@ from typing import Any
 
 from taxinet_ros.core.place.catalogue import DEFAULT_PLACE
 from taxinet_ros.core.scenario import Scenario, scenario_from_human
-from taxinet_ros.core.scenario_fields import BY_KEY, PLACE, RAIN_CLOUDS
+from taxinet_ros.core.scenario_fields import (
+    BY_KEY,
+    HEADING,
+    PLACE,
+    RAIN,
+    RAIN_CLOUDS,
+    SKY,
+    TIME_OF_DAY,
+    by_key,
+)
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import UsageError
 
-WEATHER = ('clouds', 'rain')
+WEATHER = (SKY.key, RAIN.key)
 """The two keys that bind each other: rain falls from rain clouds only."""
 
-_DOUBTED = ('rain', 'time_of_day', 'heading')
+_DOUBTED = (RAIN.key, TIME_OF_DAY.key, HEADING.key)
 _RIGHT_ANGLE_RAD = 1.58
 
 
@@ -31,23 +40,26 @@ def check_overrides(overrides: Mapping[str, str]) -> None:
     """See that each override alone is a known key with a possible value.
 
     Raises:
-        UsageError: unknown key, bad value, or rain and clouds that contradict each other.
+        UsageError: unknown key, bad value, one key in both its forms, or rain and clouds that
+            contradict each other.
     """
-    place = {PLACE.word: overrides[PLACE.word]} if PLACE.word in overrides else {}
+    overrides = by_key(overrides)
+    place = {PLACE.key: overrides[PLACE.key]} if PLACE.key in overrides else {}
     for key, value in overrides.items():
         try:
             check_value(key, value, place)
         except UsageError as error:
             raise _headed(error, f'override {key}={value}') from error
     if all(key in overrides for key in WEATHER):
-        _build(overrides, f'override clouds={overrides["clouds"]} rain={overrides["rain"]}')
+        given = ' '.join(f'{key}={overrides[key]}' for key in WEATHER)
+        _build(overrides, f'override {given}')
 
 
 def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
     """Fixed values that are possible, and look as if they were meant in another unit.
 
     Args:
-        overrides: checked by :func:`check_overrides`.
+        overrides: by key, checked by :func:`check_overrides`.
 
     Returns:
         A line for each.
@@ -56,16 +68,18 @@ def doubtful_values(overrides: Mapping[str, str]) -> list[str]:
     found = []
     rain, hours, heading = (numbers.get(key, 0.0) for key in _DOUBTED)
     if 0 < rain < 1:
-        found.append(f'rain={rain:g} is {rain:g} %, too little to see; for half write rain=50')
+        found.append(
+            f'{RAIN.key}={rain:g} is {rain:g} %, too little to see; for half write {RAIN.key}=50'
+        )
     if 0 < hours < 1:
         found.append(
-            f'time_of_day={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
+            f'{TIME_OF_DAY.key}={hours:g} is {60 * hours:.0f} minutes past midnight; hours go to 24'
         )
     # Two decimals or more within a right angle of radians: nobody sets degrees so finely there.
     if 0.05 < abs(heading) < _RIGHT_ANGLE_RAD and round(heading, 1) != heading:
         found.append(
-            f'heading={heading:g} is {heading:g} degrees; {heading:g} rad would be '
-            f'heading={math.degrees(heading):.1f}'
+            f'{HEADING.key}={heading:g} is {heading:g} degrees; {heading:g} rad would be '
+            f'{HEADING.key}={math.degrees(heading):.1f}'
         )
     return found
 
@@ -74,8 +88,8 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     """The scenario of the ``drawn`` human values with ``overrides`` laid over them.
 
     Args:
-        drawn: what the program says, in human units.
-        overrides: checked by :func:`check_overrides`.
+        drawn: what the program says, by key, in human units.
+        overrides: by key, checked by :func:`check_overrides`.
         where: program and scene, to head an error.
 
     Raises:
@@ -85,7 +99,7 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
     values = {**drawn, **overrides}
     # With both or neither overridden a contradiction is not between an override and the program.
     if sum(key in overrides for key in WEATHER) == 1:
-        _check_weather(values, 'rain' in overrides, where)
+        _check_weather(values, RAIN.key in overrides, where)
     scenario = _build(values, where)
     try:
         last_step(scenario)
@@ -95,32 +109,32 @@ def apply_overrides(drawn: Mapping[str, Any], overrides: Mapping[str, str], wher
 
 
 def _check_weather(values: Mapping[str, Any], rain_is_set: bool, where: str) -> None:
-    clouds = values.get('clouds', Scenario().clouds)
+    clouds = values.get(SKY.key, Scenario().clouds)
     try:
-        rain = float(values.get('rain', 0.0))
+        rain = float(values.get(RAIN.key, 0.0))
     except (TypeError, ValueError):
         return  # what it is is not known to be rain
     if clouds in RAIN_CLOUDS or not rain > 0:
         return
     if rain_is_set:
         raise Contradiction(
-            f'override rain={values["rain"]}: {where} has clouds {clouds}, which cannot '
+            f'override {RAIN.key}={values[RAIN.key]}: {where} has clouds {clouds}, which cannot '
             f'rain; set clouds={RAIN_CLOUDS[0]} (or {"/".join(RAIN_CLOUDS[1:])}) as well'
         )
     raise Contradiction(
         f'override clouds={clouds}: {where} has {rain:.0f} % rain, '
-        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set rain=0 as well'
+        f'which needs clouds {"/".join(RAIN_CLOUDS)}; set {RAIN.key}=0 as well'
     )
 
 
 def impossible_keys(values: Mapping[str, Any]) -> set[str]:
     """Keys of values that no scenario at their place could have, whatever the others were."""
     found = set()
-    place = {PLACE.word: values.get(PLACE.word, DEFAULT_PLACE)}
+    place = {PLACE.key: values.get(PLACE.key, DEFAULT_PLACE)}
     try:
         scenario_from_human(place)
     except UsageError:
-        return {PLACE.word}
+        return {PLACE.key}
     for key, value in values.items():
         try:
             check_value(key, value, place)

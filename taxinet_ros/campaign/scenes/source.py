@@ -27,7 +27,7 @@ from taxinet_ros.campaign.scenes.programs import find_program, shipped_folder
 from taxinet_ros.campaign.scenes.scenic_child import MAX_ITERATIONS
 from taxinet_ros.campaign.scenes.search_space import SearchSpace
 from taxinet_ros.core.scenario import Scenario
-from taxinet_ros.core.scenario_fields import BY_PLACE, HUMAN_KEYS, PLACE
+from taxinet_ros.core.scenario_fields import BY_PLACE, DURATION, HUMAN_KEYS, PLACE, by_key
 from taxinet_ros.core.world import last_step
 from taxinet_ros.errors import InfraError, InfraKind, UsageError
 from taxinet_ros.files.plain_values import load_json
@@ -109,8 +109,8 @@ class SceneSource:
         Args:
             program: word of a shipped program, or path of a ``.scenic`` file.
             seed: of the campaign, 0..2^63-1.
-            overrides: human keys and values that replace what is drawn; choices that they make
-                idle are no dimensions.
+            overrides: human keys, or their short forms, and values that replace what is drawn;
+                choices that they make idle are no dimensions.
             laid_over: likewise, but the dimensions are those without them, so a point gives the
                 scene that it gives without them, with these values changed.
             timeout_s: most wall-clock time for compiling, and for each scene [s].
@@ -121,10 +121,11 @@ class SceneSource:
         """
         if not 0 <= seed < 1 << 63:
             raise UsageError(f'seed is {seed}; it has to be within 0..2^63-1')
+        overrides, laid_over = by_key(overrides), by_key(laid_over)
         check_overrides({**overrides, **laid_over})
         self.program = find_program(program)
         self._seed = seed
-        self._overrides = dict(overrides)
+        self._overrides = overrides
         self._values = {**overrides, **laid_over}
         self._timeout_s = timeout_s
         self._meanwhile = meanwhile
@@ -170,7 +171,7 @@ class SceneSource:
     @property
     def fixed_length(self) -> Mapping[str, str]:
         """The duration among the overrides, if it is there."""
-        return {key: value for key, value in self._values.items() if key == 'duration'}
+        return {key: value for key, value in self._values.items() if key == DURATION.key}
 
     @property
     def drawn_notes(self) -> tuple[str, ...]:
@@ -242,7 +243,7 @@ class SceneSource:
     def _by_chance(self, values: Mapping[str, Any]) -> bool:
         """Whether the program, which says what is no scenario, would not say so in every scene."""
         drawn = self.search_space().drawn - set(self._values)
-        if PLACE.word in drawn:  # by which some others are possible or not
+        if PLACE.key in drawn:  # by which some others are possible or not
             drawn |= BY_PLACE
         impossible = impossible_keys(values)
         if impossible:

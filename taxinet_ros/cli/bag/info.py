@@ -1,4 +1,4 @@
-"""``taxinet bag info``: what is in a bag, for people or as JSON."""
+"""``taxinet bag info``: show the contents of a bag as text or JSON."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from taxinet_ros.registry import KMWH
 
 _LABEL_WIDTH = 11
 _LONGEST_S = 86_400
-"""No recording of runs is as long [s]."""
+"""Longest plausible recording [s]."""
 
 
 def show_info(bag: Path, *, as_json: bool) -> int:
-    """Print what a bag holds.
+    """Print the contents of a bag.
 
     Returns:
         Exit code: 0 whole, 2 not readable, 3 unfinished or damaged.
@@ -64,7 +64,7 @@ def _run_lines(
 ) -> Iterator[tuple[str, str]]:
     if facts is None:
         why = 'there is no scenario in it'
-        yield 'run', f'{words}: {why}' if words else f'none of taxinet_ros: {why}'
+        yield 'run', f'{words}: {why}' if words else f'not from taxinet_ros: {why}'
         return
     version = info.metadata.get(RUN_METADATA, {}).get('taxinet_ros_version', 'unknown')
     drawn = f'{facts.program}, seed {facts.seed}, index {facts.index}' if facts.program else 'alone'
@@ -136,17 +136,17 @@ def _bag_lines(info: BagInfo, recording: Recording) -> Iterator[tuple[str, str]]
 
 
 def scene_words(scene: Mapping[str, Any]) -> str:
-    """A scenario, given in the units people read, in one line."""
-    rain = f', rain {scene["rain"]:.0f} %' if scene['rain'] else ''
+    """One-line description of a scenario in display units."""
+    rain = f', rain {scene["rain_percent"]:.0f} %' if scene['rain_percent'] else ''
     place = '' if scene['place'] == DEFAULT_PLACE else f'{scene["place"]}, '
     return (
-        f'{place}CTE {scene["cross_track"]:+.2f} m (left positive), '
-        f'HE {scene["heading"]:+.1f} deg, '
-        f'{scene["distance"]:.0f} m past the threshold, {scene["date"]} '
-        f'{clock_words(scene["time_of_day"])}, {scene["clouds"]}{rain}, '
+        f'{place}CTE {scene["cross_track_m"]:+.2f} m (left positive), '
+        f'HE {scene["heading_deg"]:+.1f} deg, '
+        f'{scene["distance_m"]:.0f} m past the threshold, {scene["date"]} '
+        f'{clock_words(scene["time_of_day_h"])}, {scene["clouds"]}{rain}, '
         f'shadows {"on" if scene["shadows"] else "off"}, '
         f'{"" if scene["crossing"] else "no crossing, "}{scene["aircraft"]}, '
-        f'{scene["duration"]:g} s'
+        f'{scene["duration_s"]:g} s'
     )
 
 
@@ -204,7 +204,7 @@ def _plain(
 
 
 def _facts_json(facts: RunFacts) -> dict[str, Any]:
-    """What a bag tells of a run; an interval as ``lower`` and ``upper``."""
+    """Facts of a run as JSON; an interval as ``lower`` and ``upper``."""
     values = asdict(facts)
     values['judged'] = {
         name: {
@@ -218,7 +218,7 @@ def _facts_json(facts: RunFacts) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """``value`` with every number that JSON has no word for as text: ``inf``, ``-inf``, ``nan``."""
+    """``value`` with non-finite numbers as text: ``inf``, ``-inf``, ``nan``."""
     if isinstance(value, Mapping):
         return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

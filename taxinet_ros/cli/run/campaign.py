@@ -1,4 +1,4 @@
-"""Runs a campaign on the graph, and shows it: a progress bar, a line per run, a summary."""
+"""Run a campaign on the graph and show progress bar, one line per run, and a summary."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from taxinet_ros.core.topics import PARTICIPANTS
 from taxinet_ros.core.user_code import command_of
 from taxinet_ros.core.world import find_world
 from taxinet_ros.errors import UsageError
-from taxinet_ros.processes.interrupts import interrupts
+from taxinet_ros.processes.interrupts import ToldInterrupt, interrupts
 
 if TYPE_CHECKING:
     from taxinet_ros.nodes.graph.runner import Graph
 
 
 def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
-    """Run it to its end and print what happened.
+    """Run the campaign and print the results.
 
     Args:
         options: what to run.
-        foxglove: port of 127.0.0.1 where the Foxglove app can watch it.
+        foxglove: port on 127.0.0.1 for the Foxglove app.
 
     Returns:
-        Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 the bench broke,
-        130 interrupted.
+        Exit code: 0 all satisfied, 1 some violated, 2 nothing could be judged, 4 infrastructure
+            error, 130 interrupted.
     """
     if foxglove is not None:
         from taxinet_ros.nodes.graph.foxglove_view import check_port
@@ -52,10 +52,10 @@ def run_campaign(options: CampaignOptions, foxglove: int | None = None) -> int:
 
 
 def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list[RunRow]:
-    """Run a campaign and print it; the rows of its table.
+    """Run and print a campaign; return the rows of its table.
 
     Raises:
-        KeyboardInterrupt: after an interrupt, where runs are left.
+        KeyboardInterrupt: interrupted with runs left.
     """
     console = Console(highlight=False)
     with _progress(console) as progress:
@@ -86,7 +86,7 @@ def campaign_rows(options: CampaignOptions, foxglove: int | None = None) -> list
                     at_hand.graph = None
     console.print(campaign_summary(campaign.rows, options), soft_wrap=True)
     if at_hand.interrupted and len(campaign.rows) < options.runs:
-        raise KeyboardInterrupt
+        raise ToldInterrupt if campaign.rows else KeyboardInterrupt
     return campaign.rows
 
 
@@ -111,7 +111,7 @@ def _progress(console: Console) -> Progress:
 
 
 class _Graphs:
-    """The graphs of a campaign, one after the other: a new one where the last one broke."""
+    """The graphs of a campaign, one at a time: a new one after each infrastructure error."""
 
     def __init__(self, options: CampaignOptions) -> None:
         self._options = options
@@ -129,12 +129,12 @@ class _Graphs:
         self._ahead.close()
 
     def make_ahead(self) -> None:
-        """Do what this process can while Scenic's starts: the first graph, and what it draws on.
+        """Start the first graph while the Scenic process starts.
 
-        ROS is imported here too, and not before: that takes as long as a third of Scenic's start.
+        ROS is imported here and not earlier: the import takes a third of Scenic's start-up time.
 
         Raises:
-            UsageError: the ROS domain set by hand is none; so no folder is made in vain.
+            UsageError: the ROS domain set by hand is invalid; raised before any folder is made.
         """
         from taxinet_ros.nodes.running.domain import domain_by_hand
 
@@ -142,16 +142,16 @@ class _Graphs:
         options = self._options
         commands = [options.perception, options.controller]
         if options.processes or any(map(command_of, commands)):
-            return  # It would leave its logs in a folder that is not there yet.
+            return  # It would write its logs to a folder that does not exist yet.
         if options.perception != GroundTruth.word or options.images == 'all':
             camera.prepare()
         self._made = self._ahead.enter_context(self._new())
 
     def check(self, facts: Mapping[str, Any]) -> None:
-        """See that controller and world are those that are on record.
+        """Check that controller and world still are the recorded ones.
 
         Raises:
-            UsageError: a file of them has changed between.
+            UsageError: a file of them has changed.
         """
         recorded = {
             'controller': facts['controller_sha256'], 'world': recorded_world(facts)[1],
@@ -159,11 +159,11 @@ class _Graphs:
         for role, sha256 in recorded.items():
             if sha256 != self._sha256[role]:
                 word = getattr(self._options, role)
-                raise UsageError(f'{role} {word} has changed while the campaign began')
+                raise UsageError(f'{role} {word} changed while the campaign was starting')
 
     @contextlib.contextmanager
     def next(self) -> Iterator[Graph]:
-        """A graph for the ``with``."""
+        """Context of one graph."""
         if self._made is None:
             with self._new() as graph:
                 yield graph
@@ -183,7 +183,7 @@ class _Graphs:
 
 
 class _Interruption:
-    """The graph that is to end its run in order when somebody interrupts."""
+    """The graph whose run is ended in order on an interrupt."""
 
     def __init__(self) -> None:
         self.interrupted = False
@@ -195,11 +195,11 @@ class _Interruption:
             self.graph.interrupt()
 
     def abort(self) -> bool:
-        """End the run at hand at once, if there is one."""
+        """Abort the current run, if any."""
         return self.graph is not None and self.graph.abort()
 
     def take(self, graph: Graph) -> None:
-        """Have a graph that may have been asked for before somebody interrupted."""
+        """Set the graph; abort at once if an interrupt came before."""
         self.graph = graph
         if self.interrupted:
             graph.interrupt()

@@ -133,6 +133,7 @@ class UserPerception(Perception):
         Raises:
             UsageError: the file's code fails.
         """
+        self.code = code
         self.word = code.word
         self.fingerprint = code.sha256
         self._run = RunCode(code)

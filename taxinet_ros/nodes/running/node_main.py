@@ -22,6 +22,7 @@ from rclpy.task import Future
 
 from taxinet_ros.errors import ExitCode, InfraError, RecordError, UsageError
 from taxinet_ros.nodes.running.parameters import Usage, read_arguments
+from taxinet_ros.nodes.running.remaps import cut_off
 from taxinet_ros.processes.interrupts import (
     exit_handler,
     exit_now,
@@ -67,7 +68,8 @@ _PATIENCE_S = 2.0
 class Waiting:
     """Looks whom a node waits for, and says so once it has lasted, at each change, and at its end.
 
-    A node tells by its method ``waits_for``, if it has one: names of other nodes, or none.
+    A node tells by its method ``waits_for``, if it has one: names of other nodes, or none. It warns
+    of remaps that have parted the node from those whom it is to meet.
     """
 
     def __init__(self, node: Any) -> None:
@@ -75,13 +77,15 @@ class Waiting:
         self._node = node
         self._since_s = 0.0
         self._told: tuple[str, ...] = ()
+        self._parted: list[str] = []
         self._timer = node.create_timer(
             _WAITING_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        ) if hasattr(node, 'waits_for') else None
+        )
 
     def look(self) -> None:
         """Say what has changed."""
-        names = tuple(sorted(self._node.waits_for()))
+        self._look_for_remaps()
+        names = tuple(sorted(getattr(self._node, 'waits_for', tuple)()))
         now_s = time.monotonic()
         if not names:
             if self._told:
@@ -95,8 +99,13 @@ class Waiting:
 
     def end(self) -> None:
         """Look no more."""
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
+
+    def _look_for_remaps(self) -> None:
+        before, self._parted = self._parted, cut_off(self._node)
+        for line in self._parted:
+            if line not in before:
+                self._node.get_logger().warning(line)
 
     def _say(self, line: str) -> None:
         self._node.get_logger().info(line)
@@ -107,7 +116,10 @@ _BAD_ARGUMENTS = (
     rclpy_implementation.RCLError,
 )
 GRACE_S = 5.0
-"""Longest time [s] that a node which was asked to end goes on, for the run at hand to end."""
+"""Longest time [s] that a node which was asked to end goes on, for the run at hand to end.
+
+Where the machine is so busy that the node itself has to wait, it is longer.
+"""
 AT_ONCE_S = 1.0
 """Longest time [s] that it then takes to leave the graph after a second signal."""
 _LOOK_S = 0.05
@@ -187,11 +199,11 @@ def _serve(node: Any, executor: Any) -> int:
         while not (asked.is_set() or spin_for(executor, ended, _LOOK_S)):
             pass
         may_leave = getattr(node, 'may_leave', lambda: True)
-        deadline_s = time.monotonic() + GRACE_S
-        while not (ended.done() or asked_again.is_set() or may_leave()):
-            spin_for(executor, ended, _LOOK_S)
-            if time.monotonic() > deadline_s:
+        # Looks are counted and no seconds, which a busy machine would take away.
+        for _ in range(round(GRACE_S / _LOOK_S)):
+            if ended.done() or asked_again.is_set() or may_leave():
                 break
+            spin_for(executor, ended, _LOOK_S)
     return ExitCode.INTERRUPTED if asked_again.is_set() else ExitCode.OK
 
 
@@ -207,6 +219,6 @@ def _leave(node: Any, executor: Any) -> None:
 
 
 def complain(line: str, code: int) -> int:
-    """Print one line on what is wrong; the exit code that goes with it."""
+    """Print a one-line error message; return the exit code."""
     print(f'error: {line}', file=sys.stderr)
     return code

@@ -16,6 +16,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.parameter import Parameter as Given
 from rclpy.utilities import remove_ros_args
 
 from taxinet_ros.errors import UsageError
@@ -78,12 +79,17 @@ class Parameter:
 
 
 def declare(node: Node, parameter: Parameter) -> Any:
-    """Declare one read-only parameter and return its value.
+    """Declare one read-only parameter and return its value; a whole number may stand for a double.
 
     Raises:
         UsageError: the value given is of another type, out of range, or none of its words.
     """
     where = f'{node.get_name()}: parameter {parameter.name}'
+    given = node._parameter_overrides.get(parameter.name)
+    if given is not None and isinstance(parameter.default, float) and type(given.value) is int:
+        # rclpy would refuse timeout:=5, and ask for a type in place of 5.0.
+        double = Given(parameter.name, value=float(given.value))
+        node._parameter_overrides[parameter.name] = double
     try:
         value = node.declare_parameter(
             parameter.name, parameter.default, parameter.descriptor

@@ -18,7 +18,7 @@ from taxinet_ros.campaign.rates import Rate, rate
 from taxinet_ros.campaign.record.table import PARQUET_NAME, read_any_table, read_table
 from taxinet_ros.campaign.scenes.search_space import Choice
 from taxinet_ros.core.perception.weights import weights_path
-from taxinet_ros.core.scenario_fields import PAPER_FIELDS
+from taxinet_ros.core.scenario_fields import PAPER_FIELDS, SHORT_FORMS
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.plain_values import load_json
 from taxinet_ros.files.sealed_json import read_sealed
@@ -153,7 +153,7 @@ class Results:
         """The choice of where to start along the runway, of what was learned."""
         for found in self.searches.values():
             for choice in found[0].choices:
-                if 'distance' in choice.feeds and choice.pieces:
+                if 'distance_m' in choice.feeds and choice.pieces:
                     return choice
         return None
 
@@ -257,7 +257,11 @@ def _searches(config: StudyConfig, out: Path) -> dict[str, tuple[LearnedResult, 
 
 
 def _pairs(paths: Mapping[str, Path]) -> dict[str, pd.DataFrame]:
-    return {name: read_any_table(path) for name, path in paths.items() if path.is_file()}
+    # Tables of before the keys of scenes had units are among those that are shipped.
+    return {
+        name: read_any_table(path).rename(columns=SHORT_FORMS)
+        for name, path in paths.items() if path.is_file()
+    }
 
 
 def _network(name: str, path: Path, card: Path | None, *, bags: bool) -> Network:

@@ -334,7 +334,6 @@ def _row(scene: Scenario, image: FinishedImage) -> dict[str, Any]:
         'image': image_name(image.index),
         'cte_m': image.cte_m,
         'heading_error_deg': math.degrees(image.he_rad),
-        'distance_m': scene.distance_m,
         **scene.to_human(),
         'sha256': image.sha256,
     }

@@ -359,9 +359,9 @@ def test_t5_given_a_cause_of_any_kind_then_its_program_draws_scenes_of_it_alone(
     program.write_text(cause_program(runs, cause))
     for scene in sample_scenarios(program, 5, 6):
         values = scene.to_human()
-        assert values['cross_track'] - 0.27 * values['heading'] >= 1 - 1e-6
+        assert values['cross_track_m'] - 0.27 * values['heading_deg'] >= 1 - 1e-6
         assert values['clouds'] in ('overcast', 'stratus')
-        assert (values['time_of_day'] <= 9) != (values['distance'] >= 1000)
+        assert (values['time_of_day_h'] <= 9) != (values['distance_m'] >= 1000)
     command = confirmation_command(runs, cause, tmp_path)
     assert command.startswith(f'taxinet run {program} --runs 100 --seed 1000003 --perception')
     assert '--controller' not in command

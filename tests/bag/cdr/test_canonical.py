@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from taxinet_ros.bag.cdr.alignment import Canonical, Trail, walk_of
 from taxinet_ros.bag.errors import BagCorrupt
 from taxinet_ros.bag.reader import read_info, stored_messages
-from taxinet_ros.nodes.recorder import bag_topics
+from taxinet_ros.bag.run.run_bag import bag_topics
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = [

@@ -119,7 +119,7 @@ def test_ros1_given_a_recorder_that_came_late_then_the_run_is_incomplete_and_sai
     assert f'has not one step of them: {BAD.name}' in out
     code, _, err = call(capsys, 'monitor', bag, '--run', BAD.name)
     assert (code, len(err.splitlines())) == (2, 1)
-    assert f'--run {BAD.name}: there is not one step of it in {bag}' in err
+    assert f'--run {BAD.name}: no step of it in {bag}' in err
 
 
 def test_ros1_given_several_runs_then_every_other_command_names_them_and_how_to_choose(
@@ -235,7 +235,7 @@ def test_ros14_given_a_namespace_then_the_run_is_judged_and_compared_as_without(
 def test_ros1_given_a_time_that_begins_anew_then_the_player_asks_for_a_bag_of_each(tmp_path):
     playback = pytest.importorskip('taxinet_ros.nodes.bag_player')
     bag = record(tmp_path / 'all', heard([GOOD, BAD], sim_time=True))
-    with pytest.raises(UsageError, match='begins anew 12 s earlier, so it holds several runs'):
+    with pytest.raises(UsageError, match='jumps back by 12 s, so it holds several runs'):
         playback.open_bag(str(bag))
     assert playback.open_bag(str(record(tmp_path / 'wall', heard([GOOD, BAD])))).complete
 
@@ -253,7 +253,7 @@ def test_ros1_attack_given_two_runs_when_recovered_then_the_steps_of_each_are_to
     code, out, err = call(capsys, 'bag', 'recover', cut, '--out', tmp_path / 'saved')
     assert (code, err) == (3, '')
     assert 'damage: ' in out
-    assert 'lost no message, but what stands above' in out
+    assert 'lost no message except as stated above' in out
 
 
 def without(topic: str, bag: Path) -> list[Any]:

@@ -55,7 +55,7 @@ def row_of(trial: Trial, scene: Scenario, index: int, perception: str) -> RunRow
     return RunRow(
         run_id=trial.run_id, index=index, program='s_falsif', seed=3, perception=perception,
         fingerprint=check_perception(perception), sampler='random', weight=1.0,
-        **scene.to_columns(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
+        **scene.to_human(), outcome=Outcome.PASS if trial.passed else Outcome.FAIL,
         robustness={SPEC: trial.robustness},
         stopped_early=False, left_runway=trial.left_runway,
         max_cross_track_m=trial.max_cross_track_m, settle_time_s=trial.settle_time_s,

@@ -117,7 +117,7 @@ def test_given_another_campaign_than_was_begun_then_nothing_is_changed_and_both_
         ):
             read_same_campaign(tmp_path, facts(options, **changes))
     assert {path: path.read_bytes() for path in kept} == kept
-    with pytest.raises(UsageError, match='exists already'), CampaignBook(options, ()):
+    with pytest.raises(UsageError, match='already exists'), CampaignBook(options, ()):
         pass
 
 

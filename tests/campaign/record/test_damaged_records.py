@@ -51,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign of the real graph, with failed and satisfied runs and their bags."""
     out = tmp_path_factory.mktemp('records') / 'c'
     words = ['falsify', 'nominal', '--runs', str(RUNS), '--workers', '2', '--sampler', 'random',
-             '--seed', '3', '--images', 'none', '--perception', 'truth', '--set', 'duration=1',
+             '--seed', '3', '--images', 'none', '--perception', 'truth', '--set', 'duration_s=1',
              '--spec', 'tight=always(abs(cte) <= 0.4)', '--out', str(out)]
     assert _exit_code(lambda: app(words, standalone_mode=False)) == 1
     assert set(read_table(out)['outcome']) == {'PASS', 'FAIL'}
@@ -277,7 +277,7 @@ LIES = [
     ('PASS', {'bag': '../../../etc'}, 'no plain name'),
     ('PASS', {'index': -1}, 'index is -1'),
     ('PASS', {'clouds': 'purple'}, 'clouds is'),
-    ('PASS', {'distance': float('inf')}, 'distance is inf'),
+    ('PASS', {'distance_m': float('inf')}, 'distance_m is inf'),
 ]
 
 
@@ -341,9 +341,9 @@ def test_f2_given_an_intent_without_result_or_the_other_way_then_the_gate_names_
     events = read_journal(path)
     result = next(event for event in events if event['event'] == 'result')
     for left_out, said in (
-        (result, 'begun, and without a result to this day'),
+        (result, 'started but has no result'),
         (next(event for event in events if event.get('index') == result['row']['index']),
-         'has a result, but nothing says that it was begun'),
+         'has a result but no record of its start'),
     ):
         write_events(path, [event for event in events if event is not left_out])
         (campaign / FACTS_NAME).unlink()
@@ -711,7 +711,8 @@ def test_f2_given_the_bag_of_the_same_run_of_another_campaign_then_monitor_refus
 
 @pytest.mark.parametrize(('words', 'said'), [
     (['--set', 'clouds=overcast', '--set', 'rain=90', '--spec', 'tight=always(abs(cte) <= 0.401)'],
-     ['its rain is 90.0, the row has 0.0', 'its formula tight is always(abs(cte) <= 0.401), the ']),
+     ['its rain_percent is 90.0, the row has 0.0',
+      'its formula tight is always(abs(cte) <= 0.401), the ']),
     (['--set', 'steering.heading_gain=0.4', '--spec', 'tight=always(abs(cte) <= 0.4)'],
      ['its steering.heading_gain is 0.4, the row has ']),
 ])

@@ -18,6 +18,7 @@ from taxinet_ros.campaign.record.book import rejected_row
 from taxinet_ros.campaign.scenes import source as scene_source
 from taxinet_ros.campaign.scenes.overrides import apply_overrides, check_overrides
 from taxinet_ros.campaign.scenes.source import Rejected, SceneSource, sample_scenarios
+from taxinet_ros.core.scenario_fields import by_key
 from taxinet_ros.errors import InfraError, UsageError
 
 PLANE = 'model runway_world\nego = new Plane at (Range(-1, 1), 400)\n'
@@ -178,7 +179,7 @@ def test_given_overrides_when_drawn_then_only_they_differ() -> None:
 
 
 @pytest.mark.parametrize(('overrides', 'remedy'), [
-    ({'clouds': 'clear'}, 'set rain=0 as well'),
+    ({'clouds': 'clear'}, 'set rain_percent=0 as well'),
     ({'rain': '50'}, 'set clouds=broken (or overcast/stratus) as well'),
 ])
 def test_given_half_of_the_weather_when_overridden_then_both_keys_are_named_at_the_start(
@@ -187,7 +188,7 @@ def test_given_half_of_the_weather_when_overridden_then_both_keys_are_named_at_t
     with pytest.raises(UsageError) as caught, \
             SceneSource('s_falsif', seed=1, overrides=overrides):
         pytest.fail('the contradiction has to show before the first run')
-    key, value = next(iter(overrides.items()))
+    key, value = next(iter(by_key(overrides).items()))
     assert str(caught.value).startswith(f'override {key}={value}: s_falsif.scenic: scene ')
     assert str(caught.value).endswith(remedy)
 
@@ -198,12 +199,13 @@ def test_given_both_halves_of_the_weather_when_overridden_then_all_scenes_have_t
 
 
 @pytest.mark.parametrize(('overrides', 'message'), [
-    ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track"),
-    ({'heading': 'left'}, "override heading=left: heading needs a number, got 'left'"),
-    ({'cross_track': '99'}, 'override cross_track=99: cross_track_m is 99, outside -40..40'),
-    ({'rain': '120'}, 'override rain=120: rain_fraction is 1.2, outside 0..1'),
-    ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain=50: rain needs clouds'),
-    ({'distance': 'nan'}, 'override distance=nan: distance_m is nan'),
+    ({'fog': '1'}, "override fog=1: unknown key 'fog'; known: cross_track_m"),
+    ({'heading': 'left'}, "override heading_deg=left: heading_deg needs a number, got 'left'"),
+    ({'cross_track': '99'}, 'override cross_track_m=99: cross_track_m is 99, outside -40..40 m'),
+    ({'rain': '120'}, 'override rain_percent=120: rain_percent is 120, outside 0..100 %'),
+    ({'rain': '0', 'rain_percent': '0'}, 'scenario: rain and rain_percent are the same'),
+    ({'rain': '50', 'clouds': 'clear'}, 'override clouds=clear rain_percent=50: rain needs'),
+    ({'distance': 'nan'}, 'override distance_m=nan: distance_m is nan'),
 ])
 def test_given_a_bad_override_when_checked_then_one_line_names_it(
     overrides: dict[str, str], message: str,
@@ -214,7 +216,7 @@ def test_given_a_bad_override_when_checked_then_one_line_names_it(
 
 
 def test_given_rain_words_when_overridden_over_dry_draw_then_the_sum_is_checked() -> None:
-    scene = apply_overrides({'clouds': 'overcast'}, {'rain': '40'}, 'x')
+    scene = apply_overrides({'clouds': 'overcast'}, {'rain_percent': '40'}, 'x')
     assert (scene.clouds, scene.rain_fraction) == ('overcast', pytest.approx(0.4))
 
 

@@ -140,13 +140,13 @@ def test_given_an_experiment_then_its_arms_are_campaigns_of_the_same_scenes_and_
 def test_given_a_used_folder_or_a_mistake_then_one_line_says_so(folder):
     (folder / 'bad.yaml').write_text(EXPERIMENT.replace('runs: 4', 'runs: four'))
     for words, says in (
-        (('experiment', 'mine.yaml', '--out', 'e'), 'exists already'),
+        (('experiment', 'mine.yaml', '--out', 'e'), 'already exists'),
         (('experiment', 'bad.yaml'), 'bad.yaml: runs: expected a whole number, 1 or more'),
-        (('experiment', 'mine.yaml', '--resume'), '--resume: say with --out which'),
+        (('experiment', 'mine.yaml', '--resume'), '--resume: name the experiment to continue with'),
         (('localize', 'e'), 'no campaign'),
         (('gate', 'c', '--min-satisfaction', '86'), 'a share'),
         (('gate', 'c', '--min-satisfaction', '0.5', '--inconclusive', 'maybe'), 'unknown; known'),
-        (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'there is no folder'),
+        (('gate', 'c', '--min-satisfaction', '0.5', '--junit', 'no/x.xml'), 'no such folder'),
     ):
         done = taxinet(*words, cwd=folder)
         assert done.returncode == 2, words
@@ -165,7 +165,7 @@ def test_given_failed_runs_with_bags_then_they_come_out_as_recorded_to_the_last_
         stdout, stderr = process.communicate()
     assert stderr == ''
     assert process.returncode in (0, 130)
-    assert ('the same command goes on' in stdout) is (process.returncode == 130)
+    assert ('run it again to continue' in stdout) is (process.returncode == 130)
     done = taxinet('localize', 'c', '--with', 'truth', '--out', 'l', '--json', cwd=folder)
     assert done.returncode == 0, done.stderr
     values = json.loads(done.stdout)

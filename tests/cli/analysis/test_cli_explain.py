@@ -147,8 +147,8 @@ def test_given_a_run_that_cannot_be_driven_again_then_its_frames_are_asked_or_on
 
 
 @pytest.mark.parametrize(('words', 'complaint'), [
-    ((), 'the truth took part, and no network; name one with --perception'),
-    (('--perception', 'truth'), 'looks at no picture; name a network'),
+    ((), 'was run with ground truth, not a network; name one with --perception'),
+    (('--perception', 'truth'), 'uses no camera image; name a network'),
     (('--perception', 'taxinett'), "perception: 'taxinett' is unknown"),
     (('--perception', 'taxinet', '--dataset', 'nowhere'), 'nowhere: no such folder'),
     (('--perception', 'taxinet', '--frames', '0'), 'frames'),

@@ -207,7 +207,7 @@ def test_given_a_bag_of_a_file_when_replayed_into_it_then_every_bit_is_the_same(
     words = ('bag', 'replay', 'p/nominal-s0-00000', '--into', 'steering_controller')
     done = taxinet(*words, '--controller', 'mine.py:steer', cwd=folder)
     assert done.returncode == 0, done.stderr
-    assert 'the same to the bit' in done.stdout
+    assert 'bit-identical' in done.stdout
 
 
 def test_given_failures_of_a_file_when_localized_then_it_steers_the_trials(folder):
@@ -422,10 +422,10 @@ def test_given_a_node_that_somebody_starts_when_checked_then_it_is_found_and_lef
 
 
 @pytest.mark.parametrize(('words', 'says'), [
-    ((), 'check-node: name a COMMAND, or say --external'),
+    ((), 'check-node: name a COMMAND, or give --external'),
     (('no_such_program',), 'check-node: no_such_program: no such program'),
     (('true', '--role', 'pilot'), '--role pilot: unknown; known: perception, controller'),
-    (('mine.py:steer',), '--role: mine.py:steer is a function; say perception or controller'),
+    (('mine.py:steer',), '--role: mine.py:steer is a function; give perception or controller'),
     (('mine.py:nothing', '--role', 'controller'), 'no nothing in it'),
     (("ros2 'run",), 'No closing quotation'),
 ])

@@ -1,6 +1,6 @@
 """One closed loop, three layouts: ``tx.run`` without ROS, composed graph, separate processes.
 
-The traces are the same to the bit, and the frames, and so are the bags of the two graphs.
+The traces are bit-identical, and the frames, and so are the bags of the two graphs.
 """
 
 from pathlib import Path

@@ -65,7 +65,7 @@ def test_given_scenes_when_written_then_images_and_labels_are_theirs_and_checksu
     ]  # fmt: skip
     table = pd.read_parquet(out / 'labels.parquet')
     assert list(table.columns) == [
-        'image', 'cte_m', 'heading_error_deg', 'distance_m', *HUMAN_KEYS, 'sha256',
+        'image', 'cte_m', 'heading_error_deg', *HUMAN_KEYS, 'sha256',
     ]  # fmt: skip
     assert list(table['image']) == [f'images/00000{i}.png' for i in range(6)]
     assert len(list((out / 'images').iterdir())) == 6
