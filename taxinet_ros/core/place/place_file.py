@@ -49,7 +49,7 @@ _LENGTH_SHARE, _BEARING_DEG = 0.005, 0.3
 _RADIUS_M, _FLATTENING = 6378137.0, 1 / 298.257223563
 _CLEAR_M, _FILLET_M = 37.5, 85.0
 """Unless a file says more: shoulder of a crossing runway, and length of the fillets beyond it."""
-_STEEPEST_DEG = 20.0
+STEEPEST_DEG = 20.0
 _FARTHEST_M = 50_000.0
 
 _NAME = re.compile(r'[a-z][a-z0-9_]{0,39}')
@@ -230,9 +230,9 @@ def _crossings(section: Section, length_m: float) -> tuple[Crossing, ...]:
 
 def _crossing(section: Section, length_m: float) -> Crossing:
     yaw_deg = section.number('yaw_deg', -180, 180)
-    if abs(math.sin(math.radians(yaw_deg))) < math.sin(math.radians(_STEEPEST_DEG)):
+    if abs(math.sin(math.radians(yaw_deg))) < math.sin(math.radians(STEEPEST_DEG)):
         raise section.wrong(
-            f'expected an angle of {_STEEPEST_DEG:.0f} deg or more to this runway, got {yaw_deg:g}',
+            f'expected an angle of {STEEPEST_DEG:.0f} deg or more to this runway, got {yaw_deg:g}',
             'yaw_deg',
         )
     width_m = section.number('width_m', 10, MOST_WIDTH_M)
