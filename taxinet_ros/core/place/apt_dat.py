@@ -361,7 +361,7 @@ def _document(airport: _Airport, row: _RunwayRow, end: int, time_zone: str) -> d
                 'holes_m': [along(hole) for hole in outlines[1:]],
             }
             for surface, outlines in airport.areas
-        ],
+        ] + [_as_pavement(other, in_map) for other in airport.runways if other is not row],
         'lines': [{'style': style, 'points_m': along(points)} for style, points in airport.lines],
         'routes': [
             {
@@ -407,6 +407,18 @@ def _crossing(
     steep = abs(math.sin(math.radians(yaw_deg))) > math.sin(math.radians(STEEPEST_DEG))
     if 0 < x_m < length_m and steep:
         yield {'x_m': round(x_m, 1), 'yaw_deg': round(yaw_deg, 2), 'width_m': other.width_m}
+
+
+def _as_pavement(other: _RunwayRow, in_map: Callable[[Point], list[float]]) -> dict[str, Any]:
+    """Another runway of the airport as a paved area."""
+    (x0, y0), (x1, y1) = (in_map(end.position_deg) for end in other.ends)
+    share = other.width_m / 2 / max(math.hypot(x1 - x0, y1 - y0), 1.0)
+    dx, dy = share * (y0 - y1), share * (x1 - x0)
+    corners = ((x0 + dx, y0 + dy), (x1 + dx, y1 + dy), (x1 - dx, y1 - dy), (x0 - dx, y0 - dy))
+    return {
+        'surface': _surface_word(other.surface),
+        'outline_m': [[round(x, 2), round(y, 2)] for x, y in corners],
+    }
 
 
 def _surface(row: _RunwayRow) -> str:

@@ -23,6 +23,8 @@ SHIPPED_PLACES = ('kmwh_04', 'bikf_10', 'nzqn_05')
 _FOLDER = Path(__file__).parent / 'shipped'
 _REFERENCE = re.compile(r'[a-z][a-z0-9_]*@[0-9a-f]{12}')
 _SUFFIXES = ('.yaml', '.yml')
+_OF_AIRPORT = re.compile(r'(.+\.dat(?:\.gz)?):([A-Za-z0-9]+)/([0-9]{1,2}[LCRlcr]?)(?:@(.+))?')
+"""``FILE:ICAO/RUNWAY``, and the time zone where it is told."""
 _known: dict[str, Place] = {}
 """By reference. What a reference stands for never changes, so it does not matter who told."""
 
@@ -47,11 +49,17 @@ def find_place(text: str) -> Place:
 
 
 def typed_place(text: str) -> Place:
-    """The place that a person means: a shipped name, a YAML file, or a reference out of a table.
+    """The place that a person means.
+
+    Args:
+        text: a shipped name, a YAML file, ``apt.dat:ICAO/RUNWAY`` (with ``@ZONE`` for the time
+            zone), or a reference out of a table.
 
     Raises:
         UsageError: it is none of these, or the file is not as it should be.
     """
+    if airport := _OF_AIRPORT.fullmatch(text):
+        return _place_of_airport(*airport.groups(default=''))
     if text.lower().endswith(_SUFFIXES):
         return find_place(read_place(Path(text)).text)
     if _REFERENCE.fullmatch(text):
@@ -62,6 +70,14 @@ def typed_place(text: str) -> Place:
             )
         return _known[text]
     return find_place(text)
+
+
+@lru_cache(maxsize=8)
+def _place_of_airport(path: str, icao: str, runway: str, zone: str) -> Place:
+    # Brings a library along that is not needed to look a place up.
+    from taxinet_ros.core.place.apt_dat import read_airport_place
+
+    return find_place(read_airport_place(Path(path), icao, runway, zone).text)
 
 
 def is_reference(text: str) -> bool:

@@ -67,10 +67,19 @@ def markings(runway: Runway, *, crossing: bool = True) -> tuple[Marking, ...]:
         Marking(kind=m.kind, polygon=tuple((runway.length_m - x, -y) for x, y in m.polygon))
         for m in far
     ]
+    ends = [m for m in (*near, *other_end) if not crossing or _is_clear(m, runway)]
     return (
-        *near, *other_end,
+        *ends,
         *_centreline(runway, crossing=crossing), *_edges(runway, crossing=crossing),
     )
+
+
+def _is_clear(marking: Marking, runway: Runway) -> bool:
+    """Whether nothing that crosses would be painted over."""
+    xs = [x for x, _ in marking.polygon]
+    y_m = marking.polygon[0][1]
+    gaps = (one.clear_x(y_m) for one in runway.crossings)
+    return all(max(xs) <= first or min(xs) >= last for first, last in gaps)
 
 
 def edge_stripe_y_m(runway: Runway) -> float:
