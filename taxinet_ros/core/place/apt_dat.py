@@ -102,8 +102,14 @@ def read_airport_place(path: Path, icao: str, runway: str, time_zone: str = '') 
         known = ', '.join(end.number for one in airport.runways for end in one.ends)
         raise UsageError(f'{path}: {airport.icao} has no runway {runway!r}; it has {known}')
     row, end = found[0]
-    where = Path(f'{path}: row {row.row.number}')
-    return make_place(_document(airport, row, end, time_zone), where)
+    where = f'{path}: row {row.row.number}'
+    if row.ends[0].position_deg == row.ends[1].position_deg:
+        raise UsageError(f'{where}: both ends are at the same point')
+    if _surface_word(row.surface) == 'other':
+        raise UsageError(
+            f'{where}: the surface {row.surface} is neither asphalt nor concrete, and has no paint'
+        )
+    return make_place(_document(airport, row, end, time_zone), Path(where))
 
 
 class _Reader:
@@ -388,7 +394,7 @@ def _document(airport: _Airport, row: _RunwayRow, end: int, time_zone: str) -> d
             'width_m': row.width_m,
             'elevation_m': airport.elevation_m,
             'category': _CATEGORIES.get(max(near.markings, far.markings), 'precision'),
-            'surface': _surface(row),
+            'surface': _surface_word(row.surface),
             **({'crossings': crossings} if crossings else {}),
         },
         **{key: entries for key, entries in ground.items() if entries},
@@ -419,16 +425,6 @@ def _as_pavement(other: _RunwayRow, in_map: Callable[[Point], list[float]]) -> d
         'surface': _surface_word(other.surface),
         'outline_m': [[round(x, 2), round(y, 2)] for x, y in corners],
     }
-
-
-def _surface(row: _RunwayRow) -> str:
-    word = _surface_word(row.surface)
-    if word == 'other':
-        raise UsageError(
-            f'runway {row.ends[0].number}: its surface has the code {row.surface}, which is '
-            'neither asphalt nor concrete'
-        )
-    return word
 
 
 def _surface_word(code: int) -> str:

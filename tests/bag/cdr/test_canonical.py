@@ -82,10 +82,15 @@ def test_given_bytes_that_are_cut_or_changed_then_it_ends_with_an_error_or_bytes
         assert len(walk_of(STORE, name).without_gaps(bytes(clean))) <= len(clean)
 
 
+def as_recorded(bag):
+    """The topics of a run, with the definitions that a bag has of theirs."""
+    told = {topic.name: topic for topic in read_info(bag).topics}
+    return [told.get(topic.name, topic) for topic in bag_topics(True)]
+
+
 def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     bag = GOLDEN / 'taxinet-midday'
-    topics = bag_topics(True)
-    canonical = Canonical(topics)
+    canonical = Canonical(as_recorded(bag))
     stored = list(stored_messages(bag))
     assert len(stored) == sum(read_info(bag).counts.values()) > 500
     for one in stored:
@@ -97,7 +102,8 @@ def test_given_a_recorded_run_then_its_messages_are_canonical_and_stay_so():
     lambda cdr: b'\x00\x00' + cdr[2:], lambda cdr: cdr[:4] + b'\xff' * (len(cdr) - 4),
 ])
 def test_given_bytes_that_are_no_message_then_the_error_names_the_topic(spoil):
-    canonical = Canonical(bag_topics(True))
-    one = next(m for m in stored_messages(GOLDEN / 'truth-nominal') if m.topic.name == '/scenario')
+    bag = GOLDEN / 'truth-nominal'
+    canonical = Canonical(as_recorded(bag))
+    one = next(m for m in stored_messages(bag) if m.topic.name == '/scenario')
     with pytest.raises(BagCorrupt, match=r'/scenario: .* bytes are no message of it'):
         canonical.message('/scenario', spoil(one.cdr))

@@ -27,6 +27,13 @@ def scenario_message(bag: Path) -> StoredMessage:
     return next(stored_messages(bag, lambda name: name.endswith('/scenario')))
 
 
+def without_later_keys(topic: TopicInfo) -> TopicInfo:
+    """The topic without the fields of keys that came after the units."""
+    definition = re.sub(r'^string place\b.*\n', '', topic.definition, flags=re.MULTILINE)
+    fewer = replace(topic, definition=definition)
+    return replace(fewer, type_hash=definition_hash(fewer))
+
+
 def before_units(topic: TopicInfo) -> TopicInfo:
     """The topic as a recorder of before described it."""
     definition = re.sub(
@@ -58,7 +65,7 @@ def test_given_a_bag_of_now_when_read_as_one_of_before_then_every_value_is_the_s
     message = scenario_message(tmp_path / 'run')
     old = before_units(message.topic)
     assert definition_hash(message.topic) == message.topic.type_hash == type_hash(SCENARIO)
-    assert old.type_hash == scenario_message(BEFORE).topic.type_hash
+    assert without_later_keys(old).type_hash == scenario_message(BEFORE).topic.type_hash
     assert scenario_of(decode(message.topic, message.cdr)) == SCENE
     assert scenario_of(decode(old, message.cdr)) == SCENE
     assert definition_hash(with_present_names(old)) == type_hash(SCENARIO)
