@@ -1,4 +1,4 @@
-"""Where things lie: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
+"""File layout: a run is a folder ``<run_id>/`` with ``<run_id>_0.mcap`` and ``metadata.yaml``.
 
 This is the layout of rosbag2 (package rosbag2_cpp, ``SequentialWriter``), so ``ros2 bag`` accepts
 the folder. As there, ``metadata.yaml`` is written last: a folder without it was not finished.
@@ -65,17 +65,17 @@ def storage_files(path: Path) -> tuple[Path, ...]:
         raise BagForeign(compressed(path, 'file'), path=path)
     if any(path.glob('*.db3')):
         raise _sqlite3(path)
-    raise BagEmpty(f'{path}: holds no .mcap file, so nothing was recorded', path=path)
+    raise BagEmpty(f'{path}: contains no .mcap file, so nothing was recorded', path=path)
 
 
 def _sqlite3(path: Path) -> BagForeign:
-    return BagForeign(f'{path}: an sqlite3 bag; make it MCAP with: ros2 bag convert', path=path)
+    return BagForeign(f'{path}: an sqlite3 bag; convert it to MCAP: ros2 bag convert', path=path)
 
 
 def compressed(path: Path, mode: str) -> str:
     """What to say of a bag that ``ros2 bag record --compression-mode`` has made."""
     return (
-        f'{path}: compressed by {mode}; make it plain: ros2 bag convert -i {path} -o OPTIONS.yaml '
+        f'{path}: compressed by {mode}; decompress it: ros2 bag convert -i {path} -o OPTIONS.yaml '
         'with "output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]" in OPTIONS.yaml'
     )
 

@@ -1,7 +1,7 @@
-"""Confirmation experiments as files: a program, and arms that differ in what is under suspicion.
+"""Confirmation experiments as files: a program, and arms that differ in the suspected cause.
 
 The paper confirms a suspected cause by running the same scenes with and without it (its Fig. 7: the
-aircraft's shadow). A file says that in YAML::
+aircraft's shadow). The YAML format:
 
     program: halton_time_of_day     # shipped, or a .scenic file, also beside this one
     runs: 120

@@ -1,10 +1,9 @@
-"""What searches have learned: kept as ``learned.json``, read back, and put together.
+"""Learned distributions of searches: store as ``learned.json``, read, and combine.
 
-A sampler's histograms are drawn towards the program, so that a search does not rush to a few early
-failures. So they are no estimates, and neither is their mean. What estimates the share of the
-failures in a bin are the failures themselves, each with the weight that it has under the program;
-they are kept beside the histograms, and of several searches that differ in their seed alone they
-give intervals.
+A sampler's histograms are regularised towards the program's prior, so neither they nor their mean
+are unbiased estimates. The share of failures in a bin is estimated from the failures themselves,
+weighted by the program's density; they are stored beside the histograms, and several searches with
+different seeds yield confidence intervals.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ class LearnedResult:
                 f'{path}: no such file; name the --out of a search with ce, ce-verifai or mab'
             ) from error
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise UsageError(f'{path}: cannot be read; --resume writes it anew') from error
+            raise UsageError(f'{path}: cannot be read; rewrite it with --resume') from error
 
 
 class Share(NamedTuple):
@@ -140,12 +139,12 @@ class LearnedTogether:
                 if facts.get(name) != first.get(name):
                     raise UsageError(
                         f'{folder}: has another {name.replace("_", " ")} than {folders[0]}; only '
-                        'searches that differ in their seed can be put together'
+                        'searches that differ only in their seed can be combined'
                     )
         seeds = [result.facts.get('seed') for result in results]
         twice = [str(seed) for seed in seeds if seeds.count(seed) > 1]
         if twice:
-            raise UsageError(f'seed {twice[0]} is there twice; name each search once')
+            raise UsageError(f'seed {twice[0]} is given twice; name each search once')
         for result, folder in zip(results, folders, strict=True):
             if not result.evidence:
                 raise UsageError(

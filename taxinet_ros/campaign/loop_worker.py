@@ -1,7 +1,7 @@
-"""A worker of a search without ROS: closed loops, one after the other, in a process of its own.
+"""Worker process of a search without ROS: runs closed loops one by one.
 
-Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which says what goes over the
-pipes. Its runs come out to the bit as those of a graph, but leave no bags.
+Started by :class:`taxinet_ros.campaign.worker_pool.WorkerProcess`, which defines the pipe protocol.
+Its runs are bit-identical to those of a graph, but leave no bags.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a campaign is asked to do, checked before anything starts.
+"""Options of a campaign, validated before anything starts.
 
 Requirements are given as names, formulas, or YAML files of formulas and predicates. Such a file
 has two keys, and either may be left out::
@@ -9,8 +9,8 @@ has two keys, and either may be left out::
       reach: 'F[0, 10] G on_centreline'
       gentle: 'always[10 s:inf](abs(steering) <= 3 deg)'
 
-A predicate may use those above it, in its own file and in files given before. What comes out
-needs no file any more: predicates are written out.
+A predicate may use earlier ones, in its own file and in files given before. The resulting texts are
+self-contained: predicates are expanded.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ _BRACKETS = "; a formula with brackets needs '…' quotes around it"
 
 
 def read_specs(words: Iterable[str]) -> tuple[str, ...]:
-    """The requirements that some words ask for, each as text that :func:`parse_spec` reads.
+    """Read requirements; each result is a text for :func:`parse_spec`.
 
     Args:
         words: names of shipped formulas, ``NAME=FORMULA``, formulas, and YAML files of them. The
             order is kept.
 
     Raises:
-        UsageError: a word or a file is no such thing, or two formulas have one name.
+        UsageError: a word or file is invalid, or two formulas have the same name.
     """
     texts: list[str] = []
     predicates: dict[str, str] = {}
@@ -97,7 +97,7 @@ def _read(path: Path, predicates: dict[str, str]) -> list[str]:
         for name in specs
     ]
     if not texts and not predicates:
-        raise UsageError(f'{path}: holds no formula; write specs: {{NAME: FORMULA}}')
+        raise UsageError(f'{path}: has no formulas; write specs: {{NAME: FORMULA}}')
     return texts
 
 
@@ -128,13 +128,13 @@ DEFAULT_SPECS = ('phi_eventually',)
 DEFAULT_JUDGING = Judging(specs=DEFAULT_SPECS)
 DEFAULT_ROOT = Path('bags')
 IMAGES = ('all', 'failures', 'none')
-"""Whose camera frames go into the bags: every run's, or those of failed and broken runs only."""
+"""Runs whose camera frames are recorded: all, only failed and broken ones, or none."""
 _GAIN_PREFIX = 'steering.'
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions:
-    """One campaign: scenes of one program, judged by some formulas, with one perception.
+    """Options of a campaign: scenes of one program, evaluated with one perception.
 
     Attributes:
         program: word of a shipped Scenic program or path of one.
@@ -147,7 +147,7 @@ class CampaignOptions:
         judging: what decides the verdicts.
         out: folder of the campaign, which must be new or empty.
         processes: every node a process of its own.
-        images: whose camera frames go into the bags, of :data:`IMAGES`.
+        images: runs whose camera frames are recorded, of :data:`IMAGES`.
         controller: ``steering``, ``FILE.py:NAME``, or a word of
             :mod:`taxinet_ros.core.user_code`.
         laid_over: scenario values, likewise, that are laid over each scene after it was chosen.
@@ -217,7 +217,7 @@ def make_options(
         specs: formulas as text, or files of them; the default where empty.
         out: folder; where None, a new one below ``bags/`` that says what it holds.
         processes: every node a process of its own.
-        images: whose camera frames go into the bags, of :data:`IMAGES`.
+        images: runs whose camera frames are recorded, of :data:`IMAGES`.
         resume: ``out`` holds a campaign that is to be continued.
         stop_on: ``never``, ``violated`` or ``decided``.
         bounds: what is vouched for of the signals' values, such as ``cte=-25:25``.
@@ -238,17 +238,17 @@ def make_options(
     judging = make_judging(specs, stop_on, bounds, rates)
     timing = check_timing(latency, free=free, factor=real_time_factor)
     if timing.free and processes:
-        raise UsageError('--processes: no effect with --free, whose nodes are processes anyway')
+        raise UsageError('--processes: no effect with --free, which always uses processes')
     if timing.free and judging.stop_on is not StopOn.NEVER:
         raise UsageError(
-            f'--stop-on {judging.stop_on}: not with --free, where nobody waits for the monitor'
+            f'--stop-on {judging.stop_on}: not with --free, which does not wait for the monitor'
         )
     if perception:
         check_perception(perception, graph=True)
     if images not in IMAGES:
         raise UsageError(f'--images {images}: unknown; known: {", ".join(IMAGES)}')
     if resume and out is None:
-        raise UsageError('--resume: say with --out which campaign to continue')
+        raise UsageError('--resume: name the campaign to continue with --out')
     if out is None:
         words = (Path(program).stem, short_word(perception), f'seed{seed}')
         stem = '-'.join(word for word in words if word)
@@ -282,7 +282,7 @@ def make_judging(
 def check_timing(
     latency: Iterable[str], *, free: bool = False, factor: str | None = None
 ) -> Timing:
-    """Read when answers take effect.
+    """Parse the timing options.
 
     Args:
         latency: ``NAME=LATENCY`` of perception or controller.
@@ -296,8 +296,7 @@ def check_timing(
     if factor is not None and not free:
         raise UsageError('--real-time-factor: has no effect without --free')
     if latency and free:
-        raise UsageError(f'--latency {latency[0]}: not with --free, where answers are as late as '
-                         'they are')
+        raise UsageError(f'--latency {latency[0]}: not with --free, which has real delays')
     try:
         return free_timing(factor or '1') if free else parse_latency(latency)
     except UsageError as error:
@@ -305,7 +304,7 @@ def check_timing(
 
 
 def check_assumptions(bounds: Iterable[str], rates: Iterable[str]) -> Assumptions:
-    """Read what is vouched for of the signals.
+    """Parse assumptions on the signals.
 
     Raises:
         UsageError: one line that names the option.
@@ -326,7 +325,7 @@ def new_folder(wanted: Path) -> Path:
 
 
 def check_new(out: Path) -> None:
-    """See that a campaign may be written to ``out`` without touching what is there.
+    """Check that a campaign can be written to ``out`` without overwriting anything.
 
     Raises:
         UsageError: it is a file, or a folder with something in it.
@@ -335,7 +334,7 @@ def check_new(out: Path) -> None:
         return
     if out.exists() or out.is_symlink():
         raise UsageError(
-            f'--out {out}: already exists; nothing recorded is overwritten, name a new folder'
+            f'--out {out}: already exists; recordings are never overwritten, choose a new folder'
         )
 
 

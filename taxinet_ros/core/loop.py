@@ -1,4 +1,4 @@
-"""The closed loop in one process, without ROS: the reference that the graph must match bit for bit.
+"""The closed loop in one process, without ROS: the bit-exact reference for the graph.
 
 One control step, ten times a simulated second: the world is observed, the perception estimates,
 the controller answers, the judge looks at the truth, the world moves on (paper, section 3.1).
@@ -27,7 +27,7 @@ MAX_GAP_NS = CONTROL_PERIOD_NS * 3 // 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """One control step: what was seen, estimated, commanded and judged."""
+    """One control step: state, observation, estimate, command and readings."""
 
     observation: Observation
     estimate: TrackingError
@@ -46,25 +46,25 @@ class Step:
 
 
 ROLLING_ON = TaxiCommand(steering_rad=0.0, speed_mps=TAXI_SPEED_MPS)
-"""What holds before the first answer: how the aircraft rolls when a run starts."""
+"""Command before the first answer: constant initial motion."""
 
 
 class LateCommands:
-    """Which command holds from a control step to the next, where answers take effect late.
+    """Selects the command in effect at each control step with delayed answers.
 
     Attributes:
-        answers: commands on their way.
+        answers: pending commands.
     """
 
     def __init__(self, timing: Timing, seed: int, index: int) -> None:
-        """Begin run ``index`` of a campaign with this seed."""
+        """Start run ``index`` of a campaign with this seed."""
         self.answers = LateAnswers(ROLLING_ON)
         self._latencies_ns = timing.latencies_ns(seed, index)
 
     def at(self, seq: int, command: TaxiCommand) -> TaxiCommand:
-        """The command that holds from step ``seq``, whose frame is answered by ``command``.
+        """The command in effect from step ``seq``, whose own answer is ``command``.
 
-        To be called once for every step, in order.
+        Call once per step, in order.
         """
         now_ns = seq * CONTROL_PERIOD_NS
         self.answers.put(seq, now_ns + next(self._latencies_ns), command)
@@ -77,7 +77,7 @@ def signals(
 ) -> dict[str, float]:
     """One sample of the monitored signals, in the units of :mod:`taxinet_ros.core.mtl.specs`.
 
-    An estimate that the perception could not make is NaN, so no formula about it can be satisfied.
+    A missing estimate is NaN, so no formula about it can be satisfied.
     """
     return {
         'cte': cte_m,
@@ -109,13 +109,13 @@ def run_closed_loop(
         scenario: initial condition and environment.
         perception: turns a camera frame, or the truth, into an estimate.
         specs: formulas to judge the ground truth by.
-        controller: answers the estimates; the steering law with its defaults where None.
-        stop_on: what ends the run before its end; the deciding step is its last.
-        assumptions: what is vouched for of the signals.
+        controller: computes commands from estimates; None: the steering law with default gains.
+        stop_on: stop rule; the deciding step is the last.
+        assumptions: assumptions on the signals.
         on_step: called with every step, in order, before the world moves on.
-        timing: when answers take effect.
-        draws: seed and index of the run, which determine latencies that are drawn.
-        make_world: makes the world that the run takes place in.
+        timing: timing of answers.
+        draws: seed and index of the run, which determine random latencies.
+        make_world: factory of the world.
 
     Returns:
         The judgement over the run.

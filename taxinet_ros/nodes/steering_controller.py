@@ -1,4 +1,4 @@
-"""The steering controller node: an estimate in, a taxi command out."""
+"""Steering controller node: estimate in, taxi command out."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _OPTIONS = (
     Parameter(
         name='controller', default=STEERING,
         takes=f'{", ".join(names(CONTROLLERS))} or FILE.py:NAME',
-        description='the handwritten law, or a function',
+        description='the shipped law, or a function',
     ),
     Parameter(
         name='controller_sha256', default='', takes='64 hexadecimal digits, or empty',
-        description="what that file's SHA-256 has to be; empty: whatever it is",
+        description='required SHA-256 of that file; empty: any',
     ),
     *(
         Parameter(
@@ -53,8 +53,8 @@ _OPTIONS = (
 
 USAGE = Usage(
     executable=interface.STEERING_CONTROLLER,
-    does='Answers every estimate with a taxi command, by the handwritten law or by a function of '
-    'yours.',
+    does='Publishes a taxi command for every estimate, computed by the shipped law or your '
+    'function.',
     publishes=published_topics(interface.STEERING_CONTROLLER),
     subscribes=subscribed_topics(interface.STEERING_CONTROLLER),
     parameters=(*_OPTIONS, DIAGNOSTICS),
@@ -62,7 +62,7 @@ USAGE = Usage(
 
 
 class SteeringController(Participant):
-    """Answers every estimate with a command, by the handwritten law or a function of somebody's.
+    """Publishes a command for every estimate, computed by the shipped law or a user function.
 
     The law's gains are parameters with ranges.
     """
@@ -80,7 +80,7 @@ class SteeringController(Participant):
         self._controller = make_controller(word, self.gains)
         if sha256 and self._controller.fingerprint != sha256:
             raise UsageError(
-                f'controller {word} has changed since this began: its sha256 is '
+                f'controller {word} has changed since the start: its sha256 is '
                 f'{self._controller.fingerprint[:12]}…, it was {sha256[:12]}…; put it back'
             )
         self.implementation = gains_text(tuned) if word == STEERING else self._controller.word
@@ -90,7 +90,7 @@ class SteeringController(Participant):
         self.listen(interface.ESTIMATE, self._answer, newest=True)
 
     def prepare(self, scenario: Scenario) -> None:
-        """Forget the previous run."""
+        """Reset from the previous run."""
         self._controller.begin()
 
     def _answer(self, estimate: StepMessage) -> None:

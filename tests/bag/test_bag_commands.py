@@ -176,9 +176,10 @@ BAD = {
     ),
     'unknown format': (['export', 'run', '--out', 'NEW/x.xls'], 2, "'xls' is no format; known:"),
     'other suffix': (
-        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'name it x.gif',
+        ['export', 'run', '--out', 'NEW/x.csv', '--format', 'gif'], 2, 'use x.gif',
     ),
-    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2, 'one file'),
+    'film without suffix': (['export', 'run', '--out', 'NEW/x', '--format', 'mp4'], 2,
+                            'a single file'),
     'film of a topic': (
         ['export', 'run', '--out', 'NEW/x.mp4', '--topics', 'clock'], 2, 'not for a film',
     ),

@@ -127,7 +127,7 @@ def test_given_the_shipped_experiments_then_each_varies_what_its_name_says():
         ({'arms': '{a: {}, b: {controller: gone.py:steer}}'}, 'arms.b.controller: controller gone'),
         ({'controller': '"cmd:"'}, "controller: 'cmd:': names no program"),
         ({'arms': '{a: {set: {steering.heading_gain: 2}, controller: external}, b: {}}'},
-         'arms.a.controller: --set steering.heading_gain: a gain of the steering law'),
+         'arms.a.controller: --set steering.heading_gain: gains apply only'),
         ({'arms': '{a: {}, b: {}}', 'compare_to': 'c'}, 'compare_to: expected one of the arms'),
         ({'arm': '{}'}, 'arm: unknown key; known: program, runs'),
         ({'runs': '3\nruns: 4'}, 'line 3, column 1: runs is given twice'),

@@ -149,7 +149,7 @@ def test_given_a_loop_when_interrupted_after_the_second_round_then_the_player_en
         ({'rate': 0.0}, 'allowed: 0.01..1000.0'),
         ({'start_offset': 9.0}, 'is 2 s long'),
         ({'exclude': ['/taxi_comand']}, 'has no topic /taxi_comand; it has /camera'),
-        ({'wait_for': ['/clock'], 'exclude': ['/clock']}, 'drop one'),
+        ({'wait_for': ['/clock'], 'exclude': ['/clock']}, 'remove it from one'),
         ({'speed': 2.0}, "unknown parameter 'speed'"),
     ],
 )

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.ros
 FOLDER = Path(sys.prefix, 'lib', 'taxinet_ros')
 
 
-def start(name: str, domain: int, *parameters: str, **how) -> subprocess.Popen[str]:
+def start(name: str, domain: int | str, *parameters: str, **how) -> subprocess.Popen[str]:
     words = [str(FOLDER / name)]
     for parameter in parameters:
         words += ['--ros-args', '-p', parameter]
@@ -55,6 +55,15 @@ def test_given_nodes_started_one_by_one_in_an_odd_order_then_a_campaign_runs_on_
         info = read_info(tmp_path / 'bags' / run_id)
         assert info.complete
         assert info.counts['/camera/image_raw'] == 31
+
+
+@pytest.mark.parametrize('domain', [-1, 233, 500, 'x', '7 '])
+def test_given_a_domain_that_is_none_then_the_node_says_so_and_no_exit_code_is_a_verdict(domain):
+    node = start('steering_controller', domain)
+    _, errors = node.communicate()
+    assert node.returncode == 2, errors
+    assert errors == (
+        f"error: ROS_DOMAIN_ID '{domain}': a ROS domain is an integer from 0 to 232\n")
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_given_the_truth_as_a_network_then_it_is_refused_and_the_node_for_it_is_
     code, _, errors = ends_of({'x': words})['x']
     assert code == 2, errors
     assert errors.splitlines() == [
-        'error: taxinet_perception: parameter weights: truth looks at no picture; start '
+        'error: taxinet_perception: parameter weights: truth uses no camera image; start '
         'ground_truth_perception instead'
     ]
 

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taxinet_ros import __version__
 from taxinet_ros.bag.cdr.alignment import Canonical
 from taxinet_ros.bag.cdr.decode import decode
 from taxinet_ros.bag.errors import BagWriteError
@@ -52,6 +51,7 @@ from taxinet_ros.core.provenance import COMMIT, provenance, without_commit
 from taxinet_ros.core.topics import Topic
 from taxinet_ros.errors import UsageError
 from taxinet_ros.files.atomic import disk_words, draft_path, sync_folder
+from taxinet_ros.version import __version__
 
 _TOPICS = (*topics.TOPICS, *topics.TRANSFORMS)
 

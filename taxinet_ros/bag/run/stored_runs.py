@@ -155,15 +155,15 @@ class StoredRuns:
         if len(present) > 1:
             raise UsageError(
                 f'{self.path}: holds {len(present)} runs: '
-                f'{", ".join(run.words() for run in present)}; choose one with --run, or make a '
-                f'bag of each: taxinet bag split {self.path} --out DIR'
+                f'{", ".join(run.words() for run in present)}; choose one with --run, or split it: '
+                f'taxinet bag split {self.path} --out DIR'
             )
         return present[0]
 
     def without_run(self) -> BagEmpty:
         """What to raise where there is no run; damage may have taken it."""
         why = f': {self.damage[0]}' if self.damage else ''
-        return BagEmpty(f'{self.path}: holds no run of ours{why}', path=self.path)
+        return BagEmpty(f'{self.path}: contains no run of taxinet_ros{why}', path=self.path)
 
     # ---- its messages ------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
-"""A run of some campaign, found again: what was run, and how it was judged.
+"""A recorded run of a campaign: scenario, settings and verdict.
 
-A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it is there, for a bag has
-the scenario to the last bit; else the campaign's ledger, so a bag that was deleted is not missed.
+A run is named by its folder, ``<campaign>/<run>``. Its bag is read if it exists, since only the bag
+has the exact scenario; else the campaign's ledger, so the bag may be deleted.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def find_run(path: Path) -> JudgedRun:
             raise UsageError(str(error)) from error
     rows = {row.run_id: row for row in content.rows} if content else {}
     if whole.name not in rows:
-        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, as its bag is named')
+        raise UsageError(f'{path}: no such run; name it <campaign>/<run>, the path of its bag')
     return _of_row(rows[whole.name], facts)
 
 
@@ -108,7 +108,7 @@ def _of_bag(recording: Recording, facts: Mapping[str, Any]) -> JudgedRun:
     ending = recording.metadata.get('taxinet_outcome')
     if ending is None and recording.runs and not recording.plain:
         raise UsageError(
-            f'{path}: is of another recorder; a bag of each of its runs, to be named here, makes: '
+            f'{path}: from another recorder; split it into one bag per run and name one of them: '
             f'taxinet bag split {path} --out DIR'
         )
     outcome = Outcome((ending or {}).get('outcome', Outcome.INTERRUPTED))
@@ -182,7 +182,7 @@ def bag_differences(
     """
     told = bag.facts
     if told is None:
-        return ['is of no run of ours']
+        return ['has no run of taxinet_ros']
     pairs: dict[str, tuple[Any, Any]] = {
         'run_id': (told.run_id, row.run_id), 'index': (told.index, row.index),
         'seed': (told.seed, row.seed), **_of_scene(told, row), **_of_formulas(told, facts),
@@ -300,7 +300,7 @@ def check_same_run(
     for what in bag_differences(row, facts, bag, whole=whole):
         raise UsageError(
             f'{bag.path}: is not the bag of its run: {what}; was the folder moved here from '
-            f'another campaign? taxinet doctor {bag.path.parent} checks all of them'
+            f'another campaign? Check all with taxinet doctor {bag.path.parent}'
         )
 
 

@@ -1,9 +1,9 @@
-"""Whose fault failures are: a campaign's failed runs once more, with the truth for the network.
+"""Localise faults: rerun a campaign's failed runs with the truth in place of the network.
 
 The trials are made in worker processes, each with something in the network's place. The folder
-holds ``trials.jsonl``, append-only and flushed to the disk after every trial: what is done is
-never done again, so the same command goes on where an interrupted one was, and so does one that
-asks for more runs or other substitutions.
+holds ``trials.jsonl``, append-only and flushed to the disk after every trial: finished trials are
+never repeated, so the same command continues after an interrupt, also with more runs or other
+substitutions.
 """
 
 from __future__ import annotations
@@ -282,12 +282,12 @@ def make_localize_options(
     found = open_failed_campaign(campaign)
     if is_free(found.timing):
         raise UsageError(
-            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so no trial would tell whose fault a '
-            'failure is; localize a campaign with --latency'
+            f'{campaign}: free runs: {NOT_REPRODUCIBLE}, so trials cannot localise the fault; use '
+            'a campaign with --latency'
         )
     find_world(*recorded_world(found.facts))  # or it says which package is missing, or another one
     if not found.judging.specs:
-        raise UsageError(f'{campaign}: its ledger does not say by which formulas it was judged')
+        raise UsageError(f'{campaign}: its ledger does not record the formulas')
     return LocalizeOptions(
         campaign=found, rows=spread_evenly(found.counterexamples, runs),
         words=tuple(dict.fromkeys((AS_RECORDED, *chosen))),
@@ -413,12 +413,12 @@ def _open(options: LocalizeOptions) -> Journal:
     path = options.out / TRIALS_NAME
     try:
         if options.out.is_dir() and not path.exists() and any(options.out.iterdir()):
-            raise UsageError(f'--out {options.out}: holds something else; name another folder')
+            raise UsageError(f'--out {options.out}: contains something else; choose another folder')
         options.out.mkdir(parents=True, exist_ok=True)
         journal = Journal(path)
         sync_folder(options.out)
     except BlockingIOError as error:
-        raise UsageError(f'{path}: another taxinet localize is at work on it') from error
+        raise UsageError(f'{path}: in use by another taxinet localize') from error
     except OSError as error:
         raise UsageError(f'--out {options.out}: cannot be used: {error.strerror}') from error
     return journal
@@ -440,8 +440,8 @@ def _earlier(options: LocalizeOptions, journal: Journal) -> dict[tuple[str, str]
                     trials[trial.run_id, trial.word] = trial
             elif event['facts'] != facts:
                 raise UsageError(
-                    f'--out {options.out}: holds trials of another campaign or network; '
-                    'name another folder'
+                    f'--out {options.out}: contains trials of another campaign or network; choose '
+                    'another folder'
                 )
             else:
                 before = known(event.get('provenance'))

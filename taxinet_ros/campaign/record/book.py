@@ -1,10 +1,9 @@
-"""A campaign on disk: what was asked, the ledger, and the table, kept in step; and resumed.
+"""A campaign on disk: options, ledger and table, kept consistent and resumable.
 
 A plain campaign, a search, each arm of an experiment and a shrinking all hold one book. They
 choose the next scene; numbers, names and rows of runs, second chances, and what must be the same
-for a campaign to go on are here. While the book is open its files are watched: what was moved,
-deleted or replaced under a campaign ends it, for nobody would find its verdicts where it says
-that they are.
+for a campaign to go on are here. While the book is open, its files are watched: if they are moved,
+deleted or replaced, the campaign ends, since its verdicts would be lost.
 """
 
 from __future__ import annotations
@@ -321,14 +320,14 @@ class CampaignBook:
             yield
         except OSError as error:
             where = error.filename or self._out
-            raise RecordError(f'{where}: {disk_words(error)}; --resume goes on') from error
+            raise RecordError(f'{where}: {disk_words(error)}; continue with --resume') from error
         self._check_in_place()
 
     def _check_in_place(self) -> None:
         self._ledger.check_in_place()
         if not (self._out / FACTS_NAME).is_file():
             raise RecordError(
-                f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was under way'
+                f'{self._out / FACTS_NAME}: was moved or deleted while the campaign was running'
             )
 
 
@@ -344,12 +343,12 @@ def check_resumable(out: Path) -> None:
     there = {entry.name for entry in out.iterdir()} if out.is_dir() else set()
     if not there:
         raise UsageError(
-            f'--resume: {path}: no such file, so nothing was begun; leave --resume out'
+            f'--resume: {path}: no such file, so there is nothing to resume; leave --resume out'
         )
     if not there <= _NOT_OF_A_RUN:
         raise UsageError(
-            f'--resume: {path}: no such file, and without it nobody knows what was run; put it '
-            'back, or name another --out'
+            f'--resume: {path}: no such file, so the earlier options are unknown; put it back, or '
+            'choose another --out'
         )
 
 
@@ -385,8 +384,8 @@ def read_same_campaign(
     content = read_ledger(out / LEDGER_NAME)
     if content.rows and not content.campaign:
         raise UsageError(
-            f'--resume: {out / LEDGER_NAME}: has runs, and does not say of which campaign; see '
-            f'taxinet doctor {out}, then mend it: taxinet doctor --mend {out}'
+            f'--resume: {out / LEDGER_NAME}: has runs but no campaign record; see taxinet doctor '
+            f'{out}, then repair it: taxinet doctor --mend {out}'
         )
     if content.campaign:
         _check_same(out, content.campaign, {
@@ -406,7 +405,7 @@ def _check_same(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) ->
         if name not in _MAY_DIFFER and before.get(name) != now[name]:
             raise UsageError(
                 f'--resume: {out} was begun with {name} {short_json(before.get(name))}, not '
-                f'{short_json(now[name])}; repeat its options, or name another --out'
+                f'{short_json(now[name])}; repeat its options, or choose another --out'
             )
 
 

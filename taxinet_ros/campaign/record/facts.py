@@ -1,7 +1,7 @@
-"""What a campaign is, written down before its first run: in ``campaign.json`` and the ledger.
+"""Facts of a campaign, written to ``campaign.json`` and the ledger before its first run.
 
-When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then vouches for the
-tables, and says where the ledger ended.
+When a campaign ends, ``campaign.json`` is sealed (:mod:`.sealed_json`): it then has checksums of
+    the tables and the end of the ledger.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def read_facts(folder: Path) -> SealedJson | None:
     """
     path = folder / FACTS_NAME
     if (path.is_symlink() or path.exists()) and not path.is_file():
-        raise UsageError(f'{path}: is no regular file')
+        raise UsageError(f'{path}: is not a regular file')
     try:
         return read_sealed(path)
     except (FileNotFoundError, NotADirectoryError):

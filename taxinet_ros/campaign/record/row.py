@@ -1,4 +1,4 @@
-"""One run as one row: what was asked, how it ended, in the units people read."""
+"""One run as a table row: request and result, in display units."""
 
 from __future__ import annotations
 
@@ -130,11 +130,11 @@ class RunRow:
                 campaign's folder, a number is not finite, or a word is none that there is.
         """
         if not is_run_name(self.run_id):
-            raise ValueError(f'run_id is {self.run_id!r:.80}, no plain name')
+            raise ValueError(f'run_id is {self.run_id!r:.80}, not a plain name')
         if self.index < 0:
             raise ValueError(f'index is {self.index}')
         if self.bag and not is_run_name(self.bag):
-            raise ValueError(f'bag is {self.bag!r:.80}, no plain name')
+            raise ValueError(f'bag is {self.bag!r:.80}, not a plain name')
         self._check_words()
         for column in dataclasses.fields(self):
             value = getattr(self, column.name)

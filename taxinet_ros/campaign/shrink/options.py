@@ -112,7 +112,7 @@ class ShrinkSpace:
         }
         if values['clouds'] in RAIN_CLOUDS or values['rain_percent'] == 0:
             return point
-        other = keys.index(next(key for key in WEATHER if key != keys[axis]))
+        other = keys.index('clouds' if keys[axis] == 'rain_percent' else 'rain_percent')
         return (*point[:other], 0, *point[other + 1:])
 
 

@@ -72,14 +72,14 @@ class Diagnostics:
             return
         try:
             health = self._health()
+            if parted := cut_off(self._node):
+                level = max(health.level, DiagnosticStatus.WARN)
+                health = replace(health, level=level, message='; '.join([health.message, *parted]))
         except Exception as error:  # A reporting error must not end the node.
             line = f'{type(error).__name__}: {error}'.splitlines()[0]
             health = Health(level=DiagnosticStatus.ERROR, message=line)
         if not before:
             return  # The figures cover a time without subscribers.
-        if parted := cut_off(self._node):
-            level = max(health.level, DiagnosticStatus.WARN)
-            health = replace(health, level=level, message='; '.join([health.message, *parted]))
         name = self._node.get_fully_qualified_name().lstrip('/')
         status = DiagnosticStatus(
             level=health.level, name=f'{name}: run', message=health.message, hardware_id='',

@@ -67,7 +67,8 @@ def test_given_a_loop_that_swallows_everything_when_compiled_then_it_is_killed(
     stubborn = 'while True:\n    try:\n        while True:\n            pass\n' \
                '    except BaseException:\n        pass\n'
     path = write(tmp_path, PLANE + stubborn)
-    with pytest.raises(UsageError, match=r'hung for|ended by SIGXCPU'), \
+    # Still running: the interrupt met it just outside its `try`, as it may on a busy machine.
+    with pytest.raises(UsageError, match=r'hung for|ended by SIGXCPU|still running after'), \
             SceneSource(path, seed=1, timeout_s=0.5):
         pass
 

@@ -279,7 +279,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     'impossible': ({'nominal': ['rain=50']}, '--nominal: rain needs clouds broken'),
     'perception': ({'perception': 'nobody'}, "perception: 'nobody' is unknown"),
     'images': ({'images': 'few'}, '--images few: unknown'),
-    'resume': ({'resume': True, 'out': None}, '--resume: say with --out'),
+    'resume': ({'resume': True, 'out': None}, '--resume: name the campaign to continue'),
 }
 
 

@@ -81,7 +81,7 @@ def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that
     shutil.rmtree(experiment / 'far')
     done = taxinet('doctor', experiment)
     assert done.returncode == 0, done.stdout
-    assert 'an experiment that is not finished, without far; --resume goes on' in done.stdout
+    assert 'an unfinished experiment, without far; continue with --resume' in done.stdout
 
 
 @pytest.mark.parametrize(('change', 'says'), [
@@ -89,14 +89,14 @@ def test_doctor_given_the_first_arms_and_nothing_else_then_it_names_the_arm_that
     (lambda experiment: shutil.rmtree(experiment / 'far'), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'far' / 'ledger.jsonl').unlink(), 'far/ledger.jsonl: '),
     (lambda experiment: (experiment / 'experiment.json').unlink(),
-     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
     (lambda experiment: (experiment / 'experiment.json').write_text('{}'),
-     'experiment.json: does not vouch for the experiment, and pairs.parquet is there'),
+     'experiment.json: has no record of the experiment, although pairs.parquet is there'),
     (all_but_the_arms,
-     'experiment.json: does not vouch for the experiment, and near, far have had their runs'),
+     'experiment.json: has no record of the experiment, although near, far have had their runs'),
     (lambda experiment: (all_but_the_arms(experiment), shutil.rmtree(experiment / 'near')),
      'near: is not there, an arm of the experiment of far'),
-    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track is 0.0, the row has 4.0'),
+    (exchange_bags, 'far/halton_time_of_day-s0-00001: its cross_track_m is 0.0, the row has 4'),
     (hide_the_arm, 'far/runs.csv: '),
 ])
 def test_doctor_given_arms_that_are_exchanged_or_gone_then_it_says_so(

@@ -332,7 +332,7 @@ def test_given_no_ros_then_bags_are_judged_all_the_same(whole):
     (['{campaign}', '--plot', '{here}/a.png'], '[45] bags given; name a folder'),
     (['{campaign}', '--plot', '{here}/a.pdf'], 'write NAME.png'),
     (['{campaign}', '--add'], '--add: name the requirement to add with --spec'),
-    (['{whole}', '--spec', 'phi_always', '--add'], 'no such file, so that is no campaign'),
+    (['{whole}', '--spec', 'phi_always', '--add'], 'no such file; not a campaign'),
     (['{campaign}', '--workers', '0'], '--workers'),
 ])
 def test_given_bad_input_then_one_line_says_what_and_the_code_is_two(

@@ -41,7 +41,7 @@ def test_given_a_bag_without_frames_when_rendered_then_doctor_agrees(again, taxi
     assert read_info(again).counts.get(IMAGE) is None
     code, out, _ = taxinet('bag', 'doctor', '--images', tmp_path / 'new')
     assert code == 0
-    assert '11 of 11 equal those rendered anew, bit for bit' in out
+    assert '11 of 11 equal re-rendered ones, bit for bit' in out
     code, out, _ = taxinet('bag', 'render', tmp_path / 'new')
     assert (code, out.split(':')[0]) == (0, 'nothing to do')
     assert taxinet('bag', 'render', again, '--out', tmp_path / 'new')[0] == 2
@@ -152,9 +152,9 @@ BAD = {
     'no bag to render': (('bag', 'render', 'nowhere'), 'nowhere: no such bag'),
     'no golden bags': (('bag', 'golden', 'nowhere'), 'nowhere: holds no bags'),
     'neither scene nor bag': (('run',), 'run: name a SCENARIO, or a recorded run with --from'),
-    'scene and bag': (('run', 'nominal', '--from', TRUTH), '--from: the bag already says SCENARIO'),
-    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), 'the bag already says --seed'),
-    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), 'already says --set'),
+    'scene and bag': (('run', 'nominal', '--from', TRUTH), 'SCENARIO is taken from the bag'),
+    'bag and seed': (('run', '--from', TRUTH, '--seed', '3'), '--seed is taken from the bag'),
+    'bag and setting': (('run', '--from', TRUTH, '--set', 'rain=5'), '--set is taken from the bag'),
     'bag and images': (('run', '--from', TRUTH, '--images', 'few'), '--images few: unknown'),
     'no bag to run': (('run', '--from', 'nowhere'), 'nowhere: no such bag'),
 }

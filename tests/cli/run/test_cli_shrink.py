@@ -47,7 +47,7 @@ def test_given_a_failed_run_when_shrunk_then_the_screen_says_what_matters(folder
         assert table[key][-3:] == ['does', 'not', 'matter']
     for key in ('heading_deg', 'distance_m', 'time_of_day_h'):
         assert table[key][-2:] == ['nominal', 'already']
-    assert any(line.startswith('cross_track: +2.1 m fails, +2.0 m passes') for line in lines)
+    assert any(line.startswith('cross_track_m: +2.1 m fails, +2.0 m passes') for line in lines)
     assert lines[-2] == 'written: s/shrunk.scenic, shrink.json, shrink.png'
 
 

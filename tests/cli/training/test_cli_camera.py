@@ -135,7 +135,7 @@ BAD = {
     'unknown perception': (['compare', 'DRIVE', '--perception', 'tru'], 'known: truth, taxinet'),
     'no folder': (['compare', 'nowhere'], 'nowhere: no such folder'),
     'no labels': (['compare', '.'], 'labels.csv: no such file'),
-    'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], 'heading: given by the labels'),
+    'pose set twice': (['compare', 'DRIVE', '--set', 'heading=3'], 'heading_deg: given by the'),
     'bad light': (['compare', 'DRIVE', '--set', 'clouds=fog'], "clouds is 'fog'"),
     'off our runway': (['compare', 'DRIVE', '--distance-offset', '9000'], '--distance-offset'),
     'no number': (['compare', 'DRIVE', '--distance-offset', 'nan'], 'number of metres'),
@@ -146,7 +146,7 @@ BAD = {
     'not writable': (['frame', '--out', '/proc/f.png'], 'cannot be written'),
     'hours twice': (['sheet', '--set', 'time_of_day=9'], 'use --hours 9'),
     'hours no numbers': (['sheet', '--hours', 'noon'], "--hours 'noon': expected comma-"),
-    'impossible hour': (['sheet', '--hours', '25'], 'outside 0..86400'),
+    'impossible hour': (['sheet', '--hours', '25'], 'outside 0..24 h'),
     'unknown sky': (['sheet', '--clouds', 'fog'], "clouds is 'fog'"),
     'rain from a clear sky': (['sheet', '--clouds', 'clear', '--rain', '9'], 'rain needs clouds'),
     'unknown command': (['film'], 'film'),
@@ -191,7 +191,7 @@ def test_s_shadow_given_hours_then_a_line_each_tells_how_dark_it_is(taxinet):
     assert [float(word) for word in afternoon.split()[4:7]] == pytest.approx([0.24] * 3, abs=0.01)
     for words, complaint in (
         (('--hours', ''), "--hours '': expected comma-separated numbers"),
-        (('--set', 'time_of_day=3'), '--set time_of_day: varies over the table; use --hours'),
+        (('--set', 'time_of_day=3'), '--set time_of_day_h: varies over the table; use --hours'),
     ):
         code, out, err = taxinet('shadow', *words)
         assert (code, out) == (2, '')

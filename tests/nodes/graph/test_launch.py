@@ -169,7 +169,7 @@ def test_given_a_misspelled_or_renamed_argument_then_it_is_refused_and_not_ignor
     check_names(['perception:=truth', 'launch-prefix:=nice'])
     with pytest.raises(UsageError, match=r'perceptoin:=truth.*did you mean perception\?'):
         check_names(['runs:=3', 'perceptoin:=truth'])
-    with pytest.raises(UsageError, match=r'weights:=a\.onnx: say perception:=a\.onnx'):
+    with pytest.raises(UsageError, match=r'weights:=a\.onnx: renamed; use perception:=a\.onnx'):
         check_names(['weights:=a.onnx'])
 
 

@@ -214,7 +214,7 @@ def test_given_repeat_and_no_header_then_stretches_follow_one_another_by_the_clo
          "'position'"),
         ('cte=/robot/odom:child_frame_id', 'child_frame_id is a string, no number'),
         ('cte=/robot/odom:pose.covariance[36]', 'there are 36 elements'),
-        ('cte=/both:data', 'topic /both is published with 2 types: std_msgs/msg/Float64, '
+        ('cte=/both:data', 'topic /both has publishers of 2 types: std_msgs/msg/Float64, '
          'std_msgs/msg/String'),
     ],
 )
@@ -250,7 +250,7 @@ def test_given_a_field_that_cannot_be_judged_then_the_node_ends_and_says_why(rob
             'parameter specs: spec far: always[9:12] begins 9 s into the run, which lasts 5 s',
         ),
         ({'signals': ['cte[m]=/a:x'], 'specs': ['a=cte < 1 deg']}, 'expected a length'),
-        ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is there twice'),
+        ({'signals': ODOM, 'specs': [NEAR, NEAR]}, 'near is given twice'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'y'}, 'known: cte, speed'),
         ({'signals': ODOM, 'specs': [NEAR], 'sampled_on': 'cte', 'period': 1.0}, 'only one'),
         ({'signals': ODOM, 'specs': [NEAR], 'repeat': True}, 'needs a horizon'),

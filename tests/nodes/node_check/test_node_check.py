@@ -193,9 +193,9 @@ def test_given_more_publishers_than_its_own_two_then_each_is_named(more, says):
 
 
 @pytest.mark.parametrize(('publishes', 'more', 'says'), [
-    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s asked for'),
-    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic asked for'),
-    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s asked for'),
+    (False, {'deadline': Duration(seconds=1)}, 'deadline 1 s requested'),
+    (False, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, 'manual by topic requested'),
+    (False, {'liveliness_lease_duration': Duration(seconds=2)}, 'lease 2 s requested'),
     (True, {'lifespan': Duration(nanoseconds=1)}, 'lifespan 1e-09 s offered'),
     (True, {'deadline': Duration(seconds=1)}, ''),
     (True, {'liveliness': LivelinessPolicy.MANUAL_BY_TOPIC}, ''),
@@ -299,7 +299,7 @@ def test_given_a_node_without_ready_after_a_strange_image_then_it_fails():
 def test_given_nothing_but_a_node_that_never_came_then_nothing_else_is_judged():
     findings = judge(Record(role=ROLES['perception']))
     assert [one.clause.name for one in findings if one.status is Status.FAIL] == ['starts']
-    assert {one.came for one in findings[1:]} == {'mend starts first'}
+    assert {one.came for one in findings[1:]} == {'fix starts first'}
 
 
 def test_given_the_docs_then_they_have_each_clause_with_these_words():

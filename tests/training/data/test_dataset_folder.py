@@ -308,7 +308,7 @@ def test_f2_given_any_damage_to_a_dataset_then_it_is_refused_and_the_doctor_name
         (out / name).write_bytes(data)
     facts = (out / 'dataset.json').rename(tmp_path / 'dataset.json')
     assert [one.what for one in examine(out).findings] == [
-        'nothing vouches for it: dataset.json is not there'
+        'cannot be verified: dataset.json is not there'
     ]
     facts.rename(out / 'dataset.json')
     request = out / 'request.json'

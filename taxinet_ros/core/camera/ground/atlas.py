@@ -1,4 +1,4 @@
-"""The ground as textures: a whole runway strip as one ripmap, and a tile of fine grain.
+"""Ground textures: a whole runway strip as one ripmap, and a tile of fine grain.
 
 The strip begins 100 m before the runway and has rows of 0.4 m. Its columns follow a bent ruler:
 0.12 m each to a few metres beyond the runway's edges, 0.9 m beyond, 144 m farther. So the paint is
@@ -37,7 +37,7 @@ _LEAST_BEYOND_M, _LEAST_BESIDE_M = 60.0, 3.9
 
 GRAIN_TEXELS, GRAIN_M, GRAIN_LEVELS = 512, 0.012, 8
 GRAIN_NEUTRAL = 128
-"""Grain code that leaves the ground as it is: the product is scaled by its inverse."""
+"""Neutral grain code: the product is scaled by its inverse."""
 
 
 @lru_cache(maxsize=4)
@@ -158,7 +158,7 @@ def grain_atlas() -> NDArray[np.uint8]:
 
 
 def _tile_noise(seed: int, blur_texels: float) -> Floats:
-    """Smooth noise of deviation 1 that joins itself at the tile's borders."""
+    """Smooth noise of deviation 1, periodic at the tile's borders."""
     noise = np.random.default_rng(seed).standard_normal((GRAIN_TEXELS,) * 2, dtype=np.float32)
     pad = 32
     wide = np.pad(noise, pad, mode='wrap')

@@ -1,4 +1,4 @@
-"""The ground seen through a pinhole: inverse mapping of a picture into the ground's ripmaps."""
+"""Ground through a pinhole camera: inverse mapping of an image into the ground's ripmaps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Vectors = NDArray[np.float64]
 _SHARPNESS = 0.8
 _GRAIN_REACH_M = 26.0
 _FINER_CODES = 1.5
-"""The grain times the gain leaves codes unused; stretched to them it rounds less."""
+"""Grain times gain leaves codes unused; stretching to the full range reduces rounding."""
 
 _LEAST_FALL = GROUND_END_TAN / 2
 
@@ -45,12 +45,12 @@ _FINER = tuple(
 
 
 def _ruler(rows: int, columns: int) -> pixels.Ruler:
-    """What of the way from a pixel to its texels depends neither on the pose nor on the light.
+    """Part of the pixel-to-texel mapping that depends on neither pose nor light.
 
     ``rows`` and ``columns`` are those of the ground's finest texture.
     """
-    # Texels are counted from the far end of the ripmaps, so that a multiplication changes the
-    # level. Columns are the coarse ruler's, which the bend once more makes the fine one's.
+    # Texels are counted from the far end of the ripmaps, so that changing the level is a
+    # multiplication. Columns are the coarse ruler's, which the bend once more makes the fine one's.
     row_end, column_end = 2 * rows, 2 * columns
     middle = (columns / 2 - column_end) / (1 + _BEND)
     half = fine_half_m(columns) / COARSE_M
@@ -76,7 +76,7 @@ def _ruler(rows: int, columns: int) -> pixels.Ruler:
 
 
 class GroundView:
-    """Renders the unlit ground; owns the buffer that makes a frame free of allocations."""
+    """Renders the unlit ground; owns the buffers, so that frames need no allocations."""
 
     def __init__(
         self,
@@ -91,10 +91,10 @@ class GroundView:
         Args:
             atlas: ripmap of the ground's colours.
             grain: ripmap of the factor on them.
-            gain: factor on red, green and blue, at most 1; it rides on the grain for free.
-            hidden: columns at the left of each row of the pictures, (height,), that something else
-                will cover; what is there means nothing.
-            width: of the pictures [px].
+            gain: factor on red, green and blue, at most 1; merged into the grain at no cost.
+            hidden: columns at the left of each row of the pictures, (height,), that will be
+            covered; their content is undefined.
+            width: width of the images [px].
         """
         height = len(hidden)
         stretched = _FINER_CODES * gain
@@ -112,7 +112,7 @@ class GroundView:
         )
 
     def render(self, rays: Vectors, camera: Vectors) -> NDArray[np.uint8]:
-        """Colours of the ground times the gain, (height, width, 3) uint8; a buffer, used again.
+        """Colours of the ground times the gain, (height, width, 3) uint8; a reused buffer.
 
         Args:
             rays: homogenous pixel to a direction in ``map``, (3, 3).
@@ -126,10 +126,10 @@ class GroundView:
 
 @cache
 def _dither(height: int, width: int) -> Floats:
-    """Factor of half an octave up and down, well mixed over the picture.
+    """Dither factor of half an octave up and down over the image.
 
-    It dissolves the borders between a ripmap's levels, where blending two would double the work.
-    Roberts' R2 sequence spreads it evenly; it is fixed to the picture.
+    It hides the borders between ripmap levels at half the cost of blending. Roberts' R2 sequence
+    spreads it evenly; it is fixed to the picture.
     """
     u = np.arange(width)[None, :] * 0.7548776662466927
     v = np.arange(height)[:, None] * 0.5698402909980532
